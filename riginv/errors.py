@@ -1,0 +1,8 @@
+"""The one exception that means: the user can mend this."""
+
+
+class InputError(ValueError):
+    """Something that the user gave is wrong: commands show the message as one sentence, without a traceback.
+
+    The message names the file or the field, what was found, what was expected, and what to do.
+    """

@@ -1,0 +1,52 @@
+"""Blendshape logic: what the weights of shapes do to each other, and to the mesh."""
+
+import torch
+from torch import Tensor
+
+
+def screen(activations: Tensor, sources: Tensor) -> Tensor:
+    """Several drivers of one shape, combined as 1 - (1 - a)(1 - b)...: one alone passes through, none exceeds 1.
+
+    Unlike a sum that is clamped, this never loses its gradient.
+
+    Args:
+        activations: `(batch, driver)` in [0, 1].
+        sources: `(shape, slot)` the drivers of each shape, -1 where a slot is empty.
+
+    Returns:
+        `(batch, shape)` in [0, 1].
+    """
+    padded = torch.cat([activations, activations.new_zeros(len(activations), 1)], dim=1)
+    remaining = 1 - padded[:, sources[:, 0]]
+    for slot in sources.T[1:]:
+        remaining = remaining * (1 - padded[:, slot])
+    return 1 - remaining
+
+
+def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
+    """The weight of each combination: the product of the weights of the two or three shapes that it repairs.
+
+    Args:
+        weights: `(batch, shape)`.
+        members: `(combination, 3)` indices of shapes, -1 for the third of a pair.
+
+    Returns:
+        `(batch, combination)`.
+    """
+    padded = torch.cat([weights, weights.new_ones(len(weights), 1)], dim=1)
+    first, second, third = members.T
+    return padded[:, first] * padded[:, second] * padded[:, third]
+
+
+def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tensor:
+    """Add weighted deltas to a rest mesh.
+
+    Args:
+        rest_vertices: `(vertex, 3)`, mm.
+        deltas: `(shape, vertex, 3)`, mm at weight 1.
+        weights: `(batch, shape)`; not clamped, so extrapolation is the caller's choice.
+
+    Returns:
+        `(batch, vertex, 3)`, mm.
+    """
+    return rest_vertices + (weights @ deltas.flatten(1)).unflatten(1, rest_vertices.shape)

@@ -1,0 +1,101 @@
+"""Driven-key curves as animation software evaluates them: cubic Bezier segments, solved exactly and differentiably.
+
+A curve is a list of keys; between two keys stands a cubic Bezier whose inner points are the right handle of the first and
+the left handle of the second. Finding the value at x means solving X(t) = x and returning Y(t). Outside its keys a curve
+keeps its end values. Handles that overlap are shortened first, as Blender and Maya do, so that X is monotone.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+ITERATIONS = 24  # of bracketed Newton, at most; typical curves need 4, vertical tangents more
+
+
+class Key(NamedTuple):
+    """One key of a curve: its place, and its handles as offsets from it."""
+
+    x: float
+    y: float
+    left: tuple[float, float] = (0.0, 0.0)
+    right: tuple[float, float] = (0.0, 0.0)
+
+
+Curve = list[Key]
+
+
+def pack_curves(curves: list[Curve]) -> Tensor:
+    """Lay curves out as one table for `evaluate_curves`.
+
+    Returns:
+        `(curve, segment, 9)` float64: for each Bezier segment where it starts and its width, then the coefficients of
+        X(t) = ((a t + b) t + c) t, from 0 to 1, and of Y(t) = ((d t + e) t + f) t + g. Curves with fewer segments than the
+        longest are filled up with segments that start at infinity.
+
+    Raises:
+        ValueError: a curve has fewer than two keys, or keys that do not ascend.
+    """
+    rows = []
+    for number, curve in enumerate(curves):
+        if len(curve) < 2 or any(a.x >= b.x for a, b in zip(curve, curve[1:])):
+            raise ValueError(f"curve {number} needs at least two keys with ascending x, found x = {[key.x for key in curve]}")
+        rows.append([_segment(a, b) for a, b in zip(curve, curve[1:])])
+    longest = max(len(row) for row in rows)
+    return torch.tensor([row + [[torch.inf] + [0.0] * 8] * (longest - len(row)) for row in rows], dtype=torch.float64)
+
+
+def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
+    """The value of each curve at its own input.
+
+    Args:
+        table: `(curve, segment, 9)`, as from `pack_curves`.
+        inputs: `(batch, curve)`.
+
+    Returns:
+        `(batch, curve)`; differentiable in `inputs`. At a key the slope is that of the segment to its right, at the ends
+        that of the end segments, so that a control at its limit still has a gradient.
+    """
+    starts = table[:, :, 0]
+    ends = torch.where(starts.isinf(), -torch.inf, starts + table[:, :, 1]).amax(dim=1)
+    x = inputs.clamp(starts[:, 0], ends)
+    if table.shape[1] == 1:
+        segments = table[:, 0]
+    else:
+        index = (x.detach()[..., None] >= starts[:, 1:]).sum(dim=-1)
+        segments = table[torch.arange(len(table), device=table.device), index]
+    start, width, a, b, c, d, e, f, g = segments.unbind(-1)
+    t = _solve(a, b, c, (x - start) / width)
+    return ((d * t + e) * t + f) * t + g
+
+
+def _solve(a: Tensor, b: Tensor, c: Tensor, target: Tensor) -> Tensor:
+    """Solve ((a t + b) t + c) t = target for t in [0, 1], where the left side rises from 0 to 1."""
+    with torch.no_grad():
+        t = target.detach().clone()
+        low, high = torch.zeros_like(t), torch.ones_like(t)
+        a3, b2 = 3 * a, 2 * b
+        tolerance = 4 * torch.finfo(t.dtype).eps
+        for _ in range(ITERATIONS):
+            error = ((a * t + b) * t + c) * t - target
+            if bool((error.abs() <= tolerance).all()):
+                break
+            above = error > 0
+            low, high = torch.where(above, low, t), torch.where(above, t, high)
+            newton = t - error / ((a3 * t + b2) * t + c)
+            t = torch.where((newton >= low) & (newton <= high), newton, (low + high) / 2)
+        slope = ((a3 * t + b2) * t + c).clamp_min(torch.finfo(t.dtype).eps)
+        value = ((a * t + b) * t + c) * t
+    # One more Newton step, which carries the exact derivative dt/dx = 1 / X'(t).
+    return (t - (value - target) / slope).clamp(0, 1)
+
+
+def _segment(start: Key, end: Key) -> list[float]:
+    width = end.x - start.x
+    reach = abs(start.right[0]) + abs(end.left[0])
+    scale = width / reach if reach > width else 1.0
+    first, second = scale * start.right[0] / width, 1 + scale * end.left[0] / width
+    y0, y1, y2, y3 = start.y, start.y + scale * start.right[1], end.y + scale * end.left[1], end.y
+    in_x = [1 + 3 * (first - second), 3 * (second - 2 * first), 3 * first]
+    in_y = [y3 - y0 + 3 * (y1 - y2), 3 * (y0 - 2 * y1 + y2), 3 * (y1 - y0), y0]
+    return [start.x, width, *in_x, *in_y]

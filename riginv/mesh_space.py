@@ -1,0 +1,117 @@
+"""Mesh space: the few coordinates in which a mesh loss equals the loss on all vertices, constant aside.
+
+A rig that ends in a linear map, x = rest + B (f(r) - f(neutral)), reaches only the span of its basis B. With B = Q R, Q
+orthonormal, and the mesh coordinates z = Q^T (x - rest) of a mesh x,
+
+    |x - rig(r)|^2  =  |z - R (f(r) - f(neutral))|^2  +  |what of x lies outside the span|^2,
+
+and the last term does not depend on r. For a black box, Q comes from samples instead, kept until a stated residual.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from riginv.errors import InputError
+from riginv.rig import LinearRig
+
+RANK_TOLERANCE = 1e-6  # of the largest singular value; directions below it are noise of a float32 basis
+
+
+class MeshSpace(nn.Module):
+    """An orthonormal frame of meshes around a rest mesh.
+
+    Attributes:
+        rest_vertices: `(vertex, 3)`, mm.
+        frame: Q, `(coordinate, vertex, 3)`; its rows are orthonormal, in order of importance.
+        residual_mm: mean distance of the meshes it was fitted to from the span of the frame; 0 where it is exact.
+    """
+
+    rest_vertices: Tensor
+    frame: Tensor
+
+    def __init__(self, rest_vertices: Tensor, frame: Tensor, residual_mm: float = 0.0) -> None:
+        super().__init__()
+        self.register_buffer("rest_vertices", rest_vertices)
+        self.register_buffer("frame", frame)
+        self.residual_mm = residual_mm
+
+    @classmethod
+    def from_rig(cls, rig: LinearRig) -> "MeshSpace":
+        """The exact mesh space of a rig that ends in a linear map: the span of its basis."""
+        basis = rig.basis.flatten(1).double()
+        q, r = torch.linalg.qr(basis.T)
+        left, values, _ = torch.linalg.svd(r)
+        rank = int((values > RANK_TOLERANCE * values[0]).sum())
+        frame = (q @ left[:, :rank]).T.unflatten(1, rig.rest_vertices.shape)
+        return cls(rig.rest_vertices, frame.to(rig.dtype))
+
+    @classmethod
+    def from_samples(cls, rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> "MeshSpace":
+        """The principal components of sampled meshes, as many as it takes to come within `residual_mm` of them on average.
+
+        Args:
+            rest_vertices: `(vertex, 3)`, mm.
+            samples: `(sample, vertex, 3)`, mm.
+            residual_mm: the mean vertex distance, over all samples, that may remain.
+
+        Raises:
+            InputError: no samples, NaN or infinite values among them, or a residual that is not positive.
+        """
+        if not len(samples) or not torch.isfinite(samples).all():
+            raise InputError("a mesh space needs at least one sampled mesh, and no NaN or infinite values in any")
+        if not residual_mm > 0:
+            raise InputError(f"residual_mm is {residual_mm}, expected a distance above 0")
+        flat = (samples - rest_vertices).flatten(1).double()
+        _, values, right = torch.linalg.svd(flat, full_matrices=False)
+        rank = int((values > RANK_TOLERANCE * values[0].clamp_min(1e-12)).sum())
+
+        def residual(count: int) -> float:
+            rest = flat - (flat @ right[:count].T) @ right[:count]
+            return float(rest.unflatten(1, rest_vertices.shape).norm(dim=2).mean())
+
+        low, high = 0, rank  # the residual falls as components are added: bisect for the fewest that suffice
+        while low < high:
+            middle = (low + high) // 2
+            low, high = (low, middle) if residual(middle) <= residual_mm else (middle + 1, high)
+        count = max(low, 1)
+        frame = right[:count].unflatten(1, rest_vertices.shape).to(rest_vertices.dtype)
+        return cls(rest_vertices, frame, residual(count))
+
+    @property
+    def size(self) -> int:
+        """The number of mesh coordinates."""
+        return len(self.frame)
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.rest_vertices)
+
+    def encode(self, vertices: Tensor) -> Tensor:
+        """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`: what the rig can reach of them."""
+        return (vertices - self.rest_vertices).flatten(1) @ self.frame.flatten(1).T
+
+    def decode(self, coordinates: Tensor) -> Tensor:
+        """Mesh coordinates `(batch, coordinate)` to meshes `(batch, vertex, 3)`, mm."""
+        return self.rest_vertices + (coordinates @ self.frame.flatten(1)).unflatten(1, self.rest_vertices.shape)
+
+
+class RigInMeshSpace(nn.Module):
+    """A rig seen in its mesh space: `forward` maps controls to mesh coordinates, without ever making a vertex.
+
+    Attributes:
+        rig: the rig, which must end in a linear map.
+        space: its mesh space.
+        linear_map: R^T `(coefficient, coordinate)`: the coordinates that each coefficient moves by.
+    """
+
+    linear_map: Tensor
+
+    def __init__(self, rig: LinearRig, space: MeshSpace) -> None:
+        super().__init__()
+        self.rig, self.space = rig, space
+        self.register_buffer("linear_map", rig.basis.flatten(1) @ space.frame.flatten(1).T, persistent=False)
+        self.register_buffer("neutral_coefficients", rig.neutral_coefficients().detach(), persistent=False)
+
+    def forward(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, control)` to mesh coordinates `(batch, coordinate)`; 0 at the neutral controls."""
+        return (self.rig.coefficients(controls) - self.neutral_coefficients) @ self.linear_map

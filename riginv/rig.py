@@ -1,0 +1,168 @@
+"""What a rig is: named, bounded controls and a rest mesh, and a function from the controls to the vertices (paper, Eq. 1)."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from riginv.errors import InputError
+from riginv.geometry.blendshapes import apply_deltas
+
+
+@dataclass(frozen=True)
+class Control:
+    """One control: what an animator moves.
+
+    Attributes:
+        name: unique within the rig.
+        lower: the least value.
+        upper: the greatest value.
+        neutral: the value at rest.
+        unit: of the value as animators see it: empty for a plain weight, `deg` or `mm`.
+    """
+
+    name: str
+    lower: float = 0.0
+    upper: float = 1.0
+    neutral: float = 0.0
+    unit: str = ""
+
+
+class RigBackend(nn.Module, ABC):
+    """A rig: `forward` maps controls to vertices. It holds facts, nothing that is trained, and never clamps its controls.
+
+    Attributes:
+        name: what tables call it.
+        controls: the controls, in the order of the last dimension of a control tensor.
+        lower, upper, neutral_controls: `(control,)`.
+        rest_vertices: `(vertex, 3)`, mm.
+        faces: `(face, 3)` indices of vertices.
+        differentiable: whether gradients pass from the vertices to the controls.
+
+    Raises:
+        InputError: the controls, the mesh or the faces do not make a rig.
+    """
+
+    differentiable: bool = True
+    lower: Tensor
+    upper: Tensor
+    neutral_controls: Tensor
+    rest_vertices: Tensor
+    faces: Tensor
+
+    def __init__(self, name: str, controls: Sequence[Control], rest_vertices: Tensor, faces: Tensor) -> None:
+        super().__init__()
+        self.name = name
+        self.controls = tuple(controls)
+        _check_controls(name, self.controls)
+        _check_mesh(name, rest_vertices, faces)
+        for field in ("lower", "upper", "neutral"):
+            values = torch.tensor([getattr(control, field) for control in self.controls], dtype=rest_vertices.dtype)
+            self.register_buffer("neutral_controls" if field == "neutral" else field, values, persistent=False)
+        self.register_buffer("rest_vertices", rest_vertices, persistent=False)
+        self.register_buffer("faces", faces.long(), persistent=False)
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        return tuple(control.name for control in self.controls)
+
+    @property
+    def dtype(self) -> torch.dtype:
+        return self.rest_vertices.dtype
+
+    @property
+    def device(self) -> torch.device:
+        return self.rest_vertices.device
+
+    @abstractmethod
+    def forward(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, control)` to vertices `(batch, vertex, 3)`, mm (the paper's L, Eq. 1)."""
+
+
+class LinearRig(RigBackend):
+    """A rig that ends in a linear map: vertices = rest + (f(controls) - f(neutral)) basis.
+
+    Blendshape rigs are such, with f the weights of the shapes, and so is linear blend skinning, with f the numbers of the
+    skinning matrices. Everything that riginv gains from mesh space rests on this (`riginv.mesh_space`).
+
+    Attributes:
+        basis: `(coefficient, vertex, 3)`, mm per unit of each coefficient.
+        coefficient_names: one for each coefficient.
+    """
+
+    basis: Tensor
+
+    def __init__(
+        self,
+        name: str,
+        controls: Sequence[Control],
+        rest_vertices: Tensor,
+        faces: Tensor,
+        basis: Tensor,
+        coefficient_names: Sequence[str] | None = None,
+    ) -> None:
+        super().__init__(name, controls, rest_vertices, faces)
+        if basis.shape[1:] != rest_vertices.shape:
+            raise InputError(
+                f"rig '{name}': the basis has shape {tuple(basis.shape)}, expected (coefficient, *{tuple(rest_vertices.shape)})"
+            )
+        self.register_buffer("basis", basis, persistent=False)
+        self.coefficient_names = tuple(coefficient_names or (f"coefficient_{i}" for i in range(len(basis))))
+
+    @abstractmethod
+    def coefficients(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, control)` to coefficients `(batch, coefficient)`: the nonlinear part f of the rig."""
+
+    def neutral_coefficients(self) -> Tensor:
+        """The coefficients `(1, coefficient)` of the rest mesh."""
+        return self.coefficients(self.neutral_controls[None])
+
+    def forward(self, controls: Tensor) -> Tensor:
+        change = self.coefficients(controls) - self.neutral_coefficients()
+        return apply_deltas(self.rest_vertices, self.basis, change)
+
+
+class BlendshapeRig(LinearRig):
+    """A linear rig whose coefficients are weights of shapes in [0, 1], all 0 at rest.
+
+    Attributes:
+        primary_count: how many shapes, counted from the first, controls drive directly; those after them correct these
+            (in-betweens, combinations).
+    """
+
+    def __init__(self, *args, primary_count: int | None = None, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        self.primary_count = len(self.basis) if primary_count is None else primary_count
+
+
+def _check_controls(rig: str, controls: Sequence[Control]) -> None:
+    seen: set[str] = set()
+    for control in controls:
+        if control.name in seen:
+            raise InputError(f"rig '{rig}': two controls are named '{control.name}'; names must be unique")
+        seen.add(control.name)
+        if not control.lower < control.upper:
+            raise InputError(f"rig '{rig}': control '{control.name}' has lower {control.lower} >= upper {control.upper}")
+        if not control.lower <= control.neutral <= control.upper:
+            raise InputError(
+                f"rig '{rig}': control '{control.name}' is neutral at {control.neutral}, outside its range "
+                f"[{control.lower}, {control.upper}]"
+            )
+    if not controls:
+        raise InputError(f"rig '{rig}' has no controls")
+
+
+def _check_mesh(rig: str, rest_vertices: Tensor, faces: Tensor) -> None:
+    if rest_vertices.ndim != 2 or rest_vertices.shape[1] != 3 or not len(rest_vertices):
+        raise InputError(f"rig '{rig}': the rest mesh has shape {tuple(rest_vertices.shape)}, expected (vertex, 3)")
+    if not torch.isfinite(rest_vertices).all():
+        raise InputError(f"rig '{rig}': the rest mesh holds NaN or infinite coordinates")
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(f"rig '{rig}': the faces have shape {tuple(faces.shape)}, expected (face, 3): triangulate them")
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(rest_vertices)):
+        raise InputError(
+            f"rig '{rig}': the faces use vertices {int(faces.min())} to {int(faces.max())}, "
+            f"the rest mesh has vertices 0 to {len(rest_vertices) - 1}"
+        )

@@ -1,0 +1,1 @@
+"""What networks train on: controls, and meshes in mesh coordinates, drawn as training goes."""

@@ -1,0 +1,88 @@
+"""In-betweens: shapes on the way to a shape, so that tissue travels around what it covers instead of through it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from riginv.geometry.curves import Curve, Key
+from rigs.face.mesh import FaceMesh
+
+COUNT = 150
+JAW_HINGE = np.array([0.0, 705.0, 22.0])  # mm; the jaw turns about the line through it along x
+TISSUE_RADIUS = 25.0  # mm; skin elsewhere slides over something about this round
+
+
+class InBetween(NamedTuple):
+    """A correction that is fullest when its shape stands at `place`, and gone at 0 and at 1."""
+
+    shape: str
+    place: float
+    curve: Curve
+    deltas: np.ndarray
+
+
+def build_inbetweens(primaries: dict[str, np.ndarray], rest: np.ndarray, normals: np.ndarray, mesh: FaceMesh) -> list[InBetween]:
+    """One in-between for each primary shape, and a second one for those whose paths bend the most.
+
+    Args:
+        primaries: deltas `(vertex, 3)`, mm, by name.
+        rest: `(vertex, 3)`, mm.
+        normals: `(vertex, 3)`, unit length, smooth.
+    """
+    middle = {}
+    for name, deltas in primaries.items():
+        middle[name] = path_offset(rest, deltas, 0.5, *pivots(name, rest, normals, mesh))
+    bend = {name: float(np.sqrt((offset**2).sum(axis=1).mean())) for name, offset in middle.items()}
+    twice = sorted(bend, key=lambda name: -round(bend[name], 6))[: COUNT - len(primaries)]
+    result = []
+    for name, deltas in primaries.items():
+        places = (1 / 3, 2 / 3) if name in twice else (0.5,)
+        for place in places:
+            offset = path_offset(rest, deltas, place, *pivots(name, rest, normals, mesh))
+            result.append(InBetween(name, place, bump(place, len(places)), offset))
+    return result
+
+
+def pivots(shape: str, rest: np.ndarray, normals: np.ndarray, mesh: FaceMesh) -> tuple[np.ndarray, np.ndarray]:
+    """What each vertex turns about on its way: centres `(vertex, 3)`, mm, and the axes that count, `(3,)` of 0 and 1."""
+    if shape.startswith(("eye", "lid")):
+        ball = rest[mesh.parts == ("left_eye" if shape.endswith("Left") else "right_eye")]
+        return np.broadcast_to((ball.max(axis=0) + ball.min(axis=0)) / 2, rest.shape), np.ones(3)
+    if shape.startswith("jaw") or shape == "mouthClose":
+        return np.broadcast_to(JAW_HINGE, rest.shape), np.array([0.0, 1.0, 1.0])
+    return rest - TISSUE_RADIUS * normals, np.ones(3)
+
+
+def path_offset(rest: np.ndarray, deltas: np.ndarray, place: float, centres: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """How far the arc about the centres lies from the straight path, at `place` of the way: `(vertex, 3)`, mm."""
+    start, end = (rest - centres) * axes, (rest + deltas - centres) * axes
+    straight = (1 - place) * start + place * end
+    radius = (1 - place) * np.linalg.norm(start, axis=1) + place * np.linalg.norm(end, axis=1)
+    return straight * (radius / np.maximum(np.linalg.norm(straight, axis=1), 1e-6) - 1)[:, None]
+
+
+def bump(place: float, count: int) -> Curve:
+    """A driven key from a shape's weight to that of its in-between: 0 at 0 and 1, 1 at `place`.
+
+    A single one is the parabola 4 w (1 - w), which is how far an arc lies from its chord.
+    """
+    if count == 1:
+        rise = 1 / 3
+        return [
+            Key(0.0, 0.0, right=(1 / 6, 2 * rise)),
+            Key(0.5, 1.0, left=(-1 / 6, 0.0), right=(1 / 6, 0.0)),
+            Key(1.0, 0.0, left=(-1 / 6, 2 * rise)),
+        ]
+    third = 1 / 3
+    first = [
+        Key(0.0, 0.0, right=(third / 3, 0.6)),
+        Key(third, 1.0, left=(-third / 3, 0.0), right=(third / 2, 0.0)),
+        Key(2 * third, 0.0, left=(-third / 2, 0.0)),
+    ]
+    if place < 0.5:
+        return first
+    return [Key(1 - key.x, key.y, _mirror(key.right), _mirror(key.left)) for key in reversed(first)]
+
+
+def _mirror(handle: tuple[float, float]) -> tuple[float, float]:
+    return -handle[0], handle[1]

@@ -1,0 +1,83 @@
+"""The face rig's logic: from controls to the weights of its shapes."""
+
+import torch
+from torch import Tensor
+
+from riginv.geometry.blendshapes import combination_weights, screen
+from riginv.geometry.curves import Curve, evaluate_curves, pack_curves
+from riginv.rig import BlendshapeRig
+from rigs.face.build import PARTS, face_geometry
+from rigs.face.controls import build_controls
+from rigs.face.inbetweens import bump
+from rigs.face.limits import CAPACITY, CEILINGS, REGIONS, cost, limit_curve, region
+from rigs.face.shapes import primary_names
+
+
+class FaceRig(BlendshapeRig):
+    """A programmatic facial blendshape rig: 137 controls, 628 weights in [0, 1], 8,447 vertices; differentiable throughout.
+
+    Controls drive primary shapes along Bezier curves; several drivers of one shape screen each other; a region of the face
+    yields only so far at once; in-betweens follow the weight of their shape, combinations the product of two or three.
+    """
+
+    def __init__(self) -> None:
+        geometry = face_geometry()
+        controls, drivers = build_controls()
+        shapes = primary_names()
+        inbetween_shape, members = geometry["inbetween_shape"], geometry["combination_members"]
+        places = geometry["inbetween_place"].tolist()
+        names = [
+            *shapes,
+            *(f"{shapes[shape]}{round(100 * place)}" for shape, place in zip(inbetween_shape.tolist(), places)),
+            *("_".join(shapes[shape] for shape in group if shape >= 0) for group in members.tolist()),
+        ]
+        rest, faces, basis = geometry["rest_vertices"], geometry["faces"], geometry["basis"]
+        super().__init__("face", controls, rest, faces, basis, names, primary_count=len(shapes))
+
+        control_order = {control.name: number for number, control in enumerate(controls)}
+        order = {name: number for number, name in enumerate(shapes)}
+        self._keep(
+            part=geometry["part"],
+            driver_control=torch.tensor([control_order[driver.control] for driver in drivers]),
+            driver_of_shape=_slots([order[driver.shape] for driver in drivers], len(shapes)),
+            ceiling_shape=torch.tensor([order[ceiling.shape] for ceiling in CEILINGS]),
+            ceiling_under=torch.tensor([order[ceiling.under] for ceiling in CEILINGS]),
+            region_of_shape=torch.tensor([REGIONS.index(region(name)) for name in shapes]),
+            inbetween_shape=inbetween_shape,
+            combination_members=members,
+        )
+        takes = torch.zeros(len(shapes), len(REGIONS))
+        takes[torch.arange(len(shapes)), self.region_of_shape] = torch.tensor([cost(name) for name in shapes])
+        counts = inbetween_shape.bincount()[inbetween_shape].tolist()
+        self._keep(
+            capacity_taken=takes,
+            driver_curves=self._curves([driver.curve for driver in drivers]),
+            ceiling_curves=self._curves([ceiling.curve for ceiling in CEILINGS]),
+            limit_curves=self._curves([limit_curve(CAPACITY[name]) for name in REGIONS]),
+            inbetween_curves=self._curves([bump(place, count) for place, count in zip(places, counts)]),
+        )
+
+    def _keep(self, **tensors: Tensor) -> None:
+        for name, tensor in tensors.items():
+            self.register_buffer(name, tensor, persistent=False)
+
+    def _curves(self, curves: list[Curve]) -> Tensor:
+        return pack_curves(curves).to(self.dtype)
+
+    def coefficients(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, 137)` to the weights `(batch, 628)` of primary shapes, in-betweens and combinations."""
+        driven = evaluate_curves(self.driver_curves, controls[:, self.driver_control])
+        primary = screen(driven, self.driver_of_shape)
+        under = evaluate_curves(self.ceiling_curves, primary[:, self.ceiling_under])
+        primary = primary.index_copy(1, self.ceiling_shape, torch.minimum(primary[:, self.ceiling_shape], under))
+        yielding = evaluate_curves(self.limit_curves, primary @ self.capacity_taken)
+        primary = primary * yielding[:, self.region_of_shape]
+        between = evaluate_curves(self.inbetween_curves, primary[:, self.inbetween_shape])
+        return torch.cat([primary, between, combination_weights(primary, self.combination_members)], dim=1)
+
+
+def _slots(owners: list[int], count: int) -> Tensor:
+    """For each of `count` owners the places `(owner, slot)` where it stands in `owners`, filled up with -1."""
+    places = [[place for place, owner in enumerate(owners) if owner == number] for number in range(count)]
+    longest = max(len(row) for row in places)
+    return torch.tensor([row + [-1] * (longest - len(row)) for row in places])

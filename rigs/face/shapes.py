@@ -1,0 +1,144 @@
+"""The face's 134 primary shapes: the 52 ARKit shapes, MakeHuman's expression units and a few of its morphs.
+
+Shapes that cover the whole mouth, brow or cheeks are split into halves that add up to the whole.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rigs.face.assets import ARKIT_FOLDER, EXPRESSION_FOLDER, MORPH_FOLDER, BaseMesh, data_folder, read_target
+from rigs.face.mesh import FaceMesh
+
+BLEND_WIDTH = 12.0  # mm on either side of the middle, where the two halves of a split shape overlap
+
+ARKIT_NAMES = (
+    "browDownLeft browDownRight browInnerUp browOuterUpLeft browOuterUpRight cheekPuff cheekSquintLeft cheekSquintRight "
+    "eyeBlinkLeft eyeBlinkRight eyeLookDownLeft eyeLookDownRight eyeLookInLeft eyeLookInRight eyeLookOutLeft "
+    "eyeLookOutRight eyeLookUpLeft eyeLookUpRight eyeSquintLeft eyeSquintRight eyeWideLeft eyeWideRight jawForward jawLeft "
+    "jawOpen jawRight mouthClose mouthDimpleLeft mouthDimpleRight mouthFrownLeft mouthFrownRight mouthFunnel mouthLeft "
+    "mouthLowerDownLeft mouthLowerDownRight mouthPressLeft mouthPressRight mouthPucker mouthRight mouthRollLower "
+    "mouthRollUpper mouthShrugLower mouthShrugUpper mouthSmileLeft mouthSmileRight mouthStretchLeft mouthStretchRight "
+    "mouthUpperUpLeft mouthUpperUpRight noseSneerLeft noseSneerRight tongueOut"
+).split()
+
+ARKIT_SPLIT = (
+    "browInnerUp cheekPuff mouthFunnel mouthPucker mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper"
+).split()
+
+UNIT_VERSIONS = ("african", "asian", "caucasian")
+
+# Name here -> file of an expression unit (the mean of its versions), `{side}` for those that come in two files.
+UNITS_SIDED = {
+    "lidClose": "eye-{side}-closure",
+    "lidRaise": "eye-{side}-opened-up",
+    "lidSlit": "eye-{side}-slit",
+    "browDrop": "eyebrows-{side}-down",
+    "browRaise": "eyebrows-{side}-up",
+    "browInnerRaise": "eyebrows-{side}-inner-up",
+    "browOuterRaise": "eyebrows-{side}-extern-up",
+    "nostrilFlare": "nose-{side}-dilatation",
+    "noseWrinkle": "nose-{side}-elevation",
+}
+UNITS_SPLIT = {
+    "lipCompress": "mouth-compression",
+    "cornerPull": "mouth-corner-puller",
+    "cornerDepress": "mouth-depression",
+    "cornerRetract": "mouth-retraction",
+    "cornerLift": "mouth-upward-retraction",
+    "lowerLipDraw": "mouth-depression-retraction",
+    "upperLipDraw": "mouth-elevation",
+    "lowerLipEvert": "mouth-eversion",
+    "lipPart": "mouth-parling",
+    "lipBare": "mouth-part-later",
+    "lipProtrude": "mouth-protusion",
+    "lipPurse": "mouth-pursing",
+    "neckTense": "neck-platysma",
+}
+UNITS_WHOLE = {"nostrilPinch": "nose-compression", "noseDrop": "nose-depression"}
+
+# Name here -> file of a morph; `{side}` for those that come in two files.
+MORPHS_SIDED = {
+    "cheekSuck": "cheek/{side}-cheek-volume-decr",
+    "cheekRaise": "cheek/{side}-cheek-trans-up",
+    "eyeBag": "eyes/{side}-eye-bag-incr",
+}
+MORPHS_SPLIT = {
+    "mouthCornerUp": "mouth/mouth-angles-up",
+    "mouthCornerDown": "mouth/mouth-angles-down",
+    "upperLipSideUp": "mouth/mouth-upperlip-ext-up",
+    "upperLipSideDown": "mouth/mouth-upperlip-ext-down",
+    "lowerLipSideUp": "mouth/mouth-lowerlip-ext-up",
+    "lowerLipSideDown": "mouth/mouth-lowerlip-ext-down",
+    "laughLine": "mouth/mouth-laugh-lines-out",
+}
+MORPHS_WHOLE = {
+    "upperLipUp": "mouth/mouth-upperlip-middle-up",
+    "upperLipDown": "mouth/mouth-upperlip-middle-down",
+    "lowerLipUp": "mouth/mouth-lowerlip-middle-up",
+    "lowerLipDown": "mouth/mouth-lowerlip-middle-down",
+    "mouthWide": "mouth/mouth-scale-horiz-incr",
+    "mouthNarrow": "mouth/mouth-scale-horiz-decr",
+    "noseTipUp": "nose/nose-base-up",
+    "noseTipDown": "nose/nose-base-down",
+}
+
+
+class Source(NamedTuple):
+    """Where a shape comes from: the mean of one or more target files, whole or split into a left and a right half."""
+
+    name: str
+    files: tuple[str, ...]
+    split: bool
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        return (self.name + "Left", self.name + "Right") if self.split else (self.name,)
+
+
+def sources() -> list[Source]:
+    """The sources of the primary shapes, in the rig's order."""
+    result = [Source(name, (f"{ARKIT_FOLDER}/{name}.target",), name in ARKIT_SPLIT) for name in ARKIT_NAMES]
+    for side, letter in (("left", "l"), ("right", "r")):
+        end = side.capitalize()
+        result += [Source(name + end, _unit_files(file.format(side=side)), False) for name, file in UNITS_SIDED.items()]
+        result += [Source(name + end, _morph_files(file.format(side=letter)), False) for name, file in MORPHS_SIDED.items()]
+    for table, files, split in (
+        (UNITS_SPLIT, _unit_files, True),
+        (UNITS_WHOLE, _unit_files, False),
+        (MORPHS_SPLIT, _morph_files, True),
+        (MORPHS_WHOLE, _morph_files, False),
+    ):
+        result += [Source(name, files(file), split) for name, file in table.items()]
+    return result
+
+
+def primary_names() -> list[str]:
+    """The names of the 134 primary shapes, in the rig's order."""
+    return [name for source in sources() for name in source.shapes]
+
+
+def build_primaries(base: BaseMesh, mesh: FaceMesh) -> dict[str, np.ndarray]:
+    """The deltas `(vertex, 3)`, mm, of the primary shapes by name, in the rig's order."""
+    left = _left_share((mesh.carrier @ base.vertices)[:, 0])[:, None]
+    shapes: dict[str, np.ndarray] = {}
+    for source in sources():
+        targets = [read_target(data_folder() / file, len(base.vertices)) for file in source.files]
+        deltas = mesh.carrier @ np.mean(targets, axis=0)
+        halves = (deltas * left, deltas * (1 - left))
+        shapes.update(zip(source.shapes, halves if source.split else (deltas,)))
+    return shapes
+
+
+def _unit_files(name: str) -> tuple[str, ...]:
+    return tuple(f"{EXPRESSION_FOLDER}/{people}/{name}.target.gz" for people in UNIT_VERSIONS)
+
+
+def _morph_files(name: str) -> tuple[str, ...]:
+    return (f"{MORPH_FOLDER}/{name}.target.gz",)
+
+
+def _left_share(x: np.ndarray) -> np.ndarray:
+    """How much of a split shape belongs to its left half: 0 to 1 across the middle, smoothly."""
+    t = np.clip((x + BLEND_WIDTH) / (2 * BLEND_WIDTH), 0, 1)
+    return t * t * (3 - 2 * t)
