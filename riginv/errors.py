@@ -6,3 +6,7 @@ class InputError(ValueError):
 
     The message names the file or the field, what was found, what was expected, and what to do.
     """
+
+
+class NonFiniteLossError(RuntimeError):
+    """The training loss became NaN or infinite; the message names the step."""

@@ -31,8 +31,8 @@ class MeshSpace(nn.Module):
 
     def __init__(self, rest_vertices: Tensor, frame: Tensor, residual_mm: float = 0.0) -> None:
         super().__init__()
-        self.register_buffer("rest_vertices", rest_vertices)
-        self.register_buffer("frame", frame)
+        self.register_buffer("rest_vertices", rest_vertices, persistent=False)
+        self.register_buffer("frame", frame, persistent=False)
         self.residual_mm = residual_mm
 
     @classmethod

@@ -76,6 +76,21 @@ class RigBackend(nn.Module, ABC):
     def device(self) -> torch.device:
         return self.rest_vertices.device
 
+    def arkit_deltas(self) -> dict[str, Tensor]:
+        """The deltas `(vertex, 3)`, mm, of the ARKit shapes that the rig has, by name; empty where it has none.
+
+        A Live Link Face recording is made into a mesh clip with them.
+        """
+        return {}
+
+    def expressions(self) -> dict[str, dict[str, float]]:
+        """Named poses worth looking at: the controls that leave neutral, by name; empty where nobody named any."""
+        return {}
+
+    def vertex_colors(self) -> Tensor | None:
+        """Colours `(vertex, 3)` in [0, 1] for pictures, or None for plain clay."""
+        return None
+
     @abstractmethod
     def forward(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to vertices `(batch, vertex, 3)`, mm (the paper's L, Eq. 1)."""
@@ -90,6 +105,8 @@ class LinearRig(RigBackend):
     Attributes:
         basis: `(coefficient, vertex, 3)`, mm per unit of each coefficient.
         coefficient_names: one for each coefficient.
+        primary_count: of a blendshape rig, whose coefficients are weights in [0, 1], 0 at rest: how many shapes, counted from
+            the first, are driven directly; those after them correct these (in-betweens, combinations). Else 0.
     """
 
     basis: Tensor
@@ -102,6 +119,7 @@ class LinearRig(RigBackend):
         faces: Tensor,
         basis: Tensor,
         coefficient_names: Sequence[str] | None = None,
+        primary_count: int = 0,
     ) -> None:
         super().__init__(name, controls, rest_vertices, faces)
         if basis.shape[1:] != rest_vertices.shape:
@@ -110,6 +128,11 @@ class LinearRig(RigBackend):
             )
         self.register_buffer("basis", basis, persistent=False)
         self.coefficient_names = tuple(coefficient_names or (f"coefficient_{i}" for i in range(len(basis))))
+        self.primary_count = primary_count
+
+    @property
+    def has_blendshapes(self) -> bool:
+        return self.primary_count > 0
 
     @abstractmethod
     def coefficients(self, controls: Tensor) -> Tensor:
@@ -122,19 +145,6 @@ class LinearRig(RigBackend):
     def forward(self, controls: Tensor) -> Tensor:
         change = self.coefficients(controls) - self.neutral_coefficients()
         return apply_deltas(self.rest_vertices, self.basis, change)
-
-
-class BlendshapeRig(LinearRig):
-    """A linear rig whose coefficients are weights of shapes in [0, 1], all 0 at rest.
-
-    Attributes:
-        primary_count: how many shapes, counted from the first, controls drive directly; those after them correct these
-            (in-betweens, combinations).
-    """
-
-    def __init__(self, *args, primary_count: int | None = None, **kwargs) -> None:
-        super().__init__(*args, **kwargs)
-        self.primary_count = len(self.basis) if primary_count is None else primary_count
 
 
 def _check_controls(rig: str, controls: Sequence[Control]) -> None:

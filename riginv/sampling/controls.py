@@ -7,17 +7,17 @@ import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.mesh_space import RigInMeshSpace
 
 
 class ControlSampler(nn.Module, ABC):
     """Draws controls `(count, control)` within the limits of a rig."""
 
-    def __init__(self, rig: RigBackend) -> None:
+    def __init__(self, rig: RigInMeshSpace) -> None:
         super().__init__()
-        self.register_buffer("lower", rig.lower, persistent=False)
-        self.register_buffer("upper", rig.upper, persistent=False)
-        self.register_buffer("neutral", rig.neutral_controls, persistent=False)
+        self.register_buffer("lower", rig.rig.lower, persistent=False)
+        self.register_buffer("upper", rig.rig.upper, persistent=False)
+        self.register_buffer("neutral", rig.rig.neutral_controls, persistent=False)
 
     @abstractmethod
     def sample(self, count: int, generator: torch.Generator) -> Tensor:
@@ -34,15 +34,15 @@ class SparseControls(ControlSampler):
         InputError: `most` is below 1 or above the number of controls.
     """
 
-    def __init__(self, rig: RigBackend, most: int | None = None) -> None:
+    def __init__(self, rig: RigInMeshSpace, most: int | None = None) -> None:
         super().__init__(rig)
-        self.most = len(rig.controls) if most is None else most
-        if not 1 <= self.most <= len(rig.controls):
-            raise InputError(f"sampler: most is {most}, expected 1 to {len(rig.controls)}, the number of controls of '{rig.name}'")
+        controls = len(rig.rig.controls)
+        self.most = controls if most is None else most
+        if not 1 <= self.most <= controls:
+            raise InputError(f"sampler: most is {most}, expected 1 to {controls}, the number of controls of '{rig.rig.name}'")
 
     def sample(self, count: int, generator: torch.Generator) -> Tensor:
-        active = choose(uniform_counts(count, self.most, generator), len(self.lower), generator)
-        return torch.where(active, uniform(self.lower, self.upper, count, generator), self.neutral)
+        return sparse_controls(self.lower, self.upper, self.neutral, self.most, count, generator)
 
 
 class PlausibleControls(ControlSampler):
@@ -59,9 +59,9 @@ class PlausibleControls(ControlSampler):
         InputError: `most` or `faint` is out of range.
     """
 
-    def __init__(self, rig: RigBackend, most: int = 40, faint: float = 0.5) -> None:
+    def __init__(self, rig: RigInMeshSpace, most: int = 40, faint: float = 0.5) -> None:
         super().__init__(rig)
-        self.most, self.faint = min(most, len(rig.controls)), faint
+        self.most, self.faint = min(most, len(rig.rig.controls)), faint
         check_plausible(most, faint)
 
     def sample(self, count: int, generator: torch.Generator) -> Tensor:
@@ -69,6 +69,18 @@ class PlausibleControls(ControlSampler):
         strength = faint_strength(count, self.faint, generator)
         change = (uniform(self.lower, self.upper, count, generator) - self.neutral) * strength
         return self.neutral + torch.where(active, change, 0.0)
+
+
+def sparse_controls(
+    lower: Tensor, upper: Tensor, neutral: Tensor, most: int, count: int, generator: torch.Generator
+) -> Tensor:
+    """The paper's random controls `(count, control)`: how many leave neutral is uniform up to `most`, and so are their values.
+
+    Args:
+        lower, upper, neutral: `(control,)`.
+    """
+    active = choose(uniform_counts(count, most, generator), len(lower), generator)
+    return torch.where(active, uniform(lower, upper, count, generator), neutral)
 
 
 def check_plausible(most: int, faint: float) -> None:

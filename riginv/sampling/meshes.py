@@ -1,7 +1,7 @@
 """Samplers of meshes, in mesh coordinates."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import TypedDict
 
 import torch
@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
-from riginv.rig import BlendshapeRig
 from riginv.sampling.controls import (
     ControlSampler,
     check_plausible,
@@ -67,14 +66,13 @@ class RandomCombinations(MeshSampler):
 
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
-        return PoseBatch(coordinates=self.weights(count, generator) @ self.rig.linear_map)
+        return PoseBatch(coordinates=random_weights(len(self.rig.linear_map), count, generator) @ self.rig.linear_map)
 
-    def weights(self, count: int, generator: torch.Generator) -> Tensor:
-        """Weights of the blendshapes, `(count, shape)` in [0, 1]."""
-        shapes = len(self.rig.linear_map)
-        active = choose(uniform_counts(count, shapes, generator), shapes, generator)
-        values = torch.rand(count, shapes, generator=generator, device=generator.device)
-        return torch.where(active, values, 0.0)
+
+def random_weights(shapes: int, count: int, generator: torch.Generator) -> Tensor:
+    """Weights `(count, shape)` in [0, 1]: how many shapes take part is uniform, and so are their weights."""
+    active = choose(uniform_counts(count, shapes, generator), shapes, generator)
+    return torch.where(active, torch.rand(count, shapes, generator=generator, device=generator.device), 0.0)
 
 
 class PlausibleCombinations(MeshSampler):
@@ -91,8 +89,9 @@ class PlausibleCombinations(MeshSampler):
     def __init__(self, rig: RigInMeshSpace, most: int = 60, faint: float = 0.5) -> None:
         super().__init__()
         check_plausible(most, faint)
+        _need_blendshapes(rig)
         self.rig, self.faint = rig, faint
-        self.shapes = _need_blendshapes(rig).primary_count
+        self.shapes = rig.rig.primary_count
         self.most = min(most, self.shapes)
 
     @torch.no_grad()
@@ -106,22 +105,35 @@ class PlausibleCombinations(MeshSampler):
 class Mixture(MeshSampler):
     """Several samplers, each making its share of every batch.
 
+    Args:
+        samplers: by name.
+        shares: of each, by the same names; they need not add up to 1.
+
     Raises:
-        InputError: the shares do not fit the samplers, or one is negative, or all are zero.
+        InputError: the names differ, or a share is negative, or all are zero.
     """
 
-    def __init__(self, samplers: Sequence[MeshSampler], shares: Sequence[float]) -> None:
+    def __init__(self, rig: RigInMeshSpace, samplers: Mapping[str, MeshSampler], shares: Mapping[str, float]) -> None:
         super().__init__()
-        if len(samplers) != len(shares) or min(shares, default=0) < 0 or sum(shares) <= 0:
-            raise InputError(f"sampler: the shares {list(shares)} must be {len(samplers)} numbers of at least 0, not all 0")
-        self.samplers = nn.ModuleList(samplers)
-        self.shares = [share / sum(shares) for share in shares]
+        if set(samplers) != set(shares):
+            raise InputError(f"sampler.shares names {sorted(shares)}, expected {sorted(samplers)} as in sampler.samplers")
+        for name, share in shares.items():
+            if not share >= 0:
+                raise InputError(f"sampler.shares.{name} is {share}, expected at least 0")
+        total = sum(shares.values())
+        if not total > 0:
+            raise InputError("sampler.shares are all 0: at least one must be above 0")
+        self.samplers = nn.ModuleDict(samplers)
+        self.shares = {name: shares[name] / total for name in samplers}
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
-        ends = torch.tensor(self.shares).cumsum(0).mul(count).round().long().tolist()
-        counts = [end - start for start, end in zip([0, *ends], ends)]
-        parts = [sampler.sample(part, generator) for sampler, part in zip(self.samplers, counts) if part]
-        return PoseBatch(coordinates=torch.cat([part["coordinates"] for part in parts]))
+        ends = torch.tensor(list(self.shares.values())).cumsum(0).mul(count).round().long().tolist()
+        parts = []
+        for sampler, start, end in zip(self.samplers.values(), [0, *ends], ends):
+            if end > start:
+                parts.append(sampler.sample(end - start, generator))
+        common = set.intersection(*(set(part) for part in parts))  # controls only where every part knows them
+        return PoseBatch({key: torch.cat([part[key] for part in parts]) for key in sorted(common)})
 
 
 class WithNoise(MeshSampler):
@@ -137,7 +149,34 @@ class WithNoise(MeshSampler):
         return PoseBatch({**batch, "coordinates": batch["coordinates"] + self.noise.sample(count, generator)})
 
 
-def _need_blendshapes(rig: RigInMeshSpace) -> BlendshapeRig:
-    if not isinstance(rig.rig, BlendshapeRig):
+class StoredPoses(MeshSampler):
+    """A fixed number of samples drawn once, from which batches are picked at random, as from a data set on disk.
+
+    Args:
+        count: how many samples are stored.
+        generator: what they are drawn with.
+
+    Raises:
+        InputError: `count` is below 1.
+    """
+
+    PIECE = 1000
+
+    def __init__(self, sampler: MeshSampler, count: int, generator: torch.Generator) -> None:
+        super().__init__()
+        if count < 1:
+            raise InputError(f"data.stored_poses is {count}, expected at least 1")
+        pieces = [sampler.sample(min(self.PIECE, count - start), generator) for start in range(0, count, self.PIECE)]
+        for key in pieces[0]:
+            self.register_buffer(key, torch.cat([piece[key] for piece in pieces]), persistent=False)
+        self.keys = list(pieces[0])
+        self.count = count
+
+    def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
+        rows = torch.randint(self.count, (count,), generator=generator, device=generator.device)
+        return PoseBatch({key: self.get_buffer(key)[rows] for key in self.keys})
+
+
+def _need_blendshapes(rig: RigInMeshSpace) -> None:
+    if not rig.rig.has_blendshapes:
         raise InputError(f"rig '{rig.rig.name}' has no blendshapes to combine: choose sampler=rig_poses")
-    return rig.rig

@@ -18,7 +18,7 @@ from rigs.face.limits import CEILINGS
 from rigs.face.mesh import build_face_mesh
 from rigs.face.shapes import ARKIT_NAMES, build_primaries
 
-PARTS = ("skin", "left_eye", "right_eye", "upper_teeth", "lower_teeth", "tongue")
+PARTS = ("skin", "mouth", "left_eye", "right_eye", "upper_teeth", "lower_teeth", "tongue")
 
 
 def face_geometry() -> dict[str, Tensor]:

@@ -57,10 +57,14 @@ def build_face_mesh(base: BaseMesh) -> FaceMesh:
     pieces = [("skin", *refined_skin(base, room)), *pieces]
     counts = [carrier.shape[0] for _, carrier, _ in pieces]
     starts = np.cumsum([0, *counts[:-1]])
+    carrier = sparse.vstack([carrier for _, carrier, _ in pieces], format="csr")
+    cavity = np.zeros(len(base.vertices))
+    cavity[np.setdiff1d(base.select("body/mouth_cavity"), base.select("body/head", "body/body"))] = 1
+    parts = np.repeat([name for name, _, _ in pieces], counts)
     return FaceMesh(
         faces=np.concatenate([faces + start for (_, _, faces), start in zip(pieces, starts)]),
-        parts=np.repeat([name for name, _, _ in pieces], counts),
-        carrier=sparse.vstack([carrier for _, carrier, _ in pieces], format="csr"),
+        parts=np.where(carrier @ cavity > 0.5, "mouth", parts),
+        carrier=carrier,
     )
 
 

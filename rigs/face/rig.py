@@ -5,15 +5,16 @@ from torch import Tensor
 
 from riginv.geometry.blendshapes import combination_weights, screen
 from riginv.geometry.curves import Curve, evaluate_curves, pack_curves
-from riginv.rig import BlendshapeRig
-from rigs.face.build import PARTS, face_geometry
+from riginv.rig import LinearRig
+from rigs.face.build import face_geometry
 from rigs.face.controls import build_controls
 from rigs.face.inbetweens import bump
 from rigs.face.limits import CAPACITY, CEILINGS, REGIONS, cost, limit_curve, region
-from rigs.face.shapes import primary_names
+from rigs.face.looks import EXPRESSIONS, paint
+from rigs.face.shapes import ARKIT_NAMES, ARKIT_SPLIT, primary_names
 
 
-class FaceRig(BlendshapeRig):
+class FaceRig(LinearRig):
     """A programmatic facial blendshape rig: 137 controls, 628 weights in [0, 1], 8,447 vertices; differentiable throughout.
 
     Controls drive primary shapes along Bezier curves; several drivers of one shape screen each other; a region of the face
@@ -56,6 +57,17 @@ class FaceRig(BlendshapeRig):
             limit_curves=self._curves([limit_curve(CAPACITY[name]) for name in REGIONS]),
             inbetween_curves=self._curves([bump(place, count) for place, count in zip(places, counts)]),
         )
+
+    def arkit_deltas(self) -> dict[str, Tensor]:
+        place = {name: number for number, name in enumerate(self.coefficient_names)}
+        halves = {name: (name + "Left", name + "Right") if name in ARKIT_SPLIT else (name,) for name in ARKIT_NAMES}
+        return {name: sum(self.basis[place[shape]] for shape in shapes) for name, shapes in halves.items()}
+
+    def expressions(self) -> dict[str, dict[str, float]]:
+        return EXPRESSIONS
+
+    def vertex_colors(self) -> Tensor:
+        return paint(self.rest_vertices, self.part)
 
     def _keep(self, **tensors: Tensor) -> None:
         for name, tensor in tensors.items():

@@ -1,0 +1,134 @@
+"""From a config to the parts of a training run: each is built once and handed on."""
+
+from typing import Any
+
+import lightning as L
+from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.callbacks import LearningRateMonitor
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from riginv.build import OURS, build, class_of, factory
+from riginv.callbacks.pictures import PosePictures
+from riginv.callbacks.progress import TrainingProgress
+from riginv.callbacks.saving import AtomicCheckpoints, SaveLast, TrainingClock
+from riginv.callbacks.stopping import StopBelowLearningRate
+from riginv.clips.live_link import live_link_clip
+from riginv.clips.performance import simulated_performance
+from riginv.data.mesh_sets import MeshSet
+from riginv.data.poses import PoseDataModule
+from riginv.data.test_sets import random_poses, random_sets, watched
+from riginv.errors import InputError
+from riginv.judge import check_same_controls
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.modules.base import RigModule
+from riginv.rig import LinearRig, RigBackend
+from riginv.run_folder import RunFolder
+from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise
+from riginv.sampling.noise import CaptureNoise
+from riginv.sampling.seeds import generator_at
+
+Config = dict[str, Any]
+CALIBRATION_MESHES = 1024
+
+
+def build_rig(config: Config) -> LinearRig:
+    """The rig to train on.
+
+    Raises:
+        InputError: it cannot be built or trained on.
+    """
+    rig = build(config["rig"])
+    if not isinstance(rig, LinearRig):
+        raise InputError(f"rig '{rig.name}' does not end in a linear map: nothing can be trained on it directly yet")
+    return rig
+
+
+def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
+    """The rig that judges: the one that the config names, or what a surrogate was trained on, or the rig itself.
+
+    Raises:
+        InputError: it cannot be built, or has other controls or vertices than the rig.
+    """
+    if config["true_rig"].get("_target_"):
+        true_rig = build(config["true_rig"])
+    elif hasattr(rig, "true_rig_config"):
+        true_rig = build(rig.true_rig_config, only=OURS)
+    else:
+        true_rig = rig
+    check_same_controls(rig, true_rig)
+    return true_rig
+
+
+def build_clip(config: Config, true_rig: RigBackend) -> MeshSet:
+    """The clip to judge on: the one given, or else a simulated performance, named so."""
+    return live_link_clip(config["capture"], true_rig) if config["capture"] else simulated_performance(true_rig)
+
+
+def build_module(config: Config, rig: RigInMeshSpace) -> RigModule:
+    """The Lightning module with its network, loss, optimiser and schedule."""
+    model = dict(config["model"])
+    module_class = class_of(model.pop("_target_"))
+    network = build(model["network"], rig if module_class.kind == "inverse" else rig.rig)
+    losses = [build(model["loss"], rig.space.vertex_count)] if "loss" in model else []
+    return module_class(rig, network, *losses, factory(model["optimizer"]), factory(model["schedule"]))
+
+
+def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:
+    """What training sees, with capture noise and storage where the config asks for them."""
+    sampler = build(config["sampler"], rig)
+    noise, stored = config["noise"], config["data"]["stored_poses"]
+    if noise["vertex_mm"] or noise["smooth_mm"]:
+        sampler = WithNoise(sampler, CaptureNoise(rig.space, **noise))
+    return StoredPoses(sampler, stored, generator_at(config["seed"], "stored poses")) if stored else sampler
+
+
+def build_data(config: Config, module: RigModule, true_rig: RigBackend, clip: MeshSet | None) -> PoseDataModule:
+    """The stream of training batches, and the sets that are watched meanwhile."""
+    sampler, count = build_sampler(config, module.rig), config["judging"]["validation_poses"]
+    sets = [*random_sets(true_rig, count, "validation"), clip] if clip else [random_poses(true_rig, count, "validation")]
+    data, space = config["data"], module.rig.space
+    return PoseDataModule(sampler, watched(sets, space, count), data["batch_size"], data["steps_per_epoch"], config["seed"])
+
+
+def calibrate(config: Config, module: RigModule, sampler: MeshSampler) -> None:
+    """Let the network set its fixed scales by a sample of what it will see."""
+    if module.kind == "inverse":
+        meshes = sampler.sample(CALIBRATION_MESHES, generator_at(config["seed"], "calibration"))
+        module.network.calibrate(meshes["coordinates"])
+
+
+def build_trainer(config: Config, folder: RunFolder) -> tuple[L.Trainer, TrainingClock]:
+    """Lightning's trainer with everything that happens around training.
+
+    Raises:
+        InputError: the device is not there.
+    """
+    clock = TrainingClock()
+    callbacks = [
+        clock,
+        TrainingProgress(),
+        LearningRateMonitor(),
+        PosePictures(config["pictures"]["every_n_validations"]),
+        SaveLast(folder.path, config["checkpoint"]["every_n_steps"]),
+    ]
+    if config["stop_below_lr"]:
+        callbacks.append(StopBelowLearningRate(config["stop_below_lr"]))
+    arguments = dict(config["trainer"])
+    arguments["max_steps"] = -1 if arguments["max_steps"] is None else arguments["max_steps"]
+    try:
+        trainer = L.Trainer(
+            **arguments,
+            max_epochs=-1,
+            default_root_dir=folder.path,
+            logger=TensorBoardLogger(folder.path, name="", version="", default_hp_metric=False),
+            callbacks=callbacks,
+            plugins=[AtomicCheckpoints()],
+            enable_checkpointing=False,  # SaveLast does it
+            enable_model_summary=False,
+            enable_progress_bar=False,  # TrainingProgress is it
+            num_sanity_val_steps=0,
+            inference_mode=False,  # a staged network asks the rig for gradients when it is used, too
+        )
+    except (MisconfigurationException, ValueError, TypeError) as error:
+        raise InputError(f"trainer.accelerator={arguments['accelerator']}, devices={arguments['devices']}: {error}") from None
+    return trainer, clock

@@ -1,0 +1,1 @@
+"""Captured and simulated performances as mesh clips."""

@@ -1,0 +1,1 @@
+"""What is fed to training and to judging."""

@@ -1,0 +1,73 @@
+"""Fixed sets of meshes to judge on, made piece by piece: a set larger than memory costs no more than a small one."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from riginv.rig import RigBackend
+
+
+class MeshSet(ABC):
+    """A fixed, ordered set of meshes.
+
+    Attributes:
+        name: the set's key in metrics.
+        fps: frames a second where the set is a clip, else None.
+        controls: the controls `(mesh, control)` that made the meshes, where they are poses of the rig, else None.
+    """
+
+    def __init__(self, name: str, fps: float | None = None, controls: Tensor | None = None) -> None:
+        self.name, self.fps, self.controls = name, fps, controls
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def vertices(self, start: int, stop: int) -> Tensor:
+        """The meshes `start` to `stop`, `(mesh, vertex, 3)`, mm."""
+
+    def pieces(self, size: int = 128) -> Iterator[tuple[int, Tensor]]:
+        """All meshes in order, `size` at a time: where the piece starts, and its vertices."""
+        for start in range(0, len(self), size):
+            yield start, self.vertices(start, min(start + size, len(self)))
+
+
+class WeightedShapes(MeshSet):
+    """Shapes added linearly to a rest mesh.
+
+    Args:
+        rest_vertices: `(vertex, 3)`, mm.
+        deltas: `(shape, vertex, 3)`, mm.
+        weights: `(mesh, shape)`.
+    """
+
+    def __init__(self, name: str, rest_vertices: Tensor, deltas: Tensor, weights: Tensor, fps: float | None = None) -> None:
+        super().__init__(name, fps)
+        self.rest_vertices, self.deltas, self.weights = rest_vertices, deltas, weights
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    def vertices(self, start: int, stop: int) -> Tensor:
+        return self.rest_vertices + (self.weights[start:stop] @ self.deltas.flatten(1)).unflatten(1, self.rest_vertices.shape)
+
+
+class PosedRig(MeshSet):
+    """Poses of a rig.
+
+    Args:
+        controls: `(mesh, control)`.
+    """
+
+    def __init__(self, name: str, rig: RigBackend, controls: Tensor) -> None:
+        super().__init__(name, controls=controls)
+        self.rig = rig
+
+    def __len__(self) -> int:
+        return len(self.controls)
+
+    @torch.no_grad()
+    def vertices(self, start: int, stop: int) -> Tensor:
+        return self.rig(self.controls[start:stop])

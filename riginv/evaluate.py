@@ -1,0 +1,56 @@
+"""python -m riginv.evaluate: judge a bundle by the true rig, or one rig by another."""
+
+from omegaconf import DictConfig
+
+from riginv.assemble import Config, build_clip, build_true_rig
+from riginv.build import build
+from riginv.command import command, run_directory
+from riginv.data.test_sets import random_poses
+from riginv.errors import InputError
+from riginv.evaluation import judge_model, load_model
+from riginv.files import write_json
+from riginv.inverse import Inverse
+from riginv.judge import check_same_controls, judge_rig
+from riginv.rig import RigBackend
+from riginv.run_folder import METRICS, find_run_folder, plain_config
+from riginv.tables import print_results
+from riginv.validation import validate
+
+
+def evaluate(config: DictConfig) -> None:
+    """Judge a bundle by the true rig, or, where none is named, one rig by another; leave metrics and a table behind."""
+    plain = plain_config(config)
+    validate(plain)
+    folder = find_run_folder(run_directory(), plain, config.resume)
+    title, true_rig, metrics = judge_bundle(plain) if plain["bundle"] else compare_rigs(plain)
+    folder.begin()
+    write_json(folder.path / METRICS, {**metrics, "true_rig": true_rig.name})
+    print_results(metrics, title, true_rig.name, notes=[f"The same figures: {folder.path / METRICS}"])
+
+
+def judge_bundle(config: Config) -> tuple[str, RigBackend, dict[str, float]]:
+    """Judge the model of `config["bundle"]`: a title, the judge and the metrics."""
+    rig = build(config["rig"]) if config["rig"]["_target_"] else None
+    model = load_model(config["bundle"], rig)
+    is_inverse = isinstance(model, Inverse)
+    true_rig = build_true_rig(config, model.rig if is_inverse else rig or model)
+    clip = build_clip(config, true_rig) if is_inverse else None
+    return f"{config['bundle']}", true_rig, judge_model(model, true_rig, config["poses"], clip)
+
+
+def compare_rigs(config: Config) -> tuple[str, RigBackend, dict[str, float]]:
+    """Judge `config["rig"]` by `config["true_rig"]` on the same controls: a title, the judge and the metrics.
+
+    Raises:
+        InputError: one of them is not named.
+    """
+    if not (config["rig"]["_target_"] and config["true_rig"]["_target_"]):
+        raise InputError("nothing to judge: name a bundle with bundle=DIR, or two rigs with rig=NAME true_rig=NAME")
+    rig, true_rig = build(config["rig"]), build(config["true_rig"])
+    check_same_controls(rig, true_rig)
+    controls = random_poses(true_rig, config["poses"]).controls
+    return f"rig {rig.name} against {true_rig.name}", true_rig, judge_rig(rig, true_rig, controls, "rig_agreement")
+
+
+if __name__ == "__main__":
+    command("evaluate")(evaluate)()

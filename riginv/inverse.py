@@ -1,0 +1,77 @@
+"""A trained inverse, ready for use: meshes in, controls out.
+
+    from riginv.inverse import load_inverse
+
+    inverse = load_inverse("runs/face-inverse/2026-11-22_10-00-00/bundle")
+    controls = inverse(vertices)  # (frame, 8447, 3) in mm -> (frame, 137)
+"""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from riginv.build import OURS, build
+from riginv.bundle import RIG, Bundle, read_bundle
+from riginv.errors import InputError
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.networks.inverse import InverseNetwork
+from riginv.rig import LinearRig
+
+
+class Inverse(nn.Module):
+    """Maps meshes to the controls of a rig.
+
+    Attributes:
+        network: from mesh coordinates to controls; it knows its rig and its mesh space.
+    """
+
+    def __init__(self, network: InverseNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    @property
+    def rig(self) -> LinearRig:
+        return self.network.rig.rig
+
+    @torch.no_grad()
+    def forward(self, vertices: Tensor) -> Tensor:
+        """Meshes `(batch, vertex, 3)`, mm, to controls `(batch, control)` within the rig's limits.
+
+        Raises:
+            InputError: the meshes do not have the rig's number of vertices.
+        """
+        space = self.network.rig.space
+        if vertices.shape[1:] != space.rest_vertices.shape:
+            raise InputError(
+                f"meshes of shape {tuple(vertices.shape)} were given, rig '{self.rig.name}' needs "
+                f"(mesh, {space.vertex_count}, 3): the same vertices in the same order"
+            )
+        return self.network(space.encode(vertices))
+
+
+def load_inverse(folder: str | Path, rig: LinearRig | None = None) -> Inverse:
+    """Load the inverse of a bundle.
+
+    Args:
+        folder: the bundle, or the run that holds it.
+        rig: the rig, for one that is not part of riginv; else the bundle's own description builds it.
+
+    Raises:
+        InputError: the bundle is missing, damaged, of another kind or made for another rig.
+    """
+    bundle = read_bundle(folder, kind="inverse")
+    rig = rig or bundle_rig(bundle)
+    bundle.check_rig(rig)
+    space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
+    network = build(bundle.description["network"], RigInMeshSpace(rig, space), only=OURS)
+    network.load_own_weights(bundle.weights)
+    return Inverse(network).eval().requires_grad_(False)
+
+
+def bundle_rig(bundle: Bundle) -> LinearRig:
+    """The rig that a bundle describes: one of ours, or the surrogate that lies within the bundle."""
+    config = dict(bundle.description["rig"]["config"])
+    if config.get("bundle") == RIG:
+        config["bundle"] = str(bundle.folder / RIG)
+    return build(config, only=OURS)

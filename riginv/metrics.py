@@ -1,0 +1,48 @@
+"""What is reported: vertex errors in mm, and the roughness of curves (paper, Tables 1 to 3)."""
+
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+
+
+class VertexError(Metric):
+    """Distances between corresponding vertices, mm. Sums and counts only: how batches are cut does not change the result."""
+
+    higher_is_better = False
+    is_differentiable = False
+    full_state_update = False
+
+    total_mm: Tensor
+    total_of_max_mm: Tensor
+    max_mm: Tensor
+    vertices: Tensor
+    poses: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in ("total_mm", "total_of_max_mm", "vertices", "poses"):
+            self.add_state(name, torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("max_mm", torch.zeros((), dtype=torch.float64), dist_reduce_fx="max")
+
+    def update(self, found: Tensor, expected: Tensor) -> None:
+        """Add poses: both `(batch, vertex, 3)`, mm."""
+        distances = torch.linalg.vector_norm(found - expected, dim=2).double()
+        greatest = distances.amax(dim=1)
+        self.total_mm += distances.sum()
+        self.total_of_max_mm += greatest.sum()
+        self.max_mm = torch.maximum(self.max_mm, greatest.max())
+        self.vertices += distances.numel()
+        self.poses += len(distances)
+
+    def compute(self) -> dict[str, Tensor]:
+        """`mean_vertex_error_mm` over all vertices of all poses, the `max_...` over them, and the mean of the poses' maxima."""
+        return {
+            "mean_vertex_error_mm": self.total_mm / self.vertices,
+            "max_vertex_error_mm": self.max_mm,
+            "mean_of_max_vertex_error_mm": self.total_of_max_mm / self.poses,
+        }
+
+
+def roughness(controls: Tensor) -> float:
+    """The mean squared second difference of curves `(frame, control)` (paper, Table 3); NaN below three frames."""
+    return float((controls[2:] - 2 * controls[1:-1] + controls[:-2]).square().mean())

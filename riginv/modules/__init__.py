@@ -1,0 +1,1 @@
+"""Lightning modules: thin, one for each thing that is trained."""

@@ -1,0 +1,91 @@
+"""What the Lightning modules share: an optimiser for the network alone, a guard, and validation in mm."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+
+import lightning as L
+import torch
+from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
+from torchmetrics import MeanMetric
+
+from riginv.errors import NonFiniteLossError
+from riginv.losses import root_mean_square_mm
+from riginv.mesh_space import RigInMeshSpace
+from riginv.metrics import VertexError
+from riginv.sampling.meshes import PoseBatch
+
+OptimizerFactory = Callable[[Iterable[nn.Parameter]], Optimizer]
+ScheduleFactory = Callable[[Optimizer], LRScheduler | ReduceLROnPlateau]
+
+
+class RigModule(L.LightningModule, ABC):
+    """Trains one network on poses in mesh coordinates.
+
+    Args:
+        rig: the rig in mesh space, frozen: gradients pass through it, nothing in it learns.
+        network: what learns.
+        make_optimizer: from parameters to an optimiser.
+        make_schedule: from the optimiser to its schedule; a plateau schedule watches the training loss, epoch by epoch.
+
+    Attributes:
+        kind: of bundle that it makes: `inverse` (meshes to controls) or `forward` (a surrogate).
+    """
+
+    kind = "inverse"
+
+    def __init__(
+        self, rig: RigInMeshSpace, network: nn.Module, make_optimizer: OptimizerFactory, make_schedule: ScheduleFactory
+    ) -> None:
+        super().__init__()
+        self.rig, self.network = rig.requires_grad_(False), network
+        self.make_optimizer, self.make_schedule = make_optimizer, make_schedule
+        self.epoch_loss = MeanMetric(nan_strategy="ignore")
+        self.epoch_loss.persistent(True)  # so that a run stopped within an epoch still sees the whole of it
+        self.errors: list[VertexError] = []
+
+    @abstractmethod
+    def reconstruct(self, batch: PoseBatch) -> Tensor:
+        """The mesh coordinates `(batch, coordinate)` that the network makes of a batch, through the rig."""
+
+    def configure_optimizers(self) -> dict:
+        optimizer = self.make_optimizer([weight for weight in self.network.parameters() if weight.requires_grad])
+        schedule = self.make_schedule(optimizer)
+        plateau = isinstance(schedule, ReduceLROnPlateau)
+        how = {"interval": "epoch", "monitor": "train/epoch_loss"} if plateau else {"interval": "step"}
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, **how}}
+
+    def learn(self, loss: Tensor, coordinates: Tensor, target: Tensor) -> Tensor:
+        """Log a training step's loss and error, and return the loss.
+
+        Raises:
+            NonFiniteLossError: the loss is NaN or infinite.
+        """
+        if not torch.isfinite(loss):
+            raise NonFiniteLossError(f"the loss became {loss.item()} at step {self.global_step}")
+        self.epoch_loss.update(loss.detach())
+        error = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count)
+        self.log("train/loss", loss)
+        self.log("train/rms_vertex_error_mm", error, prog_bar=True)
+        return loss
+
+    def on_train_epoch_end(self) -> None:
+        self.log("train/epoch_loss", self.epoch_loss.compute())
+        self.epoch_loss.reset()
+
+    @property
+    def validation_names(self) -> list[str]:
+        return self.trainer.datamodule.validation_names
+
+    def on_validation_epoch_start(self) -> None:
+        self.errors = [VertexError().to(self.device) for _ in self.validation_names]
+
+    def validation_step(self, batch: PoseBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        found, expected = self.reconstruct(batch), batch["coordinates"]
+        self.errors[dataloader_idx].update(self.rig.space.decode(found), self.rig.space.decode(expected))
+
+    def on_validation_epoch_end(self) -> None:
+        for name, error in zip(self.validation_names, self.errors):
+            for key, value in error.compute().items():
+                self.log(f"val/{name}/{key}", value.float(), prog_bar=key.startswith("mean_v") and name != "random_combinations")

@@ -1,0 +1,34 @@
+"""The paper's differentiable approximation of a rig: a network from controls to coefficients, with the loss on the mesh."""
+
+import torch
+from torch import Tensor, nn
+
+from riginv.mesh_space import RigInMeshSpace
+from riginv.modules.base import OptimizerFactory, RigModule, ScheduleFactory
+from riginv.networks.surrogate import SurrogateNetwork
+from riginv.sampling.meshes import PoseBatch
+
+
+class ForwardModule(RigModule):
+    """Trains a surrogate of a rig on its poses (Sec. 3.2). It is anchored: neutral controls give the rest mesh."""
+
+    kind = "forward"
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        network: SurrogateNetwork,
+        loss: nn.Module,
+        make_optimizer: OptimizerFactory,
+        make_schedule: ScheduleFactory,
+    ) -> None:
+        super().__init__(rig, network, make_optimizer, make_schedule)
+        self.loss = loss
+
+    def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
+        coordinates = self.reconstruct(batch)
+        return self.learn(self.loss(coordinates, batch["coordinates"]), coordinates, batch["coordinates"])
+
+    def reconstruct(self, batch: PoseBatch) -> Tensor:
+        coefficients = self.network(torch.cat([batch["controls"], self.rig.rig.neutral_controls[None]]))
+        return (coefficients[:-1] - coefficients[-1:]) @ self.rig.linear_map

@@ -1,0 +1,18 @@
+"""The baseline of Holden et al. 2015: the same network, trained on poses of the rig with the loss on their controls."""
+
+from torch import Tensor
+from torch.nn.functional import mse_loss
+
+from riginv.modules.base import RigModule
+from riginv.sampling.meshes import PoseBatch
+
+
+class HoldenModule(RigModule):
+    """Trains an inverse by regression onto the controls that made each mesh; needs no gradient through the rig."""
+
+    def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
+        controls = self.network(batch["coordinates"])
+        return self.learn(mse_loss(controls, batch["controls"]), self.rig(controls), batch["coordinates"])
+
+    def reconstruct(self, batch: PoseBatch) -> Tensor:
+        return self.rig(self.network(batch["coordinates"]))

@@ -1,0 +1,42 @@
+"""The paper's inverse: a network from meshes to controls, with the loss on the mesh that the rig makes of them (Sec. 3.3)."""
+
+from torch import Tensor, nn
+
+from riginv.errors import InputError
+from riginv.mesh_space import RigInMeshSpace
+from riginv.modules.base import OptimizerFactory, RigModule, ScheduleFactory
+from riginv.networks.inverse import InverseNetwork
+from riginv.sampling.meshes import PoseBatch
+
+
+class InverseModule(RigModule):
+    """Trains an inverse through a differentiable rig, from meshes alone.
+
+    Raises:
+        InputError: no gradient passes through the rig.
+    """
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        network: InverseNetwork,
+        loss: nn.Module,
+        make_optimizer: OptimizerFactory,
+        make_schedule: ScheduleFactory,
+    ) -> None:
+        super().__init__(rig, network, make_optimizer, make_schedule)
+        if not rig.rig.differentiable:
+            raise InputError(
+                f"no gradient passes through rig '{rig.rig.name}', and the mesh loss needs one: train a surrogate of it with "
+                f"model=forward, then train the inverse through that with rig=surrogate rig.bundle=DIR"
+            )
+        self.loss = loss
+
+    def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
+        target = batch["coordinates"]
+        answers = self.network.answers(target)
+        loss = sum(self.loss(answer.coordinates, target) for answer in answers)
+        return self.learn(loss, answers[-1].coordinates, target)
+
+    def reconstruct(self, batch: PoseBatch) -> Tensor:
+        return self.rig(self.network(batch["coordinates"]))

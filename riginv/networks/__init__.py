@@ -1,0 +1,1 @@
+"""Networks: from mesh coordinates to controls (inverse) and from controls to coefficients (surrogate)."""

@@ -1,0 +1,150 @@
+"""Networks from mesh coordinates to controls."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from riginv.errors import InputError
+from riginv.mesh_space import RigInMeshSpace
+from riginv.networks.base import RigNetwork
+from riginv.networks.control_maps import CONTROL_MAPS
+from riginv.networks.mlp import Anchored, mlp
+
+START_GAIN = 0.3  # of the last layer: answers start close to neutral
+
+
+class Answer(NamedTuple):
+    """One attempt at the controls `(batch, control)`, and the mesh coordinates `(batch, coordinate)` that the rig makes of it."""
+
+    controls: Tensor
+    coordinates: Tensor
+
+
+class InverseNetwork(RigNetwork, ABC):
+    """Maps mesh coordinates `(batch, coordinate)` to controls `(batch, control)`.
+
+    Attributes:
+        rig: the rig that it is the inverse of, in mesh space; not saved with the network's own weights.
+    """
+
+    def __init__(self, rig: RigInMeshSpace, control_map: str) -> None:
+        super().__init__()
+        if control_map not in CONTROL_MAPS:
+            raise InputError(f"network: control_map '{control_map}' is not known; choose one of {', '.join(CONTROL_MAPS)}")
+        self.rig = rig
+        self.control_map = CONTROL_MAPS[control_map](rig.rig)
+
+    @abstractmethod
+    def answers(self, coordinates: Tensor) -> list[Answer]:
+        """Every attempt, the last one being the answer; training looks at all of them."""
+
+    def calibrate(self, coordinates: Tensor) -> None:
+        """Look at a sample of what will come `(batch, coordinate)`, before training, to set fixed scales."""
+
+    def forward(self, coordinates: Tensor) -> Tensor:
+        return self.answers(coordinates)[-1].controls
+
+
+class DirectInverse(InverseNetwork):
+    """One perceptron (paper: hidden 2048, 1024, 512, 256, leaky ReLU, tanh scaled to each control's range).
+
+    Args:
+        control_map: `range_tanh` as in the paper, or `neutral_start`, which also anchors the neutral mesh.
+    """
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        hidden: Sequence[int] = (2048, 1024, 512, 256),
+        activation: str = "leaky_relu",
+        control_map: str = "range_tanh",
+    ) -> None:
+        super().__init__(rig, control_map)
+        network = mlp(rig.space.size, hidden, len(rig.rig.controls), activation)
+        self.network = Anchored(_start_small(network)) if control_map == "neutral_start" else network
+
+    def answers(self, coordinates: Tensor) -> list[Answer]:
+        controls = self.forward(coordinates)
+        return [Answer(controls, self.rig(controls))]
+
+    def forward(self, coordinates: Tensor) -> Tensor:
+        return self.control_map(self.network(coordinates))
+
+
+class StagedInverse(InverseNetwork):
+    """Perceptrons in a row, each correcting the one before: a learned optimiser of a few steps.
+
+    The first sees the mesh. Every further one also sees what its predecessor left: the residual in mesh coordinates, the
+    gradient of the squared error through the rig, and the controls so far. Each learns from its own error alone.
+
+    Args:
+        stages: how many perceptrons.
+        hidden: widths of each of them.
+    """
+
+    coordinate_scale: Tensor
+    gradient_scale: Tensor
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        stages: int = 3,
+        hidden: Sequence[int] = (1024, 512),
+        activation: str = "gelu",
+        control_map: str = "neutral_start",
+    ) -> None:
+        super().__init__(rig, control_map)
+        if stages < 1:
+            raise InputError(f"network: stages is {stages}, expected at least 1")
+        size, controls = rig.space.size, len(rig.rig.controls)
+        inputs = [size] + [2 * size + 2 * controls] * (stages - 1)
+        self.stages = nn.ModuleList(Anchored(_start_small(mlp(count, hidden, controls, activation))) for count in inputs)
+        self.register_buffer("coordinate_scale", torch.ones(()))
+        self.register_buffer("gradient_scale", torch.ones(()))
+
+    def calibrate(self, coordinates: Tensor) -> None:
+        self.coordinate_scale.copy_(_size(coordinates))
+        raw = torch.zeros(len(coordinates), len(self.rig.rig.controls), device=coordinates.device, dtype=coordinates.dtype)
+        self.gradient_scale.copy_(_size(self._gradient(raw.requires_grad_(), self.rig(self.control_map(raw)) - coordinates)))
+
+    @torch.enable_grad()  # the gradient through the rig is an input: it is needed when nothing is trained too
+    def answers(self, coordinates: Tensor) -> list[Answer]:
+        scaled = coordinates / self.coordinate_scale
+        result: list[Answer] = []
+        raw = torch.zeros(())
+        for stage in self.stages:
+            if not result:
+                raw = stage(scaled)
+            else:
+                error = result[-1].coordinates - coordinates
+                gradient = self._gradient(raw, error)
+                before = raw.detach()
+                seen = [scaled, -error.detach() / self.coordinate_scale, gradient / self.gradient_scale, torch.tanh(0.3 * before)]
+                raw = before + stage(torch.cat(seen, dim=1))
+            if not raw.requires_grad:
+                raw = raw.requires_grad_()
+            controls = self.control_map(raw)
+            result.append(Answer(controls, self.rig(controls)))
+        return result
+
+    def forward(self, coordinates: Tensor) -> Tensor:
+        controls = super().forward(coordinates)
+        return controls if torch.is_grad_enabled() else controls.detach()
+
+    def _gradient(self, raw: Tensor, error: Tensor) -> Tensor:
+        """The gradient `(batch, control)` of half the squared error with respect to the raw outputs."""
+        return torch.autograd.grad(0.5 * error.square().sum(), raw, retain_graph=True)[0]
+
+
+def _size(values: Tensor) -> Tensor:
+    return values.square().mean().sqrt().clamp_min(1e-12)
+
+
+def _start_small(network: nn.Sequential) -> nn.Sequential:
+    with torch.no_grad():
+        network[-1].weight.mul_(START_GAIN)
+        network[-1].bias.zero_()
+    return network

@@ -1,0 +1,39 @@
+"""Multi-layer perceptrons."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from riginv.errors import InputError
+
+ACTIVATIONS = {"leaky_relu": nn.LeakyReLU, "relu": nn.ReLU, "gelu": nn.GELU, "silu": nn.SiLU, "tanh": nn.Tanh}
+
+
+def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str = "leaky_relu") -> nn.Sequential:
+    """A perceptron with a linear output and no normalisation layers (the paper found that they hurt).
+
+    Raises:
+        InputError: a width is below 1 or the activation is not known.
+    """
+    if activation not in ACTIVATIONS:
+        raise InputError(f"network: activation '{activation}' is not known; choose one of {', '.join(ACTIVATIONS)}")
+    if not all(isinstance(width, int) and width >= 1 for width in hidden):
+        raise InputError(f"network: hidden is {list(hidden)}, expected widths of at least 1")
+    widths = [inputs, *hidden]
+    layers: list[nn.Module] = []
+    for before, after in zip(widths, widths[1:]):
+        layers += [nn.Linear(before, after), ACTIVATIONS[activation]()]
+    return nn.Sequential(*layers, nn.Linear(widths[-1], outputs))
+
+
+class Anchored(nn.Module):
+    """A network less its own answer at 0, so that 0 maps to 0 exactly: the neutral mesh to the neutral controls."""
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        outputs = self.network(torch.cat([inputs, torch.zeros_like(inputs[:1])]))
+        return outputs[:-1] - outputs[-1:]

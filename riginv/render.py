@@ -1,0 +1,92 @@
+"""Pictures of meshes: rays cast by trimesh, shaded as clay."""
+
+import numpy as np
+import trimesh
+from PIL import Image, ImageDraw
+from torch import Tensor
+
+BACKGROUND = np.array([0.93, 0.93, 0.94])
+CLAY = np.array([0.80, 0.62, 0.53])
+KEY_LIGHT, FILL_LIGHT, RIM_LIGHT = np.array([-0.45, 0.55, 0.75]), np.array([0.7, 0.1, 0.5]), np.array([0.0, 0.6, -0.6])
+AMBIENT, KEY, FILL, RIM, SHINE, GAMMA = 0.16, 0.72, 0.28, 0.10, 0.12, 1.6
+HEAT_STOPS = np.array([[0.27, 0.33, 0.55], [0.35, 0.66, 0.62], [0.93, 0.86, 0.45], [0.85, 0.36, 0.22], [0.55, 0.05, 0.13]])
+DISTANCE = 12.0  # of the camera, in half-heights of the picture: little perspective
+
+
+class Camera:
+    """Looks at the middle of a rest mesh from the front, turned by some degrees; the same for every pose of it."""
+
+    def __init__(self, rest_vertices: Tensor, turn_degrees: float = 15.0, size: tuple[int, int] = (240, 290)) -> None:
+        points = rest_vertices.detach().cpu().double().numpy()
+        self.middle = (points.max(axis=0) + points.min(axis=0)) / 2
+        angle = np.radians(-turn_degrees)
+        cos, sin = np.cos(angle), np.sin(angle)
+        self.rotation = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+        self.size = size
+        extent = np.abs((points - self.middle) @ self.rotation.T).max(axis=0)
+        self.half_height = 1.1 * max(extent[1], extent[0] * size[1] / size[0])
+
+    def picture(self, vertices: Tensor, faces: Tensor, colors: Tensor | np.ndarray | None = None, smooth: int = 2) -> Image.Image:
+        """A picture of one mesh.
+
+        Args:
+            vertices: `(vertex, 3)`, mm.
+            faces: `(face, 3)`.
+            colors: `(vertex, 3)` in [0, 1]; None: clay.
+            smooth: rays along each side of a pixel.
+        """
+        points = (vertices.detach().cpu().double().numpy() - self.middle) @ self.rotation.T / self.half_height
+        triangles = faces.cpu().numpy()
+        mesh = trimesh.Trimesh(points, triangles, process=False)
+        width, height = self.size[0] * smooth, self.size[1] * smooth
+        origin, directions = self._rays(width, height)
+        where, ray, face = mesh.ray.intersects_location(np.broadcast_to(origin, directions.shape), directions, multiple_hits=False)
+        image = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
+        if len(ray):
+            weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], where)[..., None]
+            normals = _unit((mesh.vertex_normals[triangles[face]] * weights).sum(axis=1))
+            inside = (normals * directions[ray]).sum(axis=1, keepdims=True) > 0
+            painted = CLAY if colors is None else (np.asarray(colors)[triangles[face]] * weights).sum(axis=1)
+            image[ray] = shade(painted, np.where(inside, -0.6 * normals, normals))
+        pixels = (image.reshape(height, width, 3) ** (1 / GAMMA) * 255).round().astype(np.uint8)
+        return Image.fromarray(pixels).resize(self.size, Image.Resampling.LANCZOS)
+
+    def _rays(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        x = ((np.arange(width) + 0.5) / width * 2 - 1) * width / height
+        y = 1 - (np.arange(height) + 0.5) / height * 2
+        across, up = np.meshgrid(x, y)
+        origin = np.array([0.0, 0.0, DISTANCE])
+        return origin, _unit(np.stack([across.ravel(), up.ravel(), np.zeros(across.size)], axis=1) - origin)
+
+
+def shade(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Light surface points `(point, 3)` by their normals `(point, 3)`: a key, a fill, a rim light and a little shine."""
+
+    def light(direction: np.ndarray) -> np.ndarray:
+        return np.clip(normals @ _unit(direction), 0, None)[:, None]
+
+    lit = AMBIENT + KEY * light(KEY_LIGHT) + FILL * light(FILL_LIGHT) + RIM * light(RIM_LIGHT)
+    shine = SHINE * light(_unit(KEY_LIGHT) + np.array([0.0, 0.0, 1.0])) ** 24
+    return np.clip(colors * lit + shine, 0, 1)
+
+
+def heat_colors(distances: Tensor, top: float) -> np.ndarray:
+    """Colours `(vertex, 3)` for distances `(vertex,)`: blue at 0, dark red from `top` upwards."""
+    place = np.clip(distances.detach().cpu().numpy() / max(top, 1e-9), 0, 1) * (len(HEAT_STOPS) - 1)
+    return np.stack([np.interp(place, np.arange(len(HEAT_STOPS)), stop) for stop in HEAT_STOPS.T], axis=1)
+
+
+def grid(pictures: list[Image.Image], labels: list[str], columns: int) -> Image.Image:
+    """Pictures of one size in rows, each with its label in the corner."""
+    width, height = pictures[0].size
+    rows = -(-len(pictures) // columns)
+    sheet = Image.new("RGB", (width * columns, height * rows), tuple((BACKGROUND ** (1 / GAMMA) * 255).astype(int)))
+    for number, (picture, label) in enumerate(zip(pictures, labels)):
+        labelled = picture.copy()
+        ImageDraw.Draw(labelled).text((6, 4), label, fill=(40, 40, 46), font_size=13)
+        sheet.paste(labelled, (number % columns * width, number // columns * height))
+    return sheet
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

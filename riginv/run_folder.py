@@ -1,0 +1,117 @@
+"""A run's folder: never overwritten silently, and found again by the command that made it.
+
+    config.yaml            the resolved config
+    checkpoints/last.ckpt  where training stood last
+    events.*, hparams.yaml TensorBoard's
+    bundle/                the trained model
+    metrics.json           how good it is; written last: a folder that has it is finished
+"""
+
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf import DictConfig, OmegaConf
+
+from riginv.errors import InputError
+from riginv.files import write_text
+
+CONFIG, METRICS, CHECKPOINT, BUNDLE = "config.yaml", "metrics.json", "checkpoints/last.ckpt", "bundle"
+NOT_PART_OF_A_RUN = ("resume",)
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The folder of one run.
+
+    Attributes:
+        path: where it lies.
+        config: the plain config.
+        resumed: whether an earlier start of the same run is gone on with.
+    """
+
+    path: Path
+    config: dict[str, Any]
+    resumed: bool
+
+    def begin(self) -> None:
+        """Make the folder this run's, by writing its config there."""
+        if not self.resumed:
+            write_text(self.path / CONFIG, yaml.safe_dump(self.config, sort_keys=False))
+
+    @property
+    def checkpoint(self) -> Path | None:
+        """Where training stood last, if it got that far."""
+        path = self.path / CHECKPOINT
+        return path if path.is_file() else None
+
+    @property
+    def finished(self) -> bool:
+        return (self.path / METRICS).is_file()
+
+
+def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool) -> RunFolder:
+    """The folder for a run, new or to be resumed; nothing is written before `RunFolder.begin`.
+
+    Args:
+        config: as from `plain_config`.
+
+    Raises:
+        InputError: the folder holds something else, or a run that was not asked to be resumed or had another config.
+    """
+    path = Path(path)
+    if not (path.is_dir() and any(path.iterdir())):
+        return RunFolder(path, config, resumed=False)
+    if not (path / CONFIG).is_file():
+        raise InputError(f"{path} holds files that are no run of riginv: choose another folder with hydra.run.dir=DIR")
+    if not resume:
+        raise InputError(f"{path} holds a run already: add resume=true to go on with it, or choose another hydra.run.dir=DIR")
+    before, now = _flat(yaml.safe_load((path / CONFIG).read_text(encoding="utf-8"))), _flat(config)
+    differing = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
+    if differing:
+        key = differing[0]
+        raise InputError(
+            f"{path} cannot be resumed with another config: {key} was {before.get(key)!r}, now {now.get(key)!r}; "
+            f"give the same arguments as before, or choose another hydra.run.dir=DIR"
+        )
+    return RunFolder(path, config, resumed=True)
+
+
+def plain_config(config: DictConfig) -> dict[str, Any]:
+    """The resolved config as plain values, without what may differ between two starts of one run."""
+    plain = OmegaConf.to_container(config, resolve=True)
+    return {key: value for key, value in plain.items() if key not in NOT_PART_OF_A_RUN}
+
+
+def discard_if_empty(path: Path) -> None:
+    """Remove a folder that a run was to use and did not."""
+    if path.is_dir() and not any(path.iterdir()):
+        path.rmdir()
+
+
+def register_run_folder_resolver() -> None:
+    """Let configs say `${run_folder:resume,name,arguments}`: a new folder, or the one to resume."""
+    OmegaConf.register_new_resolver("run_folder", default_run_folder, replace=True, use_cache=True)
+
+
+def default_run_folder(resume: bool, name: str, arguments: str) -> str:
+    """`runs/NAME/TIME ARGUMENTS`; with `resume` the latest unfinished one of the same name and arguments, if there is one."""
+    parent, ending = Path("runs") / name, f" {arguments}" if arguments else ""
+    if resume:
+        same = [path for path in parent.glob("*") if path.name[len(TIME_SHAPE) :] == ending and (path / CONFIG).is_file()]
+        unfinished = sorted(path for path in same if not (path / METRICS).is_file())
+        if unfinished or same:
+            return str((unfinished or sorted(same))[-1])
+    return str(parent / (datetime.datetime.now().strftime(TIME) + ending))
+
+
+TIME, TIME_SHAPE = "%Y-%m-%d_%H-%M-%S", "2026-01-01_00-00-00"
+
+
+def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {f"{prefix}{key}": value})
+    return flat

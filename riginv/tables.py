@@ -1,0 +1,52 @@
+"""Results as tables that a newcomer understands."""
+
+from collections.abc import Mapping, Sequence
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+SETS = {
+    "random_combinations": ("random combinations", "blendshapes combined at random, as in the paper: mostly out of the rig's reach"),
+    "rig_poses": ("rig poses", "random poses of the rig, as in the paper"),
+    "capture": ("capture", "the captured performance that was given"),
+    "simulated_performance": ("simulated performance", "no clip was given: capture=TAKE.csv judges a Live Link Face recording"),
+    "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
+}
+COLUMNS = (
+    ("mean_vertex_error_mm", "mean\nerror"),
+    ("neutral_mean_vertex_error_mm", "predicting\nneutral"),
+    ("mean_of_max_vertex_error_mm", "worst vertex,\nmean"),
+    ("max_vertex_error_mm", "worst\nvertex"),
+)
+
+
+def print_results(metrics: Mapping[str, float], title: str, judge: str, notes: Sequence[str] = ()) -> None:
+    """Show a model's metrics, one row for each test set, and who judged."""
+    table = Table(title=f"{title}: vertex errors in mm", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    table.add_column("judged on")
+    for _, heading in COLUMNS:
+        table.add_column(heading, justify="right")
+    table.add_column("share of\nneutral", justify="right")
+    table.add_column("roughness", justify="right")
+    for name in sets_of(metrics):
+        values = [metrics[f"{name}/{key}"] for key, _ in COLUMNS]
+        rough = metrics.get(f"{name}/roughness")
+        share = f"{values[0] / max(values[1], 1e-12):.0%}"
+        shown = [f"{value:.2f}" if value >= 0.1 else f"{value:.2g}" for value in values]
+        table.add_row(SETS.get(name, (name,))[0], *shown, share, "-" if rough is None else f"{rough:.1e}")
+    console = Console()
+    console.print(table)
+    for name in sets_of(metrics):
+        title, meaning = SETS.get(name, (name, ""))
+        console.print(f"  [bold]{title}[/]: {meaning}", highlight=False, soft_wrap=True)
+    console.print(f"  Judged by the true rig, [bold]{judge}[/], which was given the controls.", highlight=False, soft_wrap=True)
+    console.print("  Roughness: mean squared second difference of the curves.", highlight=False, soft_wrap=True)
+    console.print()
+    for note in notes:
+        console.print(f"  {note}", soft_wrap=True, highlight=False, markup=False)
+
+
+def sets_of(metrics: Mapping[str, float]) -> list[str]:
+    """The names of the test sets in metrics, in their order."""
+    return [key.partition("/")[0] for key in metrics if key.endswith("/mean_vertex_error_mm")]

@@ -1,0 +1,79 @@
+"""Numbers in a config that cannot be meant: said before any work starts."""
+
+import difflib
+import math
+from collections.abc import Callable
+from fnmatch import fnmatch
+from typing import Any
+
+from riginv.errors import InputError
+
+Check = tuple[str, Callable[[Any], bool]]
+
+AT_LEAST_1: Check = ("a whole number of at least 1", lambda value: _is_whole(value) and value >= 1)
+AT_LEAST_0: Check = ("a whole number of at least 0", lambda value: _is_whole(value) and value >= 0)
+POSITIVE: Check = ("a finite number above 0", lambda value: _is_number(value) and value > 0)
+NOT_NEGATIVE: Check = ("a finite number of at least 0", lambda value: _is_number(value) and value >= 0)
+WIDTHS: Check = ("a list of whole numbers of at least 1", lambda value: isinstance(value, list) and all(AT_LEAST_1[1](v) for v in value))
+BOOLEAN: Check = ("true or false", lambda value: isinstance(value, bool))
+
+# Key in the resolved config (with wildcards) -> what it must be; null is allowed where a default says so.
+RULES: dict[str, Check] = {
+    "seed": AT_LEAST_0,
+    "resume": BOOLEAN,
+    "poses": AT_LEAST_1,
+    "stop_below_lr": POSITIVE,
+    "data.*": AT_LEAST_1,
+    "judging.*": AT_LEAST_1,
+    "noise.radius_mm": POSITIVE,
+    "noise.*": NOT_NEGATIVE,
+    "trainer.max_steps": AT_LEAST_1,
+    "trainer.devices": AT_LEAST_1,
+    "trainer.log_every_n_steps": AT_LEAST_1,
+    "model.optimizer.lr": POSITIVE,
+    "model.optimizer.weight_decay": NOT_NEGATIVE,
+    "model.network.hidden": WIDTHS,
+    "model.network.stages": AT_LEAST_1,
+    "model.network.hats": AT_LEAST_1,
+    "sampler*.most": AT_LEAST_1,
+    "sampler*.faint": NOT_NEGATIVE,
+    "sampler.shares.*": NOT_NEGATIVE,
+    "checkpoint.*": AT_LEAST_1,
+    "pictures.*": AT_LEAST_1,
+}
+MAY_BE_NULL = ("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations")
+
+
+def validate(config: dict[str, Any]) -> None:
+    """Check the numbers of a resolved, plain config.
+
+    Raises:
+        InputError: a value is not what its key must be; the message names both.
+    """
+    for key, value in _leaves(config):
+        check = next((check for pattern, check in RULES.items() if fnmatch(key, pattern)), None)
+        if check is None or (value is None and any(fnmatch(key, pattern) for pattern in MAY_BE_NULL)):
+            continue
+        expected, holds = check
+        if not holds(value):
+            raise InputError(f"{key} is {value!r}, expected {expected}")
+
+
+def nearest(word: str, words: list[str]) -> str:
+    """A hint at the names nearest to a mistyped one, or nothing."""
+    near = difflib.get_close_matches(word, words, n=3, cutoff=0.4)
+    return f"; did you mean {' or '.join(near)}?" if near else ""
+
+
+def _leaves(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
+    if not isinstance(value, dict):
+        return [(prefix, value)]
+    return [leaf for key, inner in value.items() for leaf in _leaves(inner, f"{prefix}.{key}" if prefix else str(key))]
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

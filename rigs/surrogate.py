@@ -1,0 +1,43 @@
+"""A trained forward model as a rig: differentiable whatever the rig that it stands for."""
+
+from torch import Tensor
+
+from riginv.build import OURS, build
+from riginv.bundle import read_bundle
+from riginv.rig import LinearRig
+
+
+class SurrogateRig(LinearRig):
+    """The surrogate of a bundle that `model=forward` wrote.
+
+    Args:
+        bundle: the bundle's folder.
+
+    Attributes:
+        true_rig_config: what builds the rig that it was trained on, and that judges what is trained through it.
+
+    Raises:
+        InputError: the bundle is missing, damaged, or not a surrogate's.
+    """
+
+    def __init__(self, bundle: str) -> None:
+        read = read_bundle(bundle, kind="forward")
+        facts = read.description["rig"]
+        frame, linear_map = read.space["frame"], read.space["linear_map"]
+        basis = (linear_map @ frame.flatten(1)).unflatten(1, frame.shape[1:])
+        super().__init__(
+            f"surrogate of {facts['name']}",
+            read.controls,
+            read.space["rest_vertices"],
+            read.space["faces"],
+            basis,
+            facts["coefficient_names"],
+            facts["primary_count"],
+        )
+        self.true_rig_config: dict = facts["config"]
+        self.network = build(read.description["network"], self, only=OURS)
+        self.network.load_own_weights(read.weights)
+        self.requires_grad_(False)
+
+    def coefficients(self, controls: Tensor) -> Tensor:
+        return self.network(controls)
