@@ -108,9 +108,10 @@ def build_trainer(config: Config, folder: RunFolder) -> tuple[L.Trainer, Trainin
         clock,
         TrainingProgress(),
         LearningRateMonitor(),
-        PosePictures(config["pictures"]["every_n_validations"]),
         SaveLast(folder.path, config["checkpoint"]["every_n_steps"]),
     ]
+    if config["pictures"]["every_n_validations"]:
+        callbacks.append(PosePictures(config["pictures"]["every_n_validations"]))
     if config["stop_below_lr"]:
         callbacks.append(StopBelowLearningRate(config["stop_below_lr"]))
     arguments = dict(config["trainer"])

@@ -17,11 +17,14 @@ from rich.console import Console
 
 from riginv.errors import InputError, NonFiniteLossError
 from riginv.quiet import hush
-from riginv.run_folder import discard_if_empty, register_run_folder_resolver
+from riginv.run_folder import discard_if_empty, register_folder_resolvers
 
 PACKAGE = Path(__file__).parent
 CONFIGS = PACKAGE / "conf" if (PACKAGE / "conf").is_dir() else PACKAGE.parent / "conf"  # installed, or in a checkout
 FAILURE = "failure.txt"
+OPTIONS_WITH_VALUES = (
+    "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
+)
 
 
 def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
@@ -32,7 +35,8 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through: `explain` says them better
             hush()
-            register_run_folder_resolver()
+            register_folder_resolvers()
+            sys.argv[1:] = [true_rig_choice(argument) for argument in options_first(sys.argv[1:])]
             job = _Job(task)
             try:
                 hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
@@ -40,10 +44,30 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
                 _stop(error)
             if job.error is not None:
                 _stop(job.error)
+            if job.failed:
+                _stop(InputError(f"{len(job.failed)} of {job.count} jobs failed; each says why in {FAILURE} in its folder"))
 
         return main
 
     return decorate
+
+
+def options_first(arguments: list[str]) -> list[str]:
+    """Put options before KEY=VALUE arguments: Hydra's parser takes them in no other order, users write them in any."""
+    options, values = [], []
+    waiting = False  # for the value of an option
+    for argument in arguments:
+        if waiting or argument.startswith("-"):
+            options.append(argument)
+            waiting = not waiting and argument in OPTIONS_WITH_VALUES
+        else:
+            values.append(argument)
+    return options + values
+
+
+def true_rig_choice(argument: str) -> str:
+    """Let `true_rig=NAME` choose from the group of rigs, as `rig=NAME` does."""
+    return f"rig@{argument}" if argument.startswith("true_rig=") else argument
 
 
 class _Job:
@@ -53,10 +77,13 @@ class _Job:
     """
 
     def __init__(self, task: Callable[[DictConfig], None]) -> None:
-        self.task, self.error = task, None
+        self.task = task
+        self.error: Exception | None = None
+        self.count, self.failed = 0, []
 
     def run(self, config: DictConfig) -> None:
         folder = run_directory()
+        self.count += 1
         try:
             self.task(config)
         except Exception as error:
@@ -65,6 +92,7 @@ class _Job:
             if message is None or HydraConfig.get().mode != RunMode.MULTIRUN:
                 self.error = error
                 return
+            self.failed.append(folder.name)
             folder.mkdir(parents=True, exist_ok=True)
             (folder / FAILURE).write_text(message + "\n", encoding="utf-8")
             Console(stderr=True).print(f"[bold red]this job failed:[/] {message}", highlight=False)

@@ -143,8 +143,8 @@ class LinearRig(RigBackend):
         return self.coefficients(self.neutral_controls[None])
 
     def forward(self, controls: Tensor) -> Tensor:
-        change = self.coefficients(controls) - self.neutral_coefficients()
-        return apply_deltas(self.rest_vertices, self.basis, change)
+        change = self.coefficients(controls) - self.neutral_coefficients().to(controls)
+        return apply_deltas(self.rest_vertices.to(controls), self.basis.to(controls), change)
 
 
 def _check_controls(rig: str, controls: Sequence[Control]) -> None:

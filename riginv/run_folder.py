@@ -8,6 +8,7 @@
 """
 
 import datetime
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from riginv.files import write_text
 
 CONFIG, METRICS, CHECKPOINT, BUNDLE = "config.yaml", "metrics.json", "checkpoints/last.ckpt", "bundle"
 NOT_PART_OF_A_RUN = ("resume",)
+TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
+LONGEST = 120  # characters of a folder's name
 
 
 @dataclass(frozen=True)
@@ -87,27 +90,31 @@ def plain_config(config: DictConfig) -> dict[str, Any]:
 
 def discard_if_empty(path: Path) -> None:
     """Remove a folder that a run was to use and did not."""
-    if path.is_dir() and not any(path.iterdir()):
+    if path.is_dir() and not any(path.iterdir()) and path.resolve() != Path.cwd():
         path.rmdir()
 
 
-def register_run_folder_resolver() -> None:
-    """Let configs say `${run_folder:resume,name,arguments}`: a new folder, or the one to resume."""
+def register_folder_resolvers() -> None:
+    """Let configs say `${run_folder:resume,name,arguments}` and `${folder_name:text}`."""
     OmegaConf.register_new_resolver("run_folder", default_run_folder, replace=True, use_cache=True)
+    OmegaConf.register_new_resolver("folder_name", folder_name, replace=True)
 
 
 def default_run_folder(resume: bool, name: str, arguments: str) -> str:
-    """`runs/NAME/TIME ARGUMENTS`; with `resume` the latest unfinished one of the same name and arguments, if there is one."""
-    parent, ending = Path("runs") / name, f" {arguments}" if arguments else ""
+    """`runs/NAME/TIME_ARGUMENTS`; with `resume` the latest unfinished one of the same name and arguments, if there is one."""
+    parent, ending = Path("runs") / folder_name(name), f"_{folder_name(arguments)}" if arguments else ""
     if resume:
-        same = [path for path in parent.glob("*") if path.name[len(TIME_SHAPE) :] == ending and (path / CONFIG).is_file()]
-        unfinished = sorted(path for path in same if not (path / METRICS).is_file())
-        if unfinished or same:
-            return str((unfinished or sorted(same))[-1])
+        same = sorted(path for path in parent.glob("*") if path.name[TIME_LENGTH:] == ending and (path / CONFIG).is_file())
+        unfinished = [path for path in same if not (path / METRICS).is_file()]
+        if same:
+            return str((unfinished or same)[-1])
     return str(parent / (datetime.datetime.now().strftime(TIME) + ending))
 
 
-TIME, TIME_SHAPE = "%Y-%m-%d_%H-%M-%S", "2026-01-01_00-00-00"
+def folder_name(text: str) -> str:
+    """A text as the name of one folder: no separators, not too long, still unlike that of another text."""
+    name = text.replace("/", "_").replace("\\", "_")
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 9]}~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:

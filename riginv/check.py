@@ -1,0 +1,36 @@
+"""python -m riginv.check: does a rig keep the contract?"""
+
+import sys
+
+from omegaconf import DictConfig
+from rich.console import Console
+
+from riginv.build import build
+from riginv.command import command
+from riginv.rig_contract import ContractError, contract
+from riginv.run_folder import plain_config
+from riginv.validation import validate
+
+
+def check(config: DictConfig) -> None:
+    """Go through the contract clause by clause, and exit with 1 where one does not hold."""
+    plain = plain_config(config)
+    validate(plain)
+    rig = build(plain["rig"])
+    console, broken = Console(), 0
+    console.print(
+        f"rig [bold]{rig.name}[/]: {len(rig.controls)} controls, {len(rig.rest_vertices):,} vertices, {len(rig.faces):,} faces"
+    )
+    for clause, holds in contract(rig, plain["seed"]):
+        try:
+            holds()
+            console.print(f"  [green]holds[/]   {clause}")
+        except ContractError as error:
+            broken += 1
+            console.print(f"  [red]broken[/]  {clause}\n          {error}", highlight=False)
+    if broken:
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    command("check")(check)()

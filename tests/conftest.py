@@ -1,0 +1,98 @@
+"""Rigs built once, and command lines run within the test's process."""
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import torch
+from hydra.core.global_hydra import GlobalHydra
+
+from riginv import check, evaluate, train
+from riginv.command import command
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from rigs.face import FaceRig
+from tests.toys import ToyRig
+
+ROOT = Path(__file__).parent.parent
+COMMANDS = {"train": train.train, "evaluate": evaluate.evaluate, "check": check.check}
+SMALL = [
+    "rig=toy",
+    f"--config-dir={ROOT / 'tests/conf'}",
+    "model.network.hidden=[32]",
+    "trainer.max_steps=12",
+    "trainer.log_every_n_steps=1",
+    "data.steps_per_epoch=6",
+    "data.batch_size=8",
+    "judging.test_poses=20",
+    "judging.validation_poses=4",
+    "checkpoint.every_n_steps=5",
+    "pictures.every_n_validations=null",
+]
+
+
+@dataclass
+class Outcome:
+    """What a command line did: its exit code, all it printed, and the folder it was given."""
+
+    code: int
+    text: str
+    folder: Path
+
+    @property
+    def metrics(self) -> dict:
+        return json.loads((self.folder / "metrics.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def face() -> FaceRig:
+    return FaceRig()
+
+
+@pytest.fixture(scope="session")
+def face_in_space(face: FaceRig) -> RigInMeshSpace:
+    return RigInMeshSpace(face, MeshSpace.from_rig(face))
+
+
+@pytest.fixture(scope="session")
+def toy() -> RigInMeshSpace:
+    rig = ToyRig()
+    return RigInMeshSpace(rig, MeshSpace.from_rig(rig))
+
+
+@pytest.fixture
+def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
+    """Run a command line as `python -m riginv.NAME` would, small unless told otherwise, in a folder of its own."""
+
+    def run_command(name: str, *arguments: str, small: bool = True, folder: str = "run") -> Outcome:
+        target = tmp_path / folder
+        given = [*(SMALL if small and name == "train" else []), *arguments]
+        if not any(argument.startswith(("hydra.run.dir", "hydra.sweep.dir")) for argument in given) and name != "check":
+            given.append(f"hydra.run.dir={target}")
+        monkeypatch.setattr(sys, "argv", [f"riginv.{name}", *given])
+        monkeypatch.chdir(tmp_path)
+        capfd.readouterr()
+        GlobalHydra.instance().clear()
+        code = 0
+        try:
+            command(name)(COMMANDS[name])()
+        except SystemExit as stop:
+            code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+        finally:
+            torch.use_deterministic_algorithms(False)
+        out, err = capfd.readouterr()
+        return Outcome(code, out + err, target)
+
+    return run_command
+
+
+@pytest.fixture(scope="session")
+def capture_file() -> Path:
+    """The shared captured clip; tests that need it are skipped where it is absent."""
+    path = Path(os.environ.get("RIGINV_SHARED", ROOT.parent / "shared")) / "capture/live_link_face_rom.csv"
+    if not path.is_file():
+        pytest.skip(f"the captured clip is not here: {path}")
+    return path
