@@ -130,6 +130,7 @@ def build_trainer(config: Config, folder: RunFolder) -> tuple[L.Trainer, Trainin
             num_sanity_val_steps=0,
             inference_mode=False,  # a staged network asks the rig for gradients when it is used, too
         )
-    except (MisconfigurationException, ValueError, TypeError) as error:
-        raise InputError(f"trainer.accelerator={arguments['accelerator']}, devices={arguments['devices']}: {error}") from None
+    except (MisconfigurationException, ImportError, ValueError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"trainer.accelerator={arguments['accelerator']} cannot be used here: {reason}") from None
     return trainer, clock

@@ -1,26 +1,22 @@
 """What every command line shares: Hydra composes the config, and a user's mistake ends in one sentence."""
 
-import difflib
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
 from hydra.types import RunMode
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
-from riginv.errors import InputError, NonFiniteLossError
+from riginv.errors import InputError
+from riginv.explain import CONFIGS, explain
 from riginv.quiet import hush
 from riginv.run_folder import discard_if_empty, register_folder_resolvers
 
-PACKAGE = Path(__file__).parent
-CONFIGS = PACKAGE / "conf" if (PACKAGE / "conf").is_dir() else PACKAGE.parent / "conf"  # installed, or in a checkout
 FAILURE = "failure.txt"
 OPTIONS_WITH_VALUES = (
     "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
@@ -37,15 +33,15 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             hush()
             register_folder_resolvers()
             sys.argv[1:] = [true_rig_choice(argument) for argument in options_first(sys.argv[1:])]
-            job = _Job(task)
+            job = _Job(task, config_name)
             try:
                 hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
             except Exception as error:
-                _stop(error)
+                _stop(error, config_name)
             if job.error is not None:
-                _stop(job.error)
+                _stop(job.error, config_name)
             if job.failed:
-                _stop(InputError(f"{len(job.failed)} of {job.count} jobs failed; each says why in {FAILURE} in its folder"))
+                _stop(InputError(f"{len(job.failed)} of {job.count} jobs failed; each says why in {FAILURE} in its folder"), config_name)
 
         return main
 
@@ -76,8 +72,8 @@ class _Job:
     In a sweep a job that fails by a user's mistake says why and lets the others go on; the table at the end counts it.
     """
 
-    def __init__(self, task: Callable[[DictConfig], None]) -> None:
-        self.task = task
+    def __init__(self, task: Callable[[DictConfig], None], config_name: str) -> None:
+        self.task, self.config_name = task, config_name
         self.error: Exception | None = None
         self.count, self.failed = 0, []
 
@@ -88,7 +84,7 @@ class _Job:
             self.task(config)
         except Exception as error:
             discard_if_empty(folder)
-            message = explain(error)
+            message = explain(error, self.config_name)
             if message is None or HydraConfig.get().mode != RunMode.MULTIRUN:
                 self.error = error
                 return
@@ -103,44 +99,9 @@ def run_directory() -> Path:
     return Path(HydraConfig.get().runtime.output_dir)
 
 
-def explain(error: BaseException) -> str | None:
-    """The sentence that a user needs, or None for a fault of ours."""
-    for cause in _causes(error):
-        if isinstance(cause, InputError | NonFiniteLossError):
-            return str(cause)
-    for cause in _causes(error):
-        if isinstance(cause, MissingConfigException):
-            return _unknown_choice(cause)
-        if isinstance(cause, OverrideParseException):
-            return f"cannot read the argument '{cause.override}': expected key=value"
-        if isinstance(cause, ConfigCompositionException | HydraException | OmegaConfBaseException):
-            return " ".join(str(_deepest(cause)).split("\n")[0].split())
-    return None
-
-
-def _stop(error: Exception) -> None:
-    message = explain(error)
+def _stop(error: Exception, config_name: str) -> None:
+    message = explain(error, config_name)
     if message is None:
         raise error
     Console(stderr=True).print("[bold red]error:[/]", message, highlight=False, soft_wrap=True)
     sys.exit(1)
-
-
-def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
-
-
-def _deepest(error: BaseException) -> BaseException:
-    return list(_causes(error))[-1]
-
-
-def _unknown_choice(error: MissingConfigException) -> str:
-    missing = error.missing_cfg_file or ""
-    name = (missing if isinstance(missing, str) else "/".join(missing)).split("/")
-    group, choice = "/".join(name[:-1]), name[-1]
-    options = sorted(error.options or [])
-    near = difflib.get_close_matches(choice, options, n=3, cutoff=0.4)
-    hint = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"{group}={choice}: there is no such {group or 'config'}; {hint}Known: {', '.join(options)}"

@@ -83,15 +83,23 @@ def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool) -> R
 
 
 def plain_config(config: DictConfig) -> dict[str, Any]:
-    """The resolved config as plain values, without what may differ between two starts of one run."""
+    """The resolved config as plain values, without what may differ between two starts of one run.
+
+    Raises:
+        InputError: a value that must be given is not.
+    """
+    for key in sorted(OmegaConf.missing_keys(config)):
+        raise InputError(f"{key} must be given: add {key}=...")
     plain = OmegaConf.to_container(config, resolve=True)
     return {key: value for key, value in plain.items() if key not in NOT_PART_OF_A_RUN}
 
 
 def discard_if_empty(path: Path) -> None:
-    """Remove a folder that a run was to use and did not."""
-    if path.is_dir() and not any(path.iterdir()) and path.resolve() != Path.cwd():
-        path.rmdir()
+    """Remove a folder that a run was to use and did not, and those made for it."""
+    for folder in (path, *path.parents):
+        if not folder.is_dir() or any(folder.iterdir()) or folder.resolve() == Path.cwd():
+            return
+        folder.rmdir()
 
 
 def register_folder_resolvers() -> None:

@@ -15,19 +15,19 @@ SETS = {
 }
 COLUMNS = (
     ("mean_vertex_error_mm", "mean\nerror"),
-    ("neutral_mean_vertex_error_mm", "predicting\nneutral"),
-    ("mean_of_max_vertex_error_mm", "worst vertex,\nmean"),
-    ("max_vertex_error_mm", "worst\nvertex"),
+    ("neutral_mean_vertex_error_mm", "neutral's\nerror"),
+    ("mean_of_max_vertex_error_mm", "worst vertex\non average"),
+    ("max_vertex_error_mm", "worst\nof all"),
 )
 
 
 def print_results(metrics: Mapping[str, float], title: str, judge: str, notes: Sequence[str] = ()) -> None:
     """Show a model's metrics, one row for each test set, and who judged."""
-    table = Table(title=f"{title}: vertex errors in mm", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    table.add_column("judged on")
+    table = Table(title=f"{title}: vertex errors in mm", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("judged on", no_wrap=True)
     for _, heading in COLUMNS:
         table.add_column(heading, justify="right")
-    table.add_column("share of\nneutral", justify="right")
+    table.add_column("share\nleft", justify="right")
     table.add_column("roughness", justify="right")
     for name in sets_of(metrics):
         values = [metrics[f"{name}/{key}"] for key, _ in COLUMNS]
@@ -41,7 +41,12 @@ def print_results(metrics: Mapping[str, float], title: str, judge: str, notes: S
         title, meaning = SETS.get(name, (name, ""))
         console.print(f"  [bold]{title}[/]: {meaning}", highlight=False, soft_wrap=True)
     console.print(f"  Judged by the true rig, [bold]{judge}[/], which was given the controls.", highlight=False, soft_wrap=True)
-    console.print("  Roughness: mean squared second difference of the curves.", highlight=False, soft_wrap=True)
+    console.print(
+        "  Neutral's error: what predicting the neutral face would cost; share left: of that. "
+        "Roughness: mean squared second difference of the curves.",
+        highlight=False,
+        soft_wrap=True,
+    )
     console.print()
     for note in notes:
         console.print(f"  {note}", soft_wrap=True, highlight=False, markup=False)

@@ -54,7 +54,7 @@ def show(folder: RunFolder) -> None:
     steps, seconds = metrics["train/steps"], metrics["train/seconds"]
     print_results(
         metrics,
-        f"{folder.config['model']['_target_'].rpartition('.')[2]} after {steps:,} steps in {seconds / 60:.1f} minutes",
+        f"{steps:,} steps in {seconds / 60:.1f} minutes",
         metrics["true_rig"],
         notes=[
             f"The trained model:  {folder.path / BUNDLE}",

@@ -1,6 +1,5 @@
 """Numbers in a config that cannot be meant: said before any work starts."""
 
-import difflib
 import math
 from collections.abc import Callable
 from fnmatch import fnmatch
@@ -28,8 +27,9 @@ RULES: dict[str, Check] = {
     "noise.radius_mm": POSITIVE,
     "noise.*": NOT_NEGATIVE,
     "trainer.max_steps": AT_LEAST_1,
-    "trainer.devices": AT_LEAST_1,
+    "trainer.devices": ("1: training on several devices is not there yet", lambda value: value == 1),
     "trainer.log_every_n_steps": AT_LEAST_1,
+    "model.cpu_steps": AT_LEAST_1,
     "model.optimizer.lr": POSITIVE,
     "model.optimizer.weight_decay": NOT_NEGATIVE,
     "model.network.hidden": WIDTHS,
@@ -57,12 +57,6 @@ def validate(config: dict[str, Any]) -> None:
         expected, holds = check
         if not holds(value):
             raise InputError(f"{key} is {value!r}, expected {expected}")
-
-
-def nearest(word: str, words: list[str]) -> str:
-    """A hint at the names nearest to a mistyped one, or nothing."""
-    near = difflib.get_close_matches(word, words, n=3, cutoff=0.4)
-    return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def _leaves(value: Any, prefix: str = "") -> list[tuple[str, Any]]:
