@@ -11,7 +11,6 @@ from riginv.build import OURS, build, class_of, factory
 from riginv.callbacks.pictures import PosePictures
 from riginv.callbacks.progress import TrainingProgress
 from riginv.callbacks.saving import AtomicCheckpoints, SaveLast, TrainingClock
-from riginv.callbacks.stopping import StopBelowLearningRate
 from riginv.clips.live_link import live_link_clip
 from riginv.clips.performance import simulated_performance
 from riginv.data.mesh_sets import MeshSet
@@ -19,7 +18,7 @@ from riginv.data.poses import PoseDataModule
 from riginv.data.test_sets import random_poses, random_sets, watched
 from riginv.errors import InputError
 from riginv.judge import check_same_controls
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
 from riginv.rig import LinearRig, RigBackend
 from riginv.run_folder import RunFolder
@@ -70,7 +69,9 @@ def build_module(config: Config, rig: RigInMeshSpace) -> RigModule:
     module_class = class_of(model.pop("_target_"))
     network = build(model["network"], rig if module_class.kind == "inverse" else rig.rig)
     losses = [build(model["loss"], rig.space.vertex_count)] if "loss" in model else []
-    return module_class(rig, network, *losses, factory(model["optimizer"]), factory(model["schedule"]))
+    module = module_class(rig, network, *losses, factory(model["optimizer"]), factory(model["schedule"]))
+    module.stop_below_lr = config["stop_below_lr"]
+    return module
 
 
 def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:
@@ -112,8 +113,6 @@ def build_trainer(config: Config, folder: RunFolder) -> tuple[L.Trainer, Trainin
     ]
     if config["pictures"]["every_n_validations"]:
         callbacks.append(PosePictures(config["pictures"]["every_n_validations"]))
-    if config["stop_below_lr"]:
-        callbacks.append(StopBelowLearningRate(config["stop_below_lr"]))
     arguments = dict(config["trainer"])
     arguments["max_steps"] = -1 if arguments["max_steps"] is None else arguments["max_steps"]
     try:

@@ -64,7 +64,9 @@ def class_of(target: Any, only: tuple[str, ...] | None = None) -> type:
         raise InputError(f"a config must name a class as _target_: package.module.Class, found {target!r}")
     package = target.partition(".")[0]
     if only is not None and package not in only:
-        raise InputError(f"{target} is not allowed here: only classes of {', '.join(only)} are; if you trust it, name the rig yourself")
+        raise InputError(
+            f"{target} is not allowed here: only classes of {', '.join(only)} are; if you trust it, name the rig yourself"
+        )
     module_name, _, name = target.rpartition(".")
     try:
         found = getattr(importlib.import_module(module_name), name)

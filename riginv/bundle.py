@@ -1,10 +1,10 @@
 """Bundles: a trained model as a folder of files that load without running code.
 
-    bundle.yaml            what it is: kind, network, rig (its config and its controls), training
-    weights.safetensors    the network's weights
-    space.safetensors      the mesh space: rest vertices, frame, faces; the linear map from coefficients
-    rig/                   only of an inverse that was trained through a surrogate: that surrogate's bundle
-    SHA256SUMS             of all of these, as `sha256sum -c` reads it
+bundle.yaml            what it is: kind, network, rig (its config and its controls), training
+weights.safetensors    the network's weights
+space.safetensors      the mesh space: rest vertices, frame, faces; the linear map from coefficients
+rig/                   only of an inverse that was trained through a surrogate: that surrogate's bundle
+SHA256SUMS             of all of these, as `sha256sum -c` reads it
 """
 
 import shutil
@@ -146,4 +146,6 @@ def _check_file(folder: Path, name: str, expected: str) -> None:
     if not path.is_file():
         raise InputError(f"{path}: missing from the bundle; copy the whole folder, or train it again")
     if sha256(path) != expected:
-        raise InputError(f"{path}: truncated or altered since it was written (SHA-256 differs); copy it again, or train it again")
+        raise InputError(
+            f"{path}: truncated or altered since it was written (SHA-256 differs); copy it again, or train it again"
+        )

@@ -18,9 +18,7 @@ from riginv.quiet import hush
 from riginv.run_folder import discard_if_empty, register_folder_resolvers
 
 FAILURE = "failure.txt"
-OPTIONS_WITH_VALUES = (
-    "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
-)
+OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
 
 
 def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
@@ -41,7 +39,10 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             if job.error is not None:
                 _stop(job.error, config_name)
             if job.failed:
-                _stop(InputError(f"{len(job.failed)} of {job.count} jobs failed; each says why in {FAILURE} in its folder"), config_name)
+                _stop(
+                    InputError(f"{len(job.failed)} of {job.count} jobs failed; each says why in {FAILURE} in its folder"),
+                    config_name,
+                )
 
         return main
 

@@ -1,9 +1,9 @@
 """A trained inverse, ready for use: meshes in, controls out.
 
-    from riginv.inverse import load_inverse
+from riginv.inverse import load_inverse
 
-    inverse = load_inverse("runs/face-inverse/2026-11-22_10-00-00/bundle")
-    controls = inverse(vertices)  # (frame, 8447, 3) in mm -> (frame, 137)
+inverse = load_inverse("runs/face-inverse/2026-11-22_10-00-00/bundle")
+controls = inverse(vertices)  # (frame, 8447, 3) in mm -> (frame, 137)
 """
 
 from pathlib import Path

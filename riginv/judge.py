@@ -21,8 +21,8 @@ def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, mesh
         invert: meshes `(batch, vertex, 3)`, mm, to controls `(batch, control)`.
 
     Returns:
-        By `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (what predicting neutral would cost), and for a
-        clip `roughness`.
+        By `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (what predicting neutral would cost), and
+        for a clip `roughness`.
     """
     found, neutral, curves = VertexError(), VertexError(), []
     for _, vertices in mesh_set.pieces(PIECE):

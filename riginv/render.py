@@ -26,7 +26,9 @@ class Camera:
         extent = np.abs((points - self.middle) @ self.rotation.T).max(axis=0)
         self.half_height = 1.1 * max(extent[1], extent[0] * size[1] / size[0])
 
-    def picture(self, vertices: Tensor, faces: Tensor, colors: Tensor | np.ndarray | None = None, smooth: int = 2) -> Image.Image:
+    def picture(
+        self, vertices: Tensor, faces: Tensor, colors: Tensor | np.ndarray | None = None, smooth: int = 2
+    ) -> Image.Image:
         """A picture of one mesh.
 
         Args:
@@ -40,7 +42,9 @@ class Camera:
         mesh = trimesh.Trimesh(points, triangles, process=False)
         width, height = self.size[0] * smooth, self.size[1] * smooth
         origin, directions = self._rays(width, height)
-        where, ray, face = mesh.ray.intersects_location(np.broadcast_to(origin, directions.shape), directions, multiple_hits=False)
+        where, ray, face = mesh.ray.intersects_location(
+            np.broadcast_to(origin, directions.shape), directions, multiple_hits=False
+        )
         image = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
         if len(ray):
             weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], where)[..., None]

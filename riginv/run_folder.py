@@ -1,10 +1,10 @@
 """A run's folder: never overwritten silently, and found again by the command that made it.
 
-    config.yaml            the resolved config
-    checkpoints/last.ckpt  where training stood last
-    events.*, hparams.yaml TensorBoard's
-    bundle/                the trained model
-    metrics.json           how good it is; written last: a folder that has it is finished
+config.yaml            the resolved config
+checkpoints/last.ckpt  where training stood last
+events.*, hparams.yaml TensorBoard's
+bundle/                the trained model
+metrics.json           how good it is; written last: a folder that has it is finished
 """
 
 import datetime

@@ -7,7 +7,10 @@ from rich.console import Console
 from rich.table import Table
 
 SETS = {
-    "random_combinations": ("random combinations", "blendshapes combined at random, as in the paper: mostly out of the rig's reach"),
+    "random_combinations": (
+        "random combinations",
+        "blendshapes combined at random, as in the paper: mostly out of the rig's reach",
+    ),
     "rig_poses": ("rig poses", "random poses of the rig, as in the paper"),
     "capture": ("capture", "the captured performance that was given"),
     "simulated_performance": ("simulated performance", "no clip was given: capture=TAKE.csv judges a Live Link Face recording"),
@@ -23,7 +26,13 @@ COLUMNS = (
 
 def print_results(metrics: Mapping[str, float], title: str, judge: str, notes: Sequence[str] = ()) -> None:
     """Show a model's metrics, one row for each test set, and who judged."""
-    table = Table(title=f"{title}: vertex errors in mm", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(
+        title=f"{title}: vertex errors in mm",
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
     table.add_column("judged on", no_wrap=True)
     for _, heading in COLUMNS:
         table.add_column(heading, justify="right")

@@ -13,7 +13,10 @@ AT_LEAST_1: Check = ("a whole number of at least 1", lambda value: _is_whole(val
 AT_LEAST_0: Check = ("a whole number of at least 0", lambda value: _is_whole(value) and value >= 0)
 POSITIVE: Check = ("a finite number above 0", lambda value: _is_number(value) and value > 0)
 NOT_NEGATIVE: Check = ("a finite number of at least 0", lambda value: _is_number(value) and value >= 0)
-WIDTHS: Check = ("a list of whole numbers of at least 1", lambda value: isinstance(value, list) and all(AT_LEAST_1[1](v) for v in value))
+WIDTHS: Check = (
+    "a list of whole numbers of at least 1",
+    lambda value: isinstance(value, list) and all(AT_LEAST_1[1](v) for v in value),
+)
 BOOLEAN: Check = ("true or false", lambda value: isinstance(value, bool))
 
 # Key in the resolved config (with wildcards) -> what it must be; null is allowed where a default says so.
@@ -34,12 +37,13 @@ RULES: dict[str, Check] = {
     "model.optimizer.weight_decay": NOT_NEGATIVE,
     "model.network.hidden": WIDTHS,
     "model.network.stages": AT_LEAST_1,
-    "model.network.hats": AT_LEAST_1,
     "sampler*.most": AT_LEAST_1,
     "sampler*.faint": NOT_NEGATIVE,
     "sampler.shares.*": NOT_NEGATIVE,
     "checkpoint.*": AT_LEAST_1,
     "pictures.*": AT_LEAST_1,
+    "random_poses": AT_LEAST_0,
+    "columns": AT_LEAST_1,
 }
 MAY_BE_NULL = ("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations")
 

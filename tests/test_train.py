@@ -48,8 +48,10 @@ def test_tensorboard_shows_losses_errors_rates_pictures_and_hparams(run):
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_does_not(run):
-    weights = [load_file(run("train", f"seed={seed}", folder=name).folder / "bundle/weights.safetensors")
-               for seed, name in ((0, "a"), (0, "b"), (1, "c"))]
+    weights = [
+        load_file(run("train", f"seed={seed}", folder=name).folder / "bundle/weights.safetensors")
+        for seed, name in ((0, "a"), (0, "b"), (1, "c"))
+    ]
     assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
     assert not all(torch.equal(weights[0][key], weights[2][key]) for key in weights[0])
 

@@ -27,7 +27,7 @@ class ToyRig(LinearRig):
         weight = torch.exp(-0.5 * (torch.cdist(centres, rest) / 25) ** 2)
         shapes = weight[..., None] * torch.randn(SHAPES, 1, 3, generator=generator_at(1, "toy")) * 6
         members = torch.tensor([[0, 1, -1], [2, 3, -1], [4, 5, -1], [0, 2, 4]])
-        repairs = -0.4 * shapes[members[:, 0]] - 0.3 * shapes[members[:, 1]]
+        repairs = -0.5 * shapes[members[:, 0]] * weight[members[:, 1], :, None]
         controls = [Control(f"bump{number}") for number in range(5)]
         controls += [Control("side", lower=-1.0), Control(last_name)]
         names = [f"shape{number}" for number in range(SHAPES)] + [f"repair{number}" for number in range(COMBINATIONS)]

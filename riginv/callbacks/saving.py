@@ -45,7 +45,10 @@ class SaveLast(L.Callback):
     def on_exception(self, trainer: L.Trainer, module: L.LightningModule, exception: BaseException) -> None:
         if isinstance(exception, KeyboardInterrupt):
             saved = f"saved up to step {self.saved_step}" if self.saved_step else "nothing saved yet"
-            print(f"\nStopped at step {trainer.global_step}, {saved}; go on with the same command plus resume=true", file=sys.stderr)
+            print(
+                f"\nStopped at step {trainer.global_step}, {saved}; go on with the same command plus resume=true",
+                file=sys.stderr,
+            )
 
     def _save(self, trainer: L.Trainer) -> None:
         if trainer.global_step != self.saved_step:

@@ -71,20 +71,24 @@ def live_link_clip(path: str | Path, rig: RigBackend, name: str = "capture") -> 
     Raises:
         InputError: as `read_live_link`; or the rig lacks a shape that the file moves, or the file lacks one of the rig's.
     """
-    shapes = rig.arkit_deltas()
+    recording, shapes = read_live_link(path), rig.arkit_deltas()
     if not shapes:
         raise InputError(f"{path}: rig '{rig.name}' has no ARKit shapes that a Live Link Face recording could move")
-    recording = read_live_link(path)
     missing = [shape for shape in shapes if shape not in recording.names]
     if missing:
-        columns = ", ".join(shape[0].upper() + shape[1:] for shape in missing[:4])
+        columns = ", ".join(_column(shape) for shape in missing[:4])
         raise InputError(f"{path}: {len(missing)} of the {len(shapes)} ARKit columns are missing, the first: {columns}")
-    unknown = [shape for shape in recording.names if shape not in shapes and recording.weights.T[recording.names.index(shape)].any()]
-    if unknown:
-        raise InputError(f"{path}: column {unknown[0]!r} moves, but rig '{rig.name}' has no ARKit shape of that name")
+    for shape, curve in zip(recording.names, recording.weights.T):
+        if shape not in shapes and curve.any():
+            raise InputError(f"{path}: column {_column(shape)} moves, but rig '{rig.name}' has no ARKit shape of that name")
     order = [recording.names.index(shape) for shape in shapes]
     deltas = torch.stack(list(shapes.values()))
     return WeightedShapes(name, rig.rest_vertices, deltas, recording.weights[:, order].to(rig.dtype), recording.fps)
+
+
+def _column(shape: str) -> str:
+    """The column of an ARKit shape: `jawOpen` stands as JawOpen."""
+    return shape[0].upper() + shape[1:]
 
 
 def _rows(path: Path) -> list[list[str]]:

@@ -5,6 +5,7 @@ the left handle of the second. Finding the value at x means solving X(t) = x and
 keeps its end values. Handles that overlap are shortened first, as Blender and Maya do, so that X is monotone.
 """
 
+import itertools
 from typing import NamedTuple
 
 import torch
@@ -38,9 +39,9 @@ def pack_curves(curves: list[Curve]) -> Tensor:
     """
     rows = []
     for number, curve in enumerate(curves):
-        if len(curve) < 2 or any(a.x >= b.x for a, b in zip(curve, curve[1:])):
+        if len(curve) < 2 or any(a.x >= b.x for a, b in itertools.pairwise(curve)):
             raise ValueError(f"curve {number} needs at least two keys with ascending x, found x = {[key.x for key in curve]}")
-        rows.append([_segment(a, b) for a, b in zip(curve, curve[1:])])
+        rows.append([_segment(a, b) for a, b in itertools.pairwise(curve)])
     longest = max(len(row) for row in rows)
     return torch.tensor([row + [[torch.inf] + [0.0] * 8] * (longest - len(row)) for row in rows], dtype=torch.float64)
 
@@ -63,7 +64,8 @@ def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
         segments = table[:, 0]
     else:
         index = (x.detach()[..., None] >= starts[:, 1:]).sum(dim=-1)
-        segments = table[torch.arange(len(table), device=table.device), index]
+        row = torch.arange(len(table), device=table.device) * table.shape[1] + index
+        segments = table.flatten(0, 1).index_select(0, row.flatten()).unflatten(0, row.shape)
     start, width, a, b, c, d, e, f, g = segments.unbind(-1)
     t = _solve(a, b, c, (x - start) / width)
     return ((d * t + e) * t + f) * t + g
@@ -85,9 +87,7 @@ def _solve(a: Tensor, b: Tensor, c: Tensor, target: Tensor) -> Tensor:
             newton = t - error / ((a3 * t + b2) * t + c)
             t = torch.where((newton >= low) & (newton <= high), newton, (low + high) / 2)
         slope = ((a3 * t + b2) * t + c).clamp_min(torch.finfo(t.dtype).eps)
-        value = ((a * t + b) * t + c) * t
-    # One more Newton step, which carries the exact derivative dt/dx = 1 / X'(t).
-    return (t - (value - target) / slope).clamp(0, 1)
+    return t + (target - target.detach()) / slope  # the solution, with its derivative dt/dx = 1 / X'(t)
 
 
 def _segment(start: Key, end: Key) -> list[float]:

@@ -31,9 +31,11 @@ class RigModule(L.LightningModule, ABC):
 
     Attributes:
         kind: of bundle that it makes: `inverse` (meshes to controls) or `forward` (a surrogate).
+        stop_below_lr: training ends once the schedule has brought the learning rate below this (paper: 1e-6); None: never.
     """
 
     kind = "inverse"
+    stop_below_lr: float | None = None
 
     def __init__(
         self, rig: RigInMeshSpace, network: nn.Module, make_optimizer: OptimizerFactory, make_schedule: ScheduleFactory
@@ -55,6 +57,11 @@ class RigModule(L.LightningModule, ABC):
         plateau = isinstance(schedule, ReduceLROnPlateau)
         how = {"interval": "epoch", "monitor": "train/epoch_loss"} if plateau else {"interval": "step"}
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, **how}}
+
+    def lr_scheduler_step(self, scheduler: LRScheduler | ReduceLROnPlateau, metric: Tensor | None) -> None:
+        super().lr_scheduler_step(scheduler, metric)
+        if self.stop_below_lr is not None and all(rate < self.stop_below_lr for rate in scheduler.get_last_lr()):
+            self.trainer.should_stop = True
 
     def learn(self, loss: Tensor, coordinates: Tensor, target: Tensor) -> Tensor:
         """Log a training step's loss and error, and return the loss.
@@ -88,4 +95,6 @@ class RigModule(L.LightningModule, ABC):
     def on_validation_epoch_end(self) -> None:
         for name, error in zip(self.validation_names, self.errors):
             for key, value in error.compute().items():
-                self.log(f"val/{name}/{key}", value.float(), prog_bar=key.startswith("mean_v") and name != "random_combinations")
+                self.log(
+                    f"val/{name}/{key}", value.float(), prog_bar=key.startswith("mean_v") and name != "random_combinations"
+                )

@@ -17,7 +17,7 @@ START_GAIN = 0.3  # of the last layer: answers start close to neutral
 
 
 class Answer(NamedTuple):
-    """One attempt at the controls `(batch, control)`, and the mesh coordinates `(batch, coordinate)` that the rig makes of it."""
+    """One attempt at the controls `(batch, control)`, and what the rig makes of it, `(batch, coordinate)`."""
 
     controls: Tensor
     coordinates: Tensor
@@ -122,7 +122,12 @@ class StagedInverse(InverseNetwork):
                 error = result[-1].coordinates - coordinates
                 gradient = self._gradient(raw, error)
                 before = raw.detach()
-                seen = [scaled, -error.detach() / self.coordinate_scale, gradient / self.gradient_scale, torch.tanh(0.3 * before)]
+                seen = [
+                    scaled,
+                    -error.detach() / self.coordinate_scale,
+                    gradient / self.gradient_scale,
+                    torch.tanh(0.3 * before),
+                ]
                 raw = before + stage(torch.cat(seen, dim=1))
             if not raw.requires_grad:
                 raw = raw.requires_grad_()

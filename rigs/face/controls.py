@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from riginv.geometry.curves import Curve, Key
 from riginv.rig import Control
-from rigs.face.shapes import ARKIT_NAMES, ARKIT_SPLIT, MORPHS_SPLIT, UNITS_SPLIT, UNITS_WHOLE
+from rigs.face.shapes import ARKIT_NAMES, ARKIT_SPLIT, UNITS_SPLIT, UNITS_WHOLE
 
 SIDES = ("Left", "Right")
 
@@ -57,7 +57,16 @@ MACROS = {
     "anger": {"browDown{side}": 0.9, "noseSneer{side}": 0.6, "lidSlit{side}": 0.4, "mouthPress{side}": 0.5},
 }
 
-SINGLE_SIDED = ("lidSlit", "browInnerRaise", "browOuterRaise", "nostrilFlare", "noseWrinkle", "cheekSuck", "cheekRaise", "eyeBag")
+SINGLE_SIDED = (
+    "lidSlit",
+    "browInnerRaise",
+    "browOuterRaise",
+    "nostrilFlare",
+    "noseWrinkle",
+    "cheekSuck",
+    "cheekRaise",
+    "eyeBag",
+)
 
 # The style of a control's curve, by the beginning of the name of the shape that it drives; the first that fits.
 STYLE_OF = {

@@ -21,7 +21,9 @@ class InBetween(NamedTuple):
     deltas: np.ndarray
 
 
-def build_inbetweens(primaries: dict[str, np.ndarray], rest: np.ndarray, normals: np.ndarray, mesh: FaceMesh) -> list[InBetween]:
+def build_inbetweens(
+    primaries: dict[str, np.ndarray], rest: np.ndarray, normals: np.ndarray, mesh: FaceMesh
+) -> list[InBetween]:
     """One in-between for each primary shape, and a second one for those whose paths bend the most.
 
     Args:
@@ -76,8 +78,8 @@ def bump(place: float, count: int) -> Curve:
     third = 1 / 3
     first = [
         Key(0.0, 0.0, right=(third / 3, 0.6)),
-        Key(third, 1.0, left=(-third / 3, 0.0), right=(third / 2, 0.0)),
-        Key(2 * third, 0.0, left=(-third / 2, 0.0)),
+        Key(third, 1.0, left=(-third / 3, 0.0), right=(third / 3, 0.0)),
+        Key(2 * third, 0.0, left=(-third / 3, 0.0)),
     ]
     if place < 0.5:
         return first

@@ -130,6 +130,12 @@ def build_primaries(base: BaseMesh, mesh: FaceMesh) -> dict[str, np.ndarray]:
     return shapes
 
 
+def arkit_targets(base: BaseMesh, mesh: FaceMesh) -> dict[str, np.ndarray]:
+    """The deltas `(vertex, 3)`, mm, of the 52 ARKit shapes as their files have them, whole."""
+    folder = data_folder() / ARKIT_FOLDER
+    return {name: mesh.carrier @ read_target(folder / f"{name}.target", len(base.vertices)) for name in ARKIT_NAMES}
+
+
 def _unit_files(name: str) -> tuple[str, ...]:
     return tuple(f"{EXPRESSION_FOLDER}/{people}/{name}.target.gz" for people in UNIT_VERSIONS)
 

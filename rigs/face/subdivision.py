@@ -1,6 +1,7 @@
 """Loop subdivision as a sparse matrix, so that a hundred shapes are refined by one product, and only where wanted.
 
-(`trimesh.remesh.subdivide_loop` gives the same positions, one mesh at a time: a test compares the two.)
+(`trimesh.remesh.subdivide_loop` gives the same positions inside a mesh, one mesh at a time: a test compares the two. On a
+border it takes any neighbour on the border for one along it, which tears ragged edges.)
 """
 
 import numpy as np

@@ -1,0 +1,66 @@
+"""python -m riginv.contact_sheet: what a rig looks like, as one picture."""
+
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+from PIL import Image
+from rich.console import Console
+from torch import Tensor
+
+from riginv.build import build
+from riginv.command import command
+from riginv.errors import InputError
+from riginv.files import written_beside
+from riginv.render import Camera, grid
+from riginv.rig import RigBackend
+from riginv.run_folder import plain_config
+from riginv.sampling.controls import sparse_controls
+from riginv.sampling.seeds import generator_at
+from riginv.validation import validate
+
+
+def contact_sheet(config: DictConfig) -> None:
+    """Draw neutral, every named expression and random poses of a rig."""
+    plain = plain_config(config)
+    validate(plain)
+    out = Path(plain["out"])
+    if out.suffix.lower() != ".png":
+        raise InputError(f"out={out}: expected the name of a picture that ends in .png")
+    rig = build(plain["rig"])
+    poses = {"neutral": rig.neutral_controls, **named_poses(rig), **random_poses(rig, plain["random_poses"], plain["seed"])}
+    sheet = draw(rig, poses, plain["columns"], plain["turn_degrees"])
+    with written_beside(out) as beside:
+        sheet.save(beside, format="PNG", optimize=True)
+    Console().print(f"{out}: {len(poses)} poses of rig '{rig.name}'", highlight=False)
+
+
+def named_poses(rig: RigBackend) -> dict[str, Tensor]:
+    """The controls `(control,)` of a rig's named expressions."""
+    place = {name: number for number, name in enumerate(rig.control_names)}
+    poses = {}
+    for name, changes in rig.expressions().items():
+        poses[name] = rig.neutral_controls.clone()
+        for control, value in changes.items():
+            poses[name][place[control]] = value
+    return poses
+
+
+def random_poses(rig: RigBackend, count: int, seed: int) -> dict[str, Tensor]:
+    """Controls `(control,)` of the paper's random poses, named by how many leave neutral."""
+    limits = rig.lower, rig.upper, rig.neutral_controls
+    controls = sparse_controls(*limits, len(rig.controls), count, generator_at(seed, "contact sheet"))
+    active = (controls != rig.neutral_controls).sum(dim=1).tolist()
+    return {f"random {number}: {many} controls": row for number, (many, row) in enumerate(zip(active, controls), start=1)}
+
+
+@torch.no_grad()
+def draw(rig: RigBackend, poses: dict[str, Tensor], columns: int, turn_degrees: float) -> Image.Image:
+    """A grid of pictures of the poses `(control,)`, by name."""
+    camera, colors = Camera(rig.rest_vertices, turn_degrees), rig.vertex_colors()
+    pictures = [camera.picture(rig(controls[None])[0], rig.faces, colors) for controls in poses.values()]
+    return grid(pictures, list(poses), columns)
+
+
+if __name__ == "__main__":
+    command("contact_sheet")(contact_sheet)()

@@ -1,0 +1,60 @@
+"""Pictures show what they should."""
+
+import numpy as np
+import pytest
+import torch
+
+from riginv.render import BACKGROUND, GAMMA, Camera, grid, heat_colors
+from tests.toys import ToyRig
+
+
+def is_background(pixels: np.ndarray) -> np.ndarray:
+    return (np.abs(pixels - BACKGROUND ** (1 / GAMMA) * 255) < 2).all(axis=-1)
+
+
+def test_a_sphere_is_a_disc_in_the_middle():
+    toy = ToyRig()
+    picture = np.asarray(Camera(toy.rest_vertices, size=(120, 120)).picture(toy.rest_vertices, toy.faces))
+    filled = ~is_background(picture)
+    assert filled.mean() == pytest.approx(np.pi / 4 / 1.1**2, rel=0.08)  # its edge is blurred
+    rows, columns = np.nonzero(filled)
+    assert rows.mean() == pytest.approx(60, abs=1) and columns.mean() == pytest.approx(60, abs=1)
+
+
+def test_colours_are_those_of_the_vertices(face):
+    camera = Camera(face.rest_vertices, turn_degrees=0, size=(200, 240))
+    red = torch.zeros(8447, 3)
+    red[:, 0] = 0.8
+    picture = np.asarray(camera.picture(face.rest_vertices, face.faces, red)).astype(int)
+    filled = ~is_background(picture)
+    assert filled.mean() > 0.4
+    inside = picture[filled]
+    assert (inside[:, 0] > inside[:, 1] + 20).mean() > 0.95
+
+
+def test_a_moved_vertex_changes_the_picture_where_it_is(face):
+    camera = Camera(face.rest_vertices, turn_degrees=0, size=(200, 240))
+    controls = torch.zeros(1, 137)
+    controls[0, face.control_names.index("jawOpen")] = 1
+    before = np.asarray(camera.picture(face.rest_vertices, face.faces)).astype(int)
+    after = np.asarray(camera.picture(face(controls)[0], face.faces)).astype(int)
+    changed = np.abs(after - before).sum(axis=2) > 30
+    assert changed[140:].mean() > 0.1 and changed[:90].mean() < 0.01  # the mouth, not the brow
+
+
+def test_nothing_in_sight_is_an_empty_picture():
+    toy = ToyRig()
+    camera = Camera(toy.rest_vertices, size=(40, 40))
+    assert is_background(np.asarray(camera.picture(toy.rest_vertices + 1000, toy.faces))).all()
+
+
+def test_heat_rises_from_blue_to_red():
+    colors = heat_colors(torch.tensor([0.0, 1.0, 2.0, 5.0]), top=2.0)
+    assert colors[0, 2] > colors[0, 0] and colors[2, 0] > colors[2, 2]
+    np.testing.assert_array_equal(colors[2], colors[3])
+
+
+def test_a_grid_holds_every_picture():
+    toy = ToyRig()
+    picture = Camera(toy.rest_vertices, size=(40, 50)).picture(toy.rest_vertices, toy.faces)
+    assert grid([picture] * 5, list("abcde"), columns=3).size == (120, 100)
