@@ -11,6 +11,7 @@ from riginv.build import OURS, build, class_of, factory
 from riginv.callbacks.pictures import PosePictures
 from riginv.callbacks.progress import TrainingProgress
 from riginv.callbacks.saving import AtomicCheckpoints, SaveLast, TrainingClock
+from riginv.cli.run_folder import RunFolder
 from riginv.clips.live_link import live_link_clip
 from riginv.clips.performance import simulated_performance
 from riginv.data.mesh_sets import MeshSet
@@ -21,7 +22,6 @@ from riginv.judge import check_same_controls
 from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
 from riginv.rig import LinearRig, RigBackend
-from riginv.run_folder import RunFolder
 from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise
 from riginv.sampling.noise import CaptureNoise
 from riginv.sampling.seeds import generator_at

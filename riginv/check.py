@@ -6,10 +6,10 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from riginv.build import build
-from riginv.command import command
+from riginv.cli.command import command
+from riginv.cli.run_folder import plain_config
+from riginv.cli.validation import validate
 from riginv.rig_contract import ContractError, contract
-from riginv.run_folder import plain_config
-from riginv.validation import validate
 
 
 def check(config: DictConfig) -> None:

@@ -9,15 +9,15 @@ from rich.console import Console
 from torch import Tensor
 
 from riginv.build import build
-from riginv.command import command
+from riginv.cli.command import command
+from riginv.cli.run_folder import plain_config
+from riginv.cli.validation import validate
 from riginv.errors import InputError
 from riginv.files import written_beside
 from riginv.render import Camera, grid
 from riginv.rig import RigBackend
-from riginv.run_folder import plain_config
 from riginv.sampling.controls import sparse_controls
 from riginv.sampling.seeds import generator_at
-from riginv.validation import validate
 
 
 def contact_sheet(config: DictConfig) -> None:

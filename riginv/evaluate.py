@@ -4,17 +4,16 @@ from omegaconf import DictConfig
 
 from riginv.assemble import Config, build_clip, build_true_rig
 from riginv.build import build
-from riginv.command import command, run_directory
+from riginv.cli.command import command, run_directory
+from riginv.cli.run_folder import METRICS, POSES, find_run_folder, plain_config
+from riginv.cli.tables import print_results
+from riginv.cli.validation import validate
 from riginv.data.test_sets import random_poses
 from riginv.errors import InputError
-from riginv.evaluation import judge_model, load_model
-from riginv.files import write_json
+from riginv.evaluation import judge_model, load_model, write_results
 from riginv.inverse import Inverse
-from riginv.judge import check_same_controls, judge_rig
+from riginv.judge import Judgement, check_same_controls, judge_rig
 from riginv.rig import RigBackend
-from riginv.run_folder import METRICS, find_run_folder, plain_config
-from riginv.tables import print_results
-from riginv.validation import validate
 
 
 def evaluate(config: DictConfig) -> None:
@@ -22,14 +21,15 @@ def evaluate(config: DictConfig) -> None:
     plain = plain_config(config)
     validate(plain)
     folder = find_run_folder(run_directory(), plain, config.resume)
-    title, true_rig, metrics = judge_bundle(plain) if plain["bundle"] else compare_rigs(plain)
+    title, true_rig, judgements = judge_bundle(plain) if plain["bundle"] else compare_rigs(plain)
     folder.begin()
-    write_json(folder.path / METRICS, {**metrics, "true_rig": true_rig.name})
-    print_results(metrics, title, true_rig.name, notes=[f"The same figures: {folder.path / METRICS}"])
+    metrics = write_results(folder.path, judgements, true_rig, {})
+    notes = [f"The same figures:  {folder.path / METRICS}", f"The worst poses:   {folder.path / POSES}"]
+    print_results(metrics, title, true_rig.name, notes)
 
 
-def judge_bundle(config: Config) -> tuple[str, RigBackend, dict[str, float]]:
-    """Judge the model of `config["bundle"]`: a title, the judge and the metrics."""
+def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
+    """Judge the model of `config["bundle"]`: a title, the judge and what came of it."""
     rig = build(config["rig"]) if config["rig"]["_target_"] else None
     model = load_model(config["bundle"], rig)
     is_inverse = isinstance(model, Inverse)
@@ -38,8 +38,8 @@ def judge_bundle(config: Config) -> tuple[str, RigBackend, dict[str, float]]:
     return f"{config['bundle']}", true_rig, judge_model(model, true_rig, config["poses"], clip)
 
 
-def compare_rigs(config: Config) -> tuple[str, RigBackend, dict[str, float]]:
-    """Judge `config["rig"]` by `config["true_rig"]` on the same controls: a title, the judge and the metrics.
+def compare_rigs(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
+    """Judge `config["rig"]` by `config["true_rig"]` on the same controls: a title, the judge and what came of it.
 
     Raises:
         InputError: one of them is not named.
@@ -49,7 +49,7 @@ def compare_rigs(config: Config) -> tuple[str, RigBackend, dict[str, float]]:
     rig, true_rig = build(config["rig"]), build(config["true_rig"])
     check_same_controls(rig, true_rig)
     controls = random_poses(true_rig, config["poses"]).controls
-    return f"rig {rig.name} against {true_rig.name}", true_rig, judge_rig(rig, true_rig, controls, "rig_agreement")
+    return f"rig {rig.name} against {true_rig.name}", true_rig, [judge_rig(rig, true_rig, controls, "rig_agreement")]
 
 
 if __name__ == "__main__":

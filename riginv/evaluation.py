@@ -1,13 +1,17 @@
 """Judging what a bundle holds: the same for a model just trained and for one trained long ago."""
 
 from pathlib import Path
+from typing import Any
 
 from riginv.build import OURS, build
 from riginv.bundle import read_bundle
+from riginv.cli.run_folder import METRICS, POSES
 from riginv.data.mesh_sets import MeshSet
 from riginv.data.test_sets import random_poses, random_sets
+from riginv.files import write_json, written_beside
 from riginv.inverse import Inverse, load_inverse
-from riginv.judge import check_same_controls, judge_inverse, judge_rig
+from riginv.judge import Judgement, check_same_controls, judge_inverse, judge_rig
+from riginv.pictures import comparison
 from riginv.rig import LinearRig, RigBackend
 
 SURROGATE = "rigs.surrogate.SurrogateRig"
@@ -27,24 +31,34 @@ def load_model(folder: str | Path, rig: LinearRig | None = None) -> Inverse | Li
     return load_inverse(folder, rig)
 
 
-def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, clip: MeshSet | None) -> dict[str, float]:
+def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, clip: MeshSet | None) -> list[Judgement]:
     """Judge an inverse on the random test sets and a clip, or a surrogate on random poses, by the true rig.
 
     Args:
         poses: meshes in each random test set.
         clip: only for an inverse.
 
-    Returns:
-        Metrics by `SET/key`.
-
     Raises:
         InputError: the true rig has other controls or vertices.
     """
     if not isinstance(model, Inverse):
         check_same_controls(model, true_rig)
-        return judge_rig(model, true_rig, random_poses(true_rig, poses).controls, "rig_poses")
+        return [judge_rig(model, true_rig, random_poses(true_rig, poses).controls, "rig_poses")]
     check_same_controls(model.rig, true_rig)
-    metrics: dict[str, float] = {}
-    for mesh_set in [*random_sets(true_rig, poses), *([clip] if clip else [])]:
-        metrics.update(judge_inverse(model, true_rig, mesh_set))
+    sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]
+    return [judge_inverse(model, true_rig, meshes) for meshes in sets]
+
+
+def write_results(folder: Path, judgements: list[Judgement], true_rig: RigBackend, more: dict[str, float]) -> dict[str, Any]:
+    """Write `poses.png`, the worst and the median mesh of each set, and `metrics.json`, and return the metrics.
+
+    Args:
+        more: further metrics, by key.
+    """
+    pairs = [pair for judgement in judgements for pair in judgement.worst_and_median()]
+    with written_beside(folder / POSES) as beside:
+        comparison(true_rig, pairs).save(beside, format="PNG")
+    metrics = {key: value for judgement in judgements for key, value in judgement.metrics.items()}
+    metrics |= {**more, "true_rig": true_rig.name}
+    write_json(folder / METRICS, metrics)
     return metrics

@@ -1,52 +1,86 @@
 """Judging by the true rig: errors are measured on what it makes of the controls, never on a network's own surrogate."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from riginv.data.mesh_sets import MeshSet
+from riginv.data.mesh_sets import MeshSet, PosedRig
 from riginv.errors import InputError
 from riginv.metrics import VertexError, roughness
+from riginv.pictures import Pair
 from riginv.rig import RigBackend
 
 PIECE = 128  # meshes at a time
+SHORTEST_CURVE = 3  # frames that a second difference needs
 
 
-@torch.no_grad()
-def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, mesh_set: MeshSet) -> dict[str, float]:
-    """How well controls found for meshes bring these back.
+@dataclass(frozen=True)
+class Judgement:
+    """What came of one test set.
+
+    Attributes:
+        metrics: by `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (what predicting neutral would cost),
+            and for a clip `roughness`.
+        errors_mm: the mean vertex error of each mesh, `(mesh,)`.
+        meshes: the set.
+        rig: what made the results: the true rig, or a surrogate that was itself on trial.
+        controls: what it made them of, `(mesh, control)`.
+    """
+
+    metrics: dict[str, float]
+    errors_mm: Tensor
+    meshes: MeshSet
+    rig: RigBackend
+    controls: Tensor
+
+    def worst_and_median(self) -> list[Pair]:
+        """The worst and the median mesh of the set, to look at."""
+        order = self.errors_mm.argsort(descending=True).tolist()
+        name = self.meshes.name.replace("_", " ")
+        return [self._pair(order[0], f"{name}, worst"), self._pair(order[len(order) // 2], f"{name}, median")]
+
+    @torch.no_grad()
+    def _pair(self, row: int, label: str) -> Pair:
+        return Pair(label, self.meshes.vertices(row, row + 1)[0], self.rig(self.controls[row : row + 1])[0])
+
+
+def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, meshes: MeshSet) -> Judgement:
+    """How well the controls that were found for meshes bring these back.
 
     Args:
         invert: meshes `(batch, vertex, 3)`, mm, to controls `(batch, control)`.
-
-    Returns:
-        By `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (what predicting neutral would cost), and
-        for a clip `roughness`.
     """
-    found, neutral, curves = VertexError(), VertexError(), []
-    for _, vertices in mesh_set.pieces(PIECE):
-        controls = invert(vertices)
-        curves.append(controls)
-        found.update(true_rig(controls), vertices)
-        neutral.update(true_rig.rest_vertices.expand_as(vertices), vertices)
-    more = {"roughness": roughness(torch.cat(curves))} if mesh_set.fps else {}
-    return _named(mesh_set.name, found, neutral, more)
+    return _judge(true_rig, meshes, lambda start, vertices: invert(vertices))
+
+
+def judge_rig(rig: RigBackend, true_rig: RigBackend, controls: Tensor, name: str) -> Judgement:
+    """How far a rig, such as a surrogate, lies from the true rig on the same controls `(pose, control)`.
+
+    Args:
+        name: of the set in the metrics.
+    """
+    return _judge(rig, PosedRig(name, true_rig, controls), lambda start, vertices: controls[start : start + len(vertices)])
 
 
 @torch.no_grad()
-def judge_rig(rig: RigBackend, true_rig: RigBackend, controls: Tensor, name: str) -> dict[str, float]:
-    """How far a rig, such as a surrogate, lies from the true rig on the same controls `(pose, control)`.
-
-    Returns:
-        By `NAME/key`: the errors of `VertexError`, and `neutral_mean_vertex_error_mm`.
-    """
-    found, neutral = VertexError(), VertexError()
-    for piece in controls.split(PIECE):
-        expected = true_rig(piece)
-        found.update(rig(piece), expected)
-        neutral.update(true_rig.rest_vertices.expand_as(expected), expected)
-    return _named(name, found, neutral)
+def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor], Tensor]) -> Judgement:
+    found, neutral, errors, curves = VertexError(), VertexError(), [], []
+    for start, vertices in meshes.pieces(PIECE):
+        controls = controls_of(start, vertices)
+        results = rig(controls)
+        found.update(results, vertices)
+        neutral.update(rig.rest_vertices.expand_as(vertices), vertices)
+        errors.append((results - vertices).norm(dim=2).mean(dim=1))
+        curves.append(controls)
+    controls = torch.cat(curves)
+    values = {key: float(value) for key, value in found.compute().items()}
+    values["neutral_mean_vertex_error_mm"] = float(neutral.compute()["mean_vertex_error_mm"])
+    if meshes.fps and len(controls) >= SHORTEST_CURVE:
+        values["roughness"] = roughness(controls)
+    metrics = {f"{meshes.name}/{key}": value for key, value in values.items()}
+    return Judgement(metrics, torch.cat(errors), meshes, rig, controls)
 
 
 def check_same_controls(rig: RigBackend, true_rig: RigBackend) -> None:
@@ -63,9 +97,3 @@ def check_same_controls(rig: RigBackend, true_rig: RigBackend) -> None:
             f"rig '{rig.name}' has {len(rig.rest_vertices)} vertices, '{true_rig.name}' has {len(true_rig.rest_vertices)}: "
             f"they are not the same mesh"
         )
-
-
-def _named(name: str, found: VertexError, neutral: VertexError, more: dict[str, float] | None = None) -> dict[str, float]:
-    values = {key: float(value) for key, value in found.compute().items()}
-    values["neutral_mean_vertex_error_mm"] = float(neutral.compute()["mean_vertex_error_mm"])
-    return {f"{name}/{key}": value for key, value in {**values, **(more or {})}.items()}

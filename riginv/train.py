@@ -7,14 +7,13 @@ from omegaconf import DictConfig
 
 from riginv.assemble import build_clip, build_data, build_module, build_rig, build_trainer, build_true_rig, calibrate
 from riginv.bundle import write_bundle
-from riginv.command import command, run_directory
-from riginv.evaluation import judge_model, load_model
-from riginv.files import write_json
-from riginv.hparams import log_choices, log_results
+from riginv.callbacks.hparams import log_choices, log_results
+from riginv.cli.command import command, run_directory
+from riginv.cli.run_folder import BUNDLE, METRICS, POSES, RunFolder, find_run_folder, plain_config
+from riginv.cli.tables import print_results
+from riginv.cli.validation import validate
+from riginv.evaluation import judge_model, load_model, write_results
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.run_folder import BUNDLE, METRICS, RunFolder, find_run_folder, plain_config
-from riginv.tables import print_results
-from riginv.validation import validate
 
 
 def train(config: DictConfig) -> None:
@@ -41,10 +40,9 @@ def train(config: DictConfig) -> None:
     training = {"steps": trainer.global_step, "seconds": round(clock.seconds, 1), "seed": plain["seed"]}
     bundle = folder.path / BUNDLE
     write_bundle(bundle, module.kind, module.network, module.rig, plain, training)
-    metrics = judge_model(load_model(bundle, rig), true_rig, plain["judging"]["test_poses"], clip)
-    log_results(trainer.logger, metrics, trainer.global_step)
-    metrics |= {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": plain["seed"]}
-    write_json(folder.path / METRICS, {**metrics, "true_rig": true_rig.name})
+    judgements = judge_model(load_model(bundle, rig), true_rig, plain["judging"]["test_poses"], clip)
+    facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": plain["seed"]}
+    log_results(trainer.logger, write_results(folder.path, judgements, true_rig, facts), trainer.global_step)
     show(folder)
 
 
@@ -58,6 +56,7 @@ def show(folder: RunFolder) -> None:
         metrics["true_rig"],
         notes=[
             f"The trained model:  {folder.path / BUNDLE}",
+            f"Its worst poses:    {folder.path / POSES}",
             f"Judge it again:     python -m riginv.evaluate bundle='{folder.path / BUNDLE}' capture=TAKE.csv",
             f"Watch or compare:   tensorboard --logdir {folder.path.parent}",
         ],

@@ -12,7 +12,7 @@ import torch
 from hydra.core.global_hydra import GlobalHydra
 
 from riginv import check, evaluate, train
-from riginv.command import command
+from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.face import FaceRig
 from tests.toys import ToyRig

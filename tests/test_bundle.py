@@ -21,7 +21,7 @@ def bundle(tmp_path_factory) -> Path:
 
     from hydra.core.global_hydra import GlobalHydra
 
-    from riginv.command import command
+    from riginv.cli.command import command
     from riginv.train import train
     from tests.conftest import SMALL
 

@@ -7,9 +7,9 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from riginv.explain import CONFIGS
-from riginv.run_folder import register_folder_resolvers
-from riginv.validation import validate
+from riginv.cli.explain import CONFIGS
+from riginv.cli.run_folder import register_folder_resolvers
+from riginv.cli.validation import validate
 
 EXPERIMENTS = sorted(
     path.relative_to(CONFIGS / "experiment").with_suffix("").as_posix() for path in (CONFIGS / "experiment").rglob("*.yaml")
@@ -25,11 +25,11 @@ FEW_STEPS = [
 ]
 
 
-def composed(*arguments: str) -> dict:
+def composed(*arguments: str, command: str = "train") -> dict:
     register_folder_resolvers()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        return OmegaConf.to_container(compose("train", list(arguments)), resolve=True)
+        return OmegaConf.to_container(compose(command, list(arguments)), resolve=True)
 
 
 def test_there_is_one_for_everything_that_the_paper_trains():

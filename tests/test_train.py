@@ -23,6 +23,7 @@ def test_a_run_leaves_everything_behind(run, model):
     for name in ("bundle.yaml", "weights.safetensors", "space.safetensors", "SHA256SUMS"):
         assert (made.folder / "bundle" / name).is_file()
     assert torch.load(made.folder / "checkpoints/last.ckpt", weights_only=True)["global_step"] == 12
+    assert (made.folder / "poses.png").read_bytes()[:4] == b"\x89PNG"
     assert "true rig, toy" in made.text and "simulated performance" in made.text
 
 

@@ -9,8 +9,8 @@ import lightning as L
 import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
+from riginv.cli.run_folder import CHECKPOINT
 from riginv.files import written_beside
-from riginv.run_folder import CHECKPOINT
 
 
 class AtomicCheckpoints(TorchCheckpointIO):

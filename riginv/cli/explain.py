@@ -14,7 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from riginv.errors import InputError, NonFiniteLossError
 
-PACKAGE = Path(__file__).parent
+PACKAGE = Path(__file__).parent.parent
 CONFIGS = PACKAGE / "conf" if (PACKAGE / "conf").is_dir() else PACKAGE.parent / "conf"  # installed, or in a checkout
 
 

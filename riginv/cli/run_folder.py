@@ -19,7 +19,8 @@ from omegaconf import DictConfig, OmegaConf
 from riginv.errors import InputError
 from riginv.files import write_text
 
-CONFIG, METRICS, CHECKPOINT, BUNDLE = "config.yaml", "metrics.json", "checkpoints/last.ckpt", "bundle"
+CONFIG, METRICS, POSES = "config.yaml", "metrics.json", "poses.png"
+CHECKPOINT, BUNDLE = "checkpoints/last.ckpt", "bundle"
 NOT_PART_OF_A_RUN = ("resume",)
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 LONGEST = 120  # characters of a folder's name

@@ -12,10 +12,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 from rich.console import Console
 
+from riginv.cli.explain import CONFIGS, explain
+from riginv.cli.quiet import hush
+from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
 from riginv.errors import InputError
-from riginv.explain import CONFIGS, explain
-from riginv.quiet import hush
-from riginv.run_folder import discard_if_empty, register_folder_resolvers
 
 FAILURE = "failure.txt"
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()

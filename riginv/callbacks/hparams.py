@@ -5,7 +5,7 @@ from typing import Any
 
 from lightning.pytorch.loggers import TensorBoardLogger
 
-from riginv.tables import sets_of
+from riginv.cli.tables import sets_of
 
 PREFIX = "result"
 RESULTS = (

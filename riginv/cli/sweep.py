@@ -12,8 +12,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from riginv.cli.run_folder import METRICS
 from riginv.files import write_text, written_beside
-from riginv.run_folder import METRICS
 
 OVERRIDES = "overrides.txt"
 

@@ -9,7 +9,7 @@ WARNINGS = (
     ".*IterableDataset.*__len__.*",  # batches are drawn by number, in one process
     ".*number of training batches.*smaller than the logging interval.*",  # short runs still log each validation
     ".*does not have many workers.*",  # drawing a batch is cheaper than moving it between processes
-    ".*Checkpoint directory.*exists and is not empty.*",  # checked by riginv.run_folder
+    ".*Checkpoint directory.*exists and is not empty.*",  # checked by riginv.cli.run_folder
     ".*resuming from a checkpoint that ended before the epoch.*",  # riginv.data.poses goes on at the right batch
     ".*Experiment logs directory.*exists.*",
 )
