@@ -63,14 +63,14 @@ def build_clip(config: Config, true_rig: RigBackend) -> MeshSet:
     return live_link_clip(config["capture"], true_rig) if config["capture"] else simulated_performance(true_rig)
 
 
-def build_module(config: Config, rig: RigInMeshSpace) -> RigModule:
-    """The Lightning module with its network, loss, optimiser and schedule."""
+def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> RigModule:
+    """The Lightning module with its network, loss, optimiser and schedule, and the rig that judges."""
     model = dict(config["model"])
     module_class = class_of(model.pop("_target_"))
     network = build(model["network"], rig if module_class.kind == "inverse" else rig.rig)
     losses = [build(model["loss"], rig.space.vertex_count)] if "loss" in model else []
     module = module_class(rig, network, *losses, factory(model["optimizer"]), factory(model["schedule"]))
-    module.stop_below_lr = config["stop_below_lr"]
+    module.true_rig, module.stop_below_lr = true_rig, config["stop_below_lr"]
     return module
 
 

@@ -27,7 +27,7 @@ def train(config: DictConfig) -> None:
     L.seed_everything(plain["seed"], verbose=False)
     rig = build_rig(plain)
     true_rig = build_true_rig(plain, rig)
-    module = build_module(plain, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
+    module = build_module(plain, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig)
     clip = build_clip(plain, true_rig) if module.kind == "inverse" else None
     data = build_data(plain, module, true_rig, clip)
     calibrate(plain, module, data.sampler)

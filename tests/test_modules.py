@@ -15,7 +15,7 @@ from riginv.networks.surrogate import ControlMLP
 from riginv.sampling.controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
 from riginv.sampling.seeds import generator_at
-from tests.toys import BlackBox
+from tests.toys import BlackBox, ToyRig
 
 ADAM = partial(torch.optim.Adam, lr=3e-3)
 CONSTANT = partial(torch.optim.lr_scheduler.ConstantLR, factor=1.0)
@@ -48,9 +48,22 @@ def test_a_module_learns_64_poses_by_heart(name, share, toy):
         module.training_step(batch, step).backward()
         optimizer.step()
     with torch.no_grad():
-        error = root_mean_square_mm(module.reconstruct(batch), batch["coordinates"], 162)
+        found = toy.space.encode(module.results(batch))
+        error = root_mean_square_mm(found, batch["coordinates"], 162)
     neutral = root_mean_square_mm(torch.zeros_like(batch["coordinates"]), batch["coordinates"], 162)
     assert error < share * neutral
+
+
+def test_validation_asks_the_true_rig(toy):
+    class Doubled(ToyRig):
+        def forward(self, controls):
+            return 2 * super().forward(controls)
+
+    module = make("inverse", toy)
+    batch = RigPoses(toy, PlausibleControls(toy)).sample(3, generator_at(0, "validation"))
+    before = module.results(batch)
+    module.true_rig = Doubled()
+    torch.testing.assert_close(module.results(batch), 2 * before)
 
 
 def test_only_the_network_learns(toy):

@@ -32,8 +32,7 @@ class PosePictures(L.Callback):
 @torch.no_grad()
 def worst_and_median(module: RigModule, batch: PoseBatch) -> Image.Image:
     """The worst and the median pose of a batch."""
-    space, target, result = module.rig.space, batch["coordinates"], module.reconstruct(batch)
-    order = (result - target).square().sum(dim=1).argsort(descending=True)
+    targets, results = module.rig.space.decode(batch["coordinates"]), module.results(batch)
+    order = (results - targets).norm(dim=2).mean(dim=1).argsort(descending=True).tolist()
     rows = {"worst: target": order[0], "median: target": order[len(order) // 2]}
-    pairs = [Pair(label, space.decode(target[row][None])[0], space.decode(result[row][None])[0]) for label, row in rows.items()]
-    return comparison(module.rig.rig, pairs)
+    return comparison(module.true_rig, [Pair(label, targets[row], results[row]) for label, row in rows.items()])

@@ -17,7 +17,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from riginv.errors import InputError
-from riginv.files import write_text
+from riginv.files import discard, write_text
 
 CONFIG, METRICS, POSES = "config.yaml", "metrics.json", "poses.png"
 CHECKPOINT, BUNDLE = "checkpoints/last.ckpt", "bundle"
@@ -41,7 +41,9 @@ class RunFolder:
     resumed: bool
 
     def begin(self) -> None:
-        """Make the folder this run's, by writing its config there."""
+        """Make the folder this run's, by writing its config there; clear away what a killed start left half-written."""
+        for half_written in self.path.rglob(".*.part"):
+            discard(half_written)
         if not self.resumed:
             write_text(self.path / CONFIG, yaml.safe_dump(self.config, sort_keys=False))
 

@@ -14,6 +14,7 @@ from riginv.errors import NonFiniteLossError
 from riginv.losses import root_mean_square_mm
 from riginv.mesh_space import RigInMeshSpace
 from riginv.metrics import VertexError
+from riginv.rig import RigBackend
 from riginv.sampling.meshes import PoseBatch
 
 OptimizerFactory = Callable[[Iterable[nn.Parameter]], Optimizer]
@@ -31,10 +32,12 @@ class RigModule(L.LightningModule, ABC):
 
     Attributes:
         kind: of bundle that it makes: `inverse` (meshes to controls) or `forward` (a surrogate).
+        true_rig: what validation asks; the rig itself unless another one is set.
         stop_below_lr: training ends once the schedule has brought the learning rate below this (paper: 1e-6); None: never.
     """
 
     kind = "inverse"
+    true_rig: RigBackend
     stop_below_lr: float | None = None
 
     def __init__(
@@ -42,14 +45,15 @@ class RigModule(L.LightningModule, ABC):
     ) -> None:
         super().__init__()
         self.rig, self.network = rig.requires_grad_(False), network
+        self.true_rig = rig.rig
         self.make_optimizer, self.make_schedule = make_optimizer, make_schedule
         self.epoch_loss = MeanMetric(nan_strategy="ignore")
         self.epoch_loss.persistent(True)  # so that a run stopped within an epoch still sees the whole of it
         self.errors: list[VertexError] = []
 
     @abstractmethod
-    def reconstruct(self, batch: PoseBatch) -> Tensor:
-        """The mesh coordinates `(batch, coordinate)` that the network makes of a batch, through the rig."""
+    def results(self, batch: PoseBatch) -> Tensor:
+        """The meshes `(batch, vertex, 3)`, mm, that come of a batch; of controls it is the true rig that makes them."""
 
     def configure_optimizers(self) -> dict:
         optimizer = self.make_optimizer([weight for weight in self.network.parameters() if weight.requires_grad])
@@ -70,7 +74,10 @@ class RigModule(L.LightningModule, ABC):
             NonFiniteLossError: the loss is NaN or infinite.
         """
         if not torch.isfinite(loss):
-            raise NonFiniteLossError(f"the loss became {loss.item()} at step {self.global_step}")
+            raise NonFiniteLossError(
+                f"the loss became {loss.item()} at step {self.global_step}; the checkpoint holds the last good state saved "
+                f"before: start a new run with a lower model.optimizer.lr"
+            )
         self.epoch_loss.update(loss.detach())
         error = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count)
         self.log("train/loss", loss)
@@ -89,8 +96,7 @@ class RigModule(L.LightningModule, ABC):
         self.errors = [VertexError().to(self.device) for _ in self.validation_names]
 
     def validation_step(self, batch: PoseBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
-        found, expected = self.reconstruct(batch), batch["coordinates"]
-        self.errors[dataloader_idx].update(self.rig.space.decode(found), self.rig.space.decode(expected))
+        self.errors[dataloader_idx].update(self.results(batch), self.rig.space.decode(batch["coordinates"]))
 
     def on_validation_epoch_end(self) -> None:
         for name, error in zip(self.validation_names, self.errors):

@@ -26,9 +26,13 @@ class ForwardModule(RigModule):
         self.loss = loss
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
-        coordinates = self.reconstruct(batch)
+        coordinates = self.coordinates(batch["controls"])
         return self.learn(self.loss(coordinates, batch["coordinates"]), coordinates, batch["coordinates"])
 
-    def reconstruct(self, batch: PoseBatch) -> Tensor:
-        coefficients = self.network(torch.cat([batch["controls"], self.rig.rig.neutral_controls[None]]))
+    def coordinates(self, controls: Tensor) -> Tensor:
+        """The mesh coordinates `(batch, coordinate)` that the surrogate makes of controls `(batch, control)`."""
+        coefficients = self.network(torch.cat([controls, self.rig.rig.neutral_controls[None]]))
         return (coefficients[:-1] - coefficients[-1:]) @ self.rig.linear_map
+
+    def results(self, batch: PoseBatch) -> Tensor:
+        return self.rig.space.decode(self.coordinates(batch["controls"]))

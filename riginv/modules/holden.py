@@ -14,5 +14,5 @@ class HoldenModule(RigModule):
         controls = self.network(batch["coordinates"])
         return self.learn(mse_loss(controls, batch["controls"]), self.rig(controls), batch["coordinates"])
 
-    def reconstruct(self, batch: PoseBatch) -> Tensor:
-        return self.rig(self.network(batch["coordinates"]))
+    def results(self, batch: PoseBatch) -> Tensor:
+        return self.true_rig(self.network(batch["coordinates"]))

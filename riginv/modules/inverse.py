@@ -38,5 +38,5 @@ class InverseModule(RigModule):
         loss = sum(self.loss(answer.coordinates, target) for answer in answers)
         return self.learn(loss, answers[-1].coordinates, target)
 
-    def reconstruct(self, batch: PoseBatch) -> Tensor:
-        return self.rig(self.network(batch["coordinates"]))
+    def results(self, batch: PoseBatch) -> Tensor:
+        return self.true_rig(self.network(batch["coordinates"]))
