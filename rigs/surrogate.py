@@ -40,4 +40,4 @@ class SurrogateRig(LinearRig):
         self.requires_grad_(False)
 
     def coefficients(self, controls: Tensor) -> Tensor:
-        return self.network(controls)
+        return self.network(controls.to(self.dtype)).to(controls.dtype)  # a network computes in the dtype of its weights

@@ -1,10 +1,17 @@
 """The train command: what a run leaves behind."""
 
+import shutil
+
 import pytest
 import torch
 import yaml
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from riginv.rig_contract import check_rig
+from rigs.surrogate import SurrogateRig
+from tests.conftest import ROOT
+from tests.toys import ToyRig
 
 ERRORS = ("mean_vertex_error_mm", "max_vertex_error_mm", "mean_of_max_vertex_error_mm", "neutral_mean_vertex_error_mm")
 
@@ -27,12 +34,51 @@ def test_a_run_leaves_everything_behind(run, model):
     assert "true rig, toy" in made.text and "simulated performance" in made.text
 
 
-def test_a_surrogate_is_trained_and_an_inverse_through_it(run):
-    forward = run("train", "model=forward", "model.network.hidden=[32]", folder="forward")
+def test_a_surrogate_is_trained_and_keeps_the_contract(run):
+    forward = run("train", "model=forward", "model.network.hidden=[32]")
     assert forward.code == 0, forward.text
-    assert [key for key in forward.metrics if key.endswith("/mean_vertex_error_mm")] == ["rig_poses/mean_vertex_error_mm"]
-    refused = run("train", "rig=surrogate", f"rig.bundle={forward.folder}", folder="inverse")
-    assert refused.code == 1 and "tests.toys.ToyRig is not allowed" in refused.text
+    judged = [key for key in forward.metrics if key.endswith("/mean_vertex_error_mm")]
+    assert judged == ["rig_poses/mean_vertex_error_mm"]
+    surrogate = SurrogateRig(str(forward.folder))
+    assert surrogate.control_names == ToyRig().control_names and surrogate.has_blendshapes
+    check_rig(surrogate)
+
+
+def test_an_inverse_is_trained_through_a_surrogate_and_judged_by_the_true_rig(run):
+    forward = run("train", "model=forward", "model.network.hidden=[32]", folder="forward")
+    through = ["rig=surrogate", f"rig.bundle={forward.folder}"]
+    refused = run("train", *through, folder="inverse")
+    assert refused.code == 1 and "tests.toys.ToyRig is not allowed" in refused.text  # a bundle names no code of others
+    made = run("train", *through, "true_rig=toy", folder="inverse")  # the user does
+    assert made.code == 0, made.text
+    assert made.metrics["true_rig"] == "toy" and (made.folder / "bundle/rig/bundle.yaml").is_file()
+    shutil.rmtree(forward.folder)  # the inverse's bundle holds all that it needs
+    again = run(
+        "evaluate", f"bundle={made.folder}", "true_rig=toy", f"--config-dir={ROOT / 'tests/conf'}", "poses=20", folder="again"
+    )
+    assert again.code == 0, again.text
+    key = "rig_poses/mean_vertex_error_mm"
+    assert again.metrics[key] == pytest.approx(made.metrics[key], rel=1e-5)
+
+
+def test_capture_noise_is_added_where_it_is_asked_for(run):
+    clean = run("train", folder="clean")
+    noisy = run("train", "noise.vertex_mm=0.5", "noise.smooth_mm=1", folder="noisy")
+    assert noisy.code == 0, noisy.text
+    weights = [load_file(made.folder / "bundle/weights.safetensors") for made in (clean, noisy)]
+    assert weights[1]["coordinate_scale"] != weights[0]["coordinate_scale"]
+    key = "rig_poses/neutral_mean_vertex_error_mm"
+    assert noisy.metrics[key] == clean.metrics[key]  # judged on clean meshes all the same
+
+
+def test_a_run_killed_while_it_was_judged_is_judged_again(run):
+    made = run("train")
+    (made.folder / "metrics.json").unlink()
+    (made.folder / ".bundle.123.part").mkdir()
+    (made.folder / "checkpoints/.last.ckpt.123.part").write_bytes(b"half")
+    again = run("train", "resume=true")
+    assert again.code == 0 and again.metrics == made.metrics
+    assert not list(made.folder.rglob(".*.part"))
 
 
 def test_tensorboard_shows_losses_errors_rates_pictures_and_hparams(run):
