@@ -6,6 +6,7 @@ import lightning as L
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import LearningRateMonitor
 from lightning.pytorch.loggers import TensorBoardLogger
+from omegaconf import DictConfig, open_dict
 
 from riginv.build import OURS, build, class_of, factory
 from riginv.callbacks.pictures import PosePictures
@@ -13,14 +14,18 @@ from riginv.callbacks.progress import TrainingProgress
 from riginv.callbacks.saving import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.cli.run_folder import RunFolder
 from riginv.clips.live_link import live_link_clip
-from riginv.clips.performance import simulated_performance
+from riginv.clips.performance import has_shapes, simulated_performance
 from riginv.data.mesh_sets import MeshSet
 from riginv.data.poses import PoseDataModule
 from riginv.data.test_sets import random_poses, random_sets, watched
 from riginv.errors import InputError
+from riginv.fitted_rig import FittedRig
 from riginv.judge import check_same_controls
 from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
+from riginv.modules.holden import HoldenModule
+from riginv.modules.inverse import InverseModule
+from riginv.recorded_rig import RecordedRig
 from riginv.rig import LinearRig, RigBackend
 from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise
 from riginv.sampling.noise import CaptureNoise
@@ -31,15 +36,29 @@ CALIBRATION_MESHES = 1024
 
 
 def build_rig(config: Config) -> LinearRig:
-    """The rig to train on.
+    """The rig to train on; one that does not end in a linear map is posed at random, to find one that it nearly ends in.
 
     Raises:
-        InputError: it cannot be built or trained on.
+        InputError: it cannot be built or posed.
     """
     rig = build(config["rig"])
-    if not isinstance(rig, LinearRig):
-        raise InputError(f"rig '{rig.name}' does not end in a linear map: nothing can be trained on it directly yet")
-    return rig
+    return rig if isinstance(rig, LinearRig) else FittedRig.sampled(rig, **config["mesh_space"])
+
+
+def needs_surrogate(config: Config, rig: LinearRig) -> bool:
+    """Whether the model can only be trained through a surrogate: no gradient passes through the rig, or it cannot be posed."""
+    kind = class_of(config["model"]["_target_"])
+    return (issubclass(kind, InverseModule) and not rig.differentiable) or (
+        issubclass(kind, HoldenModule) and isinstance(rig, RecordedRig)
+    )
+
+
+def as_surrogate(config: DictConfig) -> DictConfig:
+    """The config of the surrogate that a run trains first."""
+    first = config.copy()
+    with open_dict(first):
+        first.model = first.surrogate
+    return first
 
 
 def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
@@ -48,6 +67,7 @@ def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
     Raises:
         InputError: it cannot be built, or has other controls or vertices than the rig.
     """
+    rig = rig.posed if isinstance(rig, FittedRig) else rig
     if config["true_rig"].get("_target_"):
         true_rig = build(config["true_rig"])
     elif hasattr(rig, "true_rig_config"):
@@ -58,9 +78,11 @@ def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
     return true_rig
 
 
-def build_clip(config: Config, true_rig: RigBackend) -> MeshSet:
-    """The clip to judge on: the one given, or else a simulated performance, named so."""
-    return live_link_clip(config["capture"], true_rig) if config["capture"] else simulated_performance(true_rig)
+def build_clip(config: Config, true_rig: RigBackend) -> MeshSet | None:
+    """The clip to judge on: the one given, or else a simulated performance, named so; None where the rig has no shapes."""
+    if config["capture"]:
+        return live_link_clip(config["capture"], true_rig)
+    return simulated_performance(true_rig) if has_shapes(true_rig) else None
 
 
 def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> RigModule:
@@ -70,23 +92,36 @@ def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> R
     network = build(model["network"], rig if module_class.kind == "inverse" else rig.rig)
     losses = [build(model["loss"], rig.space.vertex_count)] if "loss" in model else []
     module = module_class(rig, network, *losses, factory(model["optimizer"]), factory(model["schedule"]))
-    module.true_rig, module.stop_below_lr = true_rig, config["stop_below_lr"]
+    module.true_rig = rig.rig if isinstance(true_rig, RecordedRig) else true_rig
+    module.stop_below_lr = config["stop_below_lr"]
     return module
 
 
 def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:
     """What training sees, with capture noise and storage where the config asks for them."""
-    sampler = build(config["sampler"], rig)
     noise, stored = config["noise"], config["data"]["stored_poses"]
+    if isinstance(rig.rig, RecordedRig):
+        sampler = StoredPoses(rig.rig.training.encoded(rig.space))
+    else:
+        sampler = build(config["sampler"], rig)
+        if not rig.rig.differentiable:
+            stored = stored or config["data"]["black_box_poses"]
+    if stored:
+        sampler = StoredPoses.drawn(sampler, stored, generator_at(config["seed"], "stored poses"))
     if noise["vertex_mm"] or noise["smooth_mm"]:
         sampler = WithNoise(sampler, CaptureNoise(rig.space, **noise))
-    return StoredPoses(sampler, stored, generator_at(config["seed"], "stored poses")) if stored else sampler
+    return sampler
 
 
 def build_data(config: Config, module: RigModule, true_rig: RigBackend, clip: MeshSet | None) -> PoseDataModule:
     """The stream of training batches, and the sets that are watched meanwhile."""
     sampler, count = build_sampler(config, module.rig), config["judging"]["validation_poses"]
-    sets = [*random_sets(true_rig, count, "validation"), clip] if clip else [random_poses(true_rig, count, "validation")]
+    if isinstance(true_rig, RecordedRig):
+        sets = [true_rig.held_out]
+    elif module.kind == "forward":
+        sets = [random_poses(true_rig, count, "validation")]
+    else:
+        sets = [*random_sets(true_rig, count, "validation"), *([clip] if clip else [])]
     data, space = config["data"], module.rig.space
     return PoseDataModule(sampler, watched(sets, space, count), data["batch_size"], data["steps_per_epoch"], config["seed"])
 

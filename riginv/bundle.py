@@ -47,6 +47,11 @@ class Bundle:
     def controls(self) -> list[Control]:
         return [Control(**control) for control in self.description["rig"]["controls"]]
 
+    @property
+    def holds_surrogate(self) -> bool:
+        """Whether the rig that it was trained on is a surrogate whose bundle lies within."""
+        return self.description["rig"]["config"].get("bundle") == RIG
+
     def check_rig(self, rig: RigBackend) -> None:
         """Raises InputError where a rig is not the one that this was trained on: its controls, limits or vertices differ."""
         expected, found = self.controls, rig.controls

@@ -8,6 +8,7 @@ from riginv.cli.command import command, run_directory
 from riginv.cli.run_folder import METRICS, POSES, find_run_folder, plain_config
 from riginv.cli.tables import print_results
 from riginv.cli.validation import validate
+from riginv.data.mesh_sets import PosedRig
 from riginv.data.test_sets import random_poses
 from riginv.errors import InputError
 from riginv.evaluation import judge_model, load_model, write_results
@@ -25,7 +26,7 @@ def evaluate(config: DictConfig) -> None:
     folder.begin()
     metrics = write_results(folder.path, judgements, true_rig, {})
     notes = [f"The same figures:  {folder.path / METRICS}", f"The worst poses:   {folder.path / POSES}"]
-    print_results(metrics, title, true_rig.name, notes)
+    print_results(metrics, title, notes)
 
 
 def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
@@ -33,7 +34,7 @@ def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     rig = build(config["rig"]) if config["rig"]["_target_"] else None
     model = load_model(config["bundle"], rig)
     is_inverse = isinstance(model, Inverse)
-    true_rig = build_true_rig(config, model.rig if is_inverse else rig or model)
+    true_rig = build_true_rig(config, rig or (model.rig if is_inverse else model))
     clip = build_clip(config, true_rig) if is_inverse else None
     return f"{config['bundle']}", true_rig, judge_model(model, true_rig, config["poses"], clip)
 
@@ -49,7 +50,7 @@ def compare_rigs(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     rig, true_rig = build(config["rig"]), build(config["true_rig"])
     check_same_controls(rig, true_rig)
     controls = random_poses(true_rig, config["poses"]).controls
-    return f"rig {rig.name} against {true_rig.name}", true_rig, [judge_rig(rig, true_rig, controls, "rig_agreement")]
+    return f"rig {rig.name} against {true_rig.name}", true_rig, [judge_rig(rig, PosedRig("rig_agreement", true_rig, controls))]
 
 
 if __name__ == "__main__":

@@ -6,18 +6,23 @@ from typing import Any
 from riginv.build import OURS, build
 from riginv.bundle import read_bundle
 from riginv.cli.run_folder import METRICS, POSES
+from riginv.cli.tables import NO_RIG
 from riginv.data.mesh_sets import MeshSet
 from riginv.data.test_sets import random_poses, random_sets
 from riginv.files import write_json, written_beside
 from riginv.inverse import Inverse, load_inverse
 from riginv.judge import Judgement, check_same_controls, judge_inverse, judge_rig
 from riginv.pictures import comparison
+from riginv.recorded_rig import RecordedRig
 from riginv.rig import LinearRig, RigBackend
 
-SURROGATE = "rigs.surrogate.SurrogateRig"
+
+def surrogate_config(folder: str | Path) -> dict[str, str]:
+    """What builds the rig that a surrogate's bundle, or the run that holds it, stands for."""
+    return {"_target_": "rigs.surrogate.SurrogateRig", "bundle": str(folder)}
 
 
-def load_model(folder: str | Path, rig: LinearRig | None = None) -> Inverse | LinearRig:
+def load_model(folder: str | Path, rig: RigBackend | None = None) -> Inverse | LinearRig:
     """Load what a bundle holds: an inverse, or a surrogate as a rig.
 
     Args:
@@ -27,12 +32,15 @@ def load_model(folder: str | Path, rig: LinearRig | None = None) -> Inverse | Li
         InputError: the bundle is missing or damaged, or does not fit the rig.
     """
     if read_bundle(folder).description["kind"] == "forward":
-        return build({"_target_": SURROGATE, "bundle": str(folder)}, only=OURS)
+        return build(surrogate_config(folder), only=OURS)
     return load_inverse(folder, rig)
 
 
 def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, clip: MeshSet | None) -> list[Judgement]:
     """Judge an inverse on the random test sets and a clip, or a surrogate on random poses, by the true rig.
+
+    Of a rig that is known by recorded poses alone, those that were held out judge; what an inverse finds is then made into
+    meshes by the surrogate, which is judged beside it.
 
     Args:
         poses: meshes in each random test set.
@@ -41,10 +49,15 @@ def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, cl
     Raises:
         InputError: the true rig has other controls or vertices.
     """
+    rig = model.rig if isinstance(model, Inverse) else model
+    check_same_controls(rig, true_rig)
+    if isinstance(true_rig, RecordedRig):
+        held_out = true_rig.held_out
+        if not isinstance(model, Inverse):
+            return [judge_rig(rig, held_out)]
+        return [judge_inverse(model, rig, held_out), judge_rig(rig, held_out.named("surrogate"))]
     if not isinstance(model, Inverse):
-        check_same_controls(model, true_rig)
-        return [judge_rig(model, true_rig, random_poses(true_rig, poses).controls, "rig_poses")]
-    check_same_controls(model.rig, true_rig)
+        return [judge_rig(model, random_poses(true_rig, poses))]
     sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]
     return [judge_inverse(model, true_rig, meshes) for meshes in sets]
 
@@ -59,6 +72,6 @@ def write_results(folder: Path, judgements: list[Judgement], true_rig: RigBacken
     with written_beside(folder / POSES) as beside:
         comparison(true_rig, pairs).save(beside, format="PNG")
     metrics = {key: value for judgement in judgements for key, value in judgement.metrics.items()}
-    metrics |= {**more, "true_rig": true_rig.name}
+    metrics |= {**more, "true_rig": NO_RIG if isinstance(true_rig, RecordedRig) else true_rig.name}
     write_json(folder / METRICS, metrics)
     return metrics

@@ -14,9 +14,10 @@ from torch import Tensor, nn
 from riginv.build import OURS, build
 from riginv.bundle import RIG, Bundle, read_bundle
 from riginv.errors import InputError
+from riginv.fitted_rig import FittedRig
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.networks.inverse import InverseNetwork
-from riginv.rig import LinearRig
+from riginv.rig import LinearRig, RigBackend
 
 
 class Inverse(nn.Module):
@@ -50,28 +51,34 @@ class Inverse(nn.Module):
         return self.network(space.encode(vertices))
 
 
-def load_inverse(folder: str | Path, rig: LinearRig | None = None) -> Inverse:
+def load_inverse(folder: str | Path, rig: RigBackend | None = None) -> Inverse:
     """Load the inverse of a bundle.
 
     Args:
         folder: the bundle, or the run that holds it.
-        rig: the rig, for one that is not part of riginv; else the bundle's own description builds it.
+        rig: the rig, for one that is not part of riginv; else the bundle's own description builds it. An inverse that was
+            trained through a surrogate brings that along, and only asks whether it stands for this rig.
 
     Raises:
         InputError: the bundle is missing, damaged, of another kind or made for another rig.
     """
     bundle = read_bundle(folder, kind="inverse")
-    rig = rig or bundle_rig(bundle)
-    bundle.check_rig(rig)
+    if rig is not None:
+        bundle.check_rig(rig)
+    if rig is None or bundle.holds_surrogate:
+        rig = bundle_rig(bundle)
+        bundle.check_rig(rig)
     space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
+    if not isinstance(rig, LinearRig):
+        rig = FittedRig(rig, (bundle.space["linear_map"] @ space.frame.flatten(1)).unflatten(1, rig.rest_vertices.shape))
     network = build(bundle.description["network"], RigInMeshSpace(rig, space), only=OURS)
     network.load_own_weights(bundle.weights)
     return Inverse(network).eval().requires_grad_(False)
 
 
-def bundle_rig(bundle: Bundle) -> LinearRig:
+def bundle_rig(bundle: Bundle) -> RigBackend:
     """The rig that a bundle describes: one of ours, or the surrogate that lies within the bundle."""
     config = dict(bundle.description["rig"]["config"])
-    if config.get("bundle") == RIG:
+    if bundle.holds_surrogate:
         config["bundle"] = str(bundle.folder / RIG)
     return build(config, only=OURS)

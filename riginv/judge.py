@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from riginv.data.mesh_sets import MeshSet, PosedRig
+from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
 from riginv.metrics import VertexError, roughness
 from riginv.pictures import Pair
@@ -55,13 +55,9 @@ def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, mesh
     return _judge(true_rig, meshes, lambda start, vertices: invert(vertices))
 
 
-def judge_rig(rig: RigBackend, true_rig: RigBackend, controls: Tensor, name: str) -> Judgement:
-    """How far a rig, such as a surrogate, lies from the true rig on the same controls `(pose, control)`.
-
-    Args:
-        name: of the set in the metrics.
-    """
-    return _judge(rig, PosedRig(name, true_rig, controls), lambda start, vertices: controls[start : start + len(vertices)])
+def judge_rig(rig: RigBackend, poses: MeshSet) -> Judgement:
+    """How far a rig, such as a surrogate, lies from poses of the true rig, given the controls that made them."""
+    return _judge(rig, poses, lambda start, vertices: poses.controls[start : start + len(vertices)])
 
 
 @torch.no_grad()

@@ -1,19 +1,29 @@
 """python -m riginv.train: from a config to a judged, bundled model."""
 
-import json
-
 import lightning as L
 from omegaconf import DictConfig
 
-from riginv.assemble import build_clip, build_data, build_module, build_rig, build_trainer, build_true_rig, calibrate
+from riginv.assemble import (
+    Config,
+    as_surrogate,
+    build_clip,
+    build_data,
+    build_module,
+    build_rig,
+    build_trainer,
+    build_true_rig,
+    calibrate,
+    needs_surrogate,
+)
 from riginv.bundle import write_bundle
 from riginv.callbacks.hparams import log_choices, log_results
 from riginv.cli.command import command, run_directory
-from riginv.cli.run_folder import BUNDLE, METRICS, POSES, RunFolder, find_run_folder, plain_config
-from riginv.cli.tables import print_results
+from riginv.cli.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
+from riginv.cli.summary import show
 from riginv.cli.validation import validate
-from riginv.evaluation import judge_model, load_model, write_results
+from riginv.evaluation import judge_model, load_model, surrogate_config, write_results
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig import LinearRig, RigBackend
 
 
 def train(config: DictConfig) -> None:
@@ -21,12 +31,18 @@ def train(config: DictConfig) -> None:
     plain = plain_config(config)
     validate(plain)
     folder = find_run_folder(run_directory(), plain, config.resume)
-    if folder.finished:
-        return show(folder)
+    if not folder.finished:
+        rig = build_rig(plain)
+        true_rig = build_true_rig(plain, rig)
+        if needs_surrogate(plain, rig):
+            plain, rig = train_surrogate_first(config, folder, rig, true_rig)
+        fit(plain, folder, rig, true_rig)
+    show(folder)
 
+
+def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> None:
+    """From a rig to a judged, bundled model in a run's folder."""
     L.seed_everything(plain["seed"], verbose=False)
-    rig = build_rig(plain)
-    true_rig = build_true_rig(plain, rig)
     module = build_module(plain, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig)
     clip = build_clip(plain, true_rig) if module.kind == "inverse" else None
     data = build_data(plain, module, true_rig, clip)
@@ -43,24 +59,21 @@ def train(config: DictConfig) -> None:
     judgements = judge_model(load_model(bundle, rig), true_rig, plain["judging"]["test_poses"], clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": plain["seed"]}
     log_results(trainer.logger, write_results(folder.path, judgements, true_rig, facts), trainer.global_step)
-    show(folder)
 
 
-def show(folder: RunFolder) -> None:
-    """Show what a finished run reached, and what to do with it."""
-    metrics = json.loads((folder.path / METRICS).read_text(encoding="utf-8"))
-    steps, seconds = metrics["train/steps"], metrics["train/seconds"]
-    print_results(
-        metrics,
-        f"{steps:,} steps in {seconds / 60:.1f} minutes",
-        metrics["true_rig"],
-        notes=[
-            f"The trained model:  {folder.path / BUNDLE}",
-            f"Its worst poses:    {folder.path / POSES}",
-            f"Judge it again:     python -m riginv.evaluate bundle='{folder.path / BUNDLE}' capture=TAKE.csv",
-            f"Watch or compare:   tensorboard --logdir {folder.path.parent}",
-        ],
-    )
+def train_surrogate_first(
+    config: DictConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend
+) -> tuple[Config, LinearRig]:
+    """Train a surrogate of a rig that gives no gradients, in the run's own folder; the config and the rig to go on with."""
+    first = plain_config(as_surrogate(config))
+    inner = find_run_folder(folder.path / SURROGATE, first, resume=True)
+    folder.begin()
+    if not inner.finished:
+        print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
+        fit(first, inner, rig, true_rig)
+        show(inner)
+    through = {**folder.config, "rig": surrogate_config(inner.path)}
+    return through, build_rig(through)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ SMALL = [
     "rig=toy",
     f"--config-dir={ROOT / 'tests/conf'}",
     "model.network.hidden=[32]",
+    "surrogate.network.hidden=[32]",
     "trainer.max_steps=12",
     "trainer.log_every_n_steps=1",
     "data.steps_per_epoch=6",

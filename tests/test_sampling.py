@@ -126,7 +126,7 @@ def test_test_sets_are_fixed_and_disjoint(face):
 
 
 def test_stored_poses_are_drawn_once(toy):
-    stored = StoredPoses(RigPoses(toy, SparseControls(toy)), 10, generator())
+    stored = StoredPoses.drawn(RigPoses(toy, SparseControls(toy)), 10, generator())
     batch = stored.sample(500, generator("batch"))
     assert len({tuple(row) for row in batch["controls"].tolist()}) == 10
     torch.testing.assert_close(batch["coordinates"], toy(batch["controls"]))

@@ -50,6 +50,18 @@ class ToyRig(LinearRig):
         return {"jawOpen": self.basis[0], "mouthFunnel": self.basis[1]} if self.arkit else {}
 
 
+class Plain(RigBackend):
+    """A rig that is differentiable and does not say that it ends in a linear map."""
+
+    def __init__(self) -> None:
+        toy = ToyRig()
+        super().__init__("plain", toy.controls, toy.rest_vertices, toy.faces)
+        self.toy = toy
+
+    def forward(self, controls: Tensor) -> Tensor:
+        return self.toy(controls)
+
+
 class BlackBox(RigBackend):
     """A rig that gives meshes but no gradients and no linear map."""
 

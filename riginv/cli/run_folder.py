@@ -4,6 +4,7 @@ config.yaml            the resolved config
 checkpoints/last.ckpt  where training stood last
 events.*, hparams.yaml TensorBoard's
 bundle/                the trained model
+surrogate/             a run within the run, where the rig gives no gradients: the surrogate that was trained first
 metrics.json           how good it is; written last: a folder that has it is finished
 """
 
@@ -20,7 +21,7 @@ from riginv.errors import InputError
 from riginv.files import discard, write_text
 
 CONFIG, METRICS, POSES = "config.yaml", "metrics.json", "poses.png"
-CHECKPOINT, BUNDLE = "checkpoints/last.ckpt", "bundle"
+CHECKPOINT, BUNDLE, SURROGATE = "checkpoints/last.ckpt", "bundle", "surrogate"
 NOT_PART_OF_A_RUN = ("resume",)
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 LONGEST = 120  # characters of a folder's name

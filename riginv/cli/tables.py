@@ -1,6 +1,7 @@
 """Results as tables that a newcomer understands."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -14,8 +15,11 @@ SETS = {
     "rig_poses": ("rig poses", "random poses of the rig, as in the paper"),
     "capture": ("capture", "the captured performance that was given"),
     "simulated_performance": ("simulated performance", "no clip was given: capture=TAKE.csv judges a Live Link Face recording"),
+    "held_out_pairs": ("held-out pairs", "recorded poses that training never saw"),
+    "surrogate": ("surrogate", "the surrogate alone on the controls of those poses: how far it can be believed"),
     "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
 }
+NO_RIG = "none"  # as the true rig, where poses that were recorded of it are all there is
 COLUMNS = (
     ("mean_vertex_error_mm", "mean\nerror"),
     ("neutral_mean_vertex_error_mm", "neutral's\nerror"),
@@ -24,8 +28,8 @@ COLUMNS = (
 )
 
 
-def print_results(metrics: Mapping[str, float], title: str, judge: str, notes: Sequence[str] = ()) -> None:
-    """Show a model's metrics, one row for each test set, and who judged."""
+def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] = ()) -> None:
+    """Show a model's metrics, one row for each test set, and who judged: its `true_rig`."""
     table = Table(
         title=f"{title}: vertex errors in mm",
         title_justify="left",
@@ -49,9 +53,12 @@ def print_results(metrics: Mapping[str, float], title: str, judge: str, notes: S
     for name in sets_of(metrics):
         title, meaning = SETS.get(name, (name, ""))
         console.print(f"  [bold]{title}[/]: {meaning}", highlight=False, soft_wrap=True)
-    console.print(f"  Judged by the true rig, [bold]{judge}[/], which was given the controls.", highlight=False, soft_wrap=True)
+    judge = f"Judged by the true rig, [bold]{metrics['true_rig']}[/], which was given the controls."
+    if metrics["true_rig"] == NO_RIG:
+        judge = "No rig was at hand to judge: poses that training never saw did, and a [bold]surrogate[/] made the meshes."
+    console.print(f"  {judge}", highlight=False, soft_wrap=True)
     console.print(
-        "  Neutral's error: what predicting the neutral face would cost; share left: of that. "
+        "  Neutral's error: what predicting the neutral mesh would cost; share left: of that. "
         "Roughness: mean squared second difference of the curves.",
         highlight=False,
         soft_wrap=True,

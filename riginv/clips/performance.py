@@ -21,14 +21,23 @@ def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simul
     """
     if frames < 1:
         raise InputError(f"a performance of {frames} frames was asked for, expected at least 1")
-    shapes = rig.arkit_deltas()
-    if not shapes and isinstance(rig, LinearRig) and rig.has_blendshapes:
-        count = rig.primary_count
-        shapes = dict(zip(rig.coefficient_names[:count], rig.basis[:count]))
+    shapes = _shapes(rig)
     if not shapes:
         raise InputError(f"rig '{rig.name}' has no shapes that a performance could be simulated with: give a clip instead")
     curves = _strokes(list(shapes), frames)
     return WeightedShapes(name, rig.rest_vertices, torch.stack(list(shapes.values())), curves.to(rig.dtype), FPS)
+
+
+def has_shapes(rig: RigBackend) -> bool:
+    """Whether a performance of the rig can be simulated."""
+    return bool(_shapes(rig))
+
+
+def _shapes(rig: RigBackend) -> dict[str, Tensor]:
+    shapes = rig.arkit_deltas()
+    if not shapes and isinstance(rig, LinearRig) and rig.has_blendshapes:
+        return dict(zip(rig.coefficient_names[: rig.primary_count], rig.basis[: rig.primary_count]))
+    return shapes
 
 
 def _strokes(names: list[str], frames: int) -> Tensor:

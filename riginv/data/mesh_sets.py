@@ -1,5 +1,6 @@
 """Fixed sets of meshes to judge on, made piece by piece: a set larger than memory costs no more than a small one."""
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 
@@ -27,6 +28,12 @@ class MeshSet(ABC):
     @abstractmethod
     def vertices(self, start: int, stop: int) -> Tensor:
         """The meshes `start` to `stop`, `(mesh, vertex, 3)`, mm."""
+
+    def named(self, name: str) -> "MeshSet":
+        """The same set under another name."""
+        twin = copy.copy(self)
+        twin.name = name
+        return twin
 
     def pieces(self, size: int = 128) -> Iterator[tuple[int, Tensor]]:
         """All meshes in order, `size` at a time: where the piece starts, and its vertices."""

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from typing import TypedDict
 
 import torch
+from rich.console import Console
+from rich.progress import track
 from torch import Tensor, nn
 
 from riginv.errors import InputError
@@ -150,30 +152,38 @@ class WithNoise(MeshSampler):
 
 
 class StoredPoses(MeshSampler):
-    """A fixed number of samples drawn once, from which batches are picked at random, as from a data set on disk.
+    """A fixed set of poses from which batches are picked at random, as from a data set on disk.
 
     Args:
-        count: how many samples are stored.
-        generator: what they are drawn with.
+        poses: all of them.
 
     Raises:
-        InputError: `count` is below 1.
+        InputError: there are none.
     """
 
-    PIECE = 1000
+    PIECE = 500
 
-    def __init__(self, sampler: MeshSampler, count: int, generator: torch.Generator) -> None:
+    def __init__(self, poses: PoseBatch) -> None:
         super().__init__()
-        if count < 1:
-            raise InputError(f"data.stored_poses is {count}, expected at least 1")
-        pieces = [sampler.sample(min(self.PIECE, count - start), generator) for start in range(0, count, self.PIECE)]
-        for key in pieces[0]:
-            self.register_buffer(key, torch.cat([piece[key] for piece in pieces]), persistent=False)
-        self.keys = list(pieces[0])
-        self.count = count
+        if not len(poses["coordinates"]):
+            raise InputError("there are no stored poses to train on: data.stored_poses must be at least 1")
+        for key, values in poses.items():
+            self.register_buffer(key, values, persistent=False)
+        self.keys = list(poses)
+
+    @classmethod
+    def drawn(cls, sampler: MeshSampler, count: int, generator: torch.Generator) -> "StoredPoses":
+        """`count` samples of a sampler, drawn once.
+
+        Args:
+            generator: what they are drawn with.
+        """
+        starts = track(range(0, count, cls.PIECE), "posing the rig", console=Console(stderr=True), transient=True)
+        pieces = [sampler.sample(min(cls.PIECE, count - start), generator) for start in starts]
+        return cls(PoseBatch({key: torch.cat([piece[key] for piece in pieces]) for key in pieces[0]} if pieces else {}))
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
-        rows = torch.randint(self.count, (count,), generator=generator, device=generator.device)
+        rows = torch.randint(len(self.coordinates), (count,), generator=generator, device=generator.device)
         return PoseBatch({key: self.get_buffer(key)[rows] for key in self.keys})
 
 

@@ -1,0 +1,80 @@
+"""A rig that is known only by recorded poses: it cannot be posed, so poses held out from training judge in its place."""
+
+import torch
+from torch import Tensor
+
+from riginv.data.mesh_sets import MeshSet
+from riginv.errors import InputError
+from riginv.fitted_rig import fitted_basis
+from riginv.mesh_space import MeshSpace
+from riginv.pairs import PairTable
+from riginv.rig import LinearRig
+from riginv.sampling.meshes import PoseBatch
+from riginv.sampling.seeds import generator_at
+
+SEED = 20221206
+FITTED_TO = 1500  # poses: as many as a decomposition is quick for; the others are encoded all the same
+
+
+class RecordedPoses(MeshSet):
+    """Recorded meshes with their controls.
+
+    Args:
+        vertices: `(pose, vertex, 3)`, mm.
+        controls: `(pose, control)`.
+    """
+
+    def __init__(self, name: str, vertices: Tensor, controls: Tensor) -> None:
+        super().__init__(name, controls=controls)
+        self.recorded = vertices
+
+    def __len__(self) -> int:
+        return len(self.recorded)
+
+    def vertices(self, start: int, stop: int) -> Tensor:
+        return self.recorded[start:stop]
+
+    def encoded(self, space: MeshSpace) -> PoseBatch:
+        """All of them in mesh coordinates, to train on."""
+        return PoseBatch(coordinates=torch.cat([space.encode(piece) for _, piece in self.pieces()]), controls=self.controls)
+
+
+class RecordedRig(LinearRig):
+    """A rig known by a table of pairs alone. A surrogate of it can be posed; it cannot.
+
+    Args:
+        table: the pairs.
+        held_out: the share of poses that training never sees, chosen at random but always the same.
+        residual_mm: the mean vertex distance that the basis may leave of the poses trained on.
+
+    Attributes:
+        training: the poses to train on.
+        held_out: the poses that judge.
+        residual_mm: the mean vertex distance that the basis did leave.
+
+    Raises:
+        InputError: fewer than two poses, or a share that leaves nothing to train on or to judge by.
+    """
+
+    differentiable = False
+
+    def __init__(self, name: str, table: PairTable, held_out: float, residual_mm: float) -> None:
+        poses = len(table.controls)
+        judging = round(poses * held_out)
+        if not 1 <= judging < poses:
+            raise InputError(
+                f"{name}: held_out={held_out} of {poses} poses leaves {judging} to judge by; expected 1 to {poses - 1}"
+            )
+        order = torch.randperm(poses, generator=generator_at(SEED, "held out"))
+        judge_rows, train_rows = order[:judging].sort().values, order[judging:].sort().values
+        fitted_to = table.vertices[order[judging : judging + FITTED_TO]]
+        basis, self.residual_mm = fitted_basis(table.rest_vertices, fitted_to, residual_mm)
+        super().__init__(name, table.described, table.rest_vertices, table.faces, basis)
+        self.training = RecordedPoses("training", table.vertices[train_rows], table.controls[train_rows])
+        self.held_out = RecordedPoses("held_out_pairs", table.vertices[judge_rows], table.controls[judge_rows])
+
+    def coefficients(self, controls: Tensor) -> Tensor:
+        raise InputError(f"{self.name}: recorded poses cannot be posed anew: train a surrogate of them with model=forward")
+
+    def neutral_coefficients(self) -> Tensor:
+        return self.basis.new_zeros(1, len(self.basis))
