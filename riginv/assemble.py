@@ -14,8 +14,8 @@ from riginv.callbacks.progress import TrainingProgress
 from riginv.callbacks.saving import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.cli.run_folder import RunFolder
 from riginv.clips.live_link import live_link_clip
-from riginv.clips.performance import has_shapes, simulated_performance
-from riginv.data.mesh_sets import MeshSet
+from riginv.clips.performance import simulated_performance
+from riginv.data.mesh_sets import MeshSet, StoredMeshes
 from riginv.data.poses import PoseDataModule
 from riginv.data.test_sets import random_poses, random_sets, watched
 from riginv.errors import InputError
@@ -27,6 +27,7 @@ from riginv.modules.holden import HoldenModule
 from riginv.modules.inverse import InverseModule
 from riginv.recorded_rig import RecordedRig
 from riginv.rig import LinearRig, RigBackend
+from riginv.sampling.choice import fitted
 from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise
 from riginv.sampling.noise import CaptureNoise
 from riginv.sampling.seeds import generator_at
@@ -79,10 +80,11 @@ def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
 
 
 def build_clip(config: Config, true_rig: RigBackend) -> MeshSet | None:
-    """The clip to judge on: the one given, or else a simulated performance, named so; None where the rig has no shapes."""
+    """The clip to judge on: the one given, or else the rig's own motion, or a simulated performance; None where it has none."""
     if config["capture"]:
         return live_link_clip(config["capture"], true_rig)
-    return simulated_performance(true_rig) if has_shapes(true_rig) else None
+    motion = true_rig.motion()
+    return StoredMeshes(motion.name, motion.vertices, motion.fps) if motion else simulated_performance(true_rig)
 
 
 def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> RigModule:
@@ -101,9 +103,9 @@ def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:
     """What training sees, with capture noise and storage where the config asks for them."""
     noise, stored = config["noise"], config["data"]["stored_poses"]
     if isinstance(rig.rig, RecordedRig):
-        sampler = StoredPoses(rig.rig.training.encoded(rig.space))
+        sampler = StoredPoses(rig.rig.poses_to_train_on(rig.space))
     else:
-        sampler = build(config["sampler"], rig)
+        sampler = build(fitted(config["sampler"], rig.rig), rig)
         if not rig.rig.differentiable:
             stored = stored or config["data"]["black_box_poses"]
     if stored:

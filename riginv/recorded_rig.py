@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from riginv.data.mesh_sets import MeshSet
+from riginv.data.mesh_sets import StoredMeshes
 from riginv.errors import InputError
 from riginv.fitted_rig import fitted_basis
 from riginv.mesh_space import MeshSpace
@@ -14,29 +14,6 @@ from riginv.sampling.seeds import generator_at
 
 SEED = 20221206
 FITTED_TO = 1500  # poses: as many as a decomposition is quick for; the others are encoded all the same
-
-
-class RecordedPoses(MeshSet):
-    """Recorded meshes with their controls.
-
-    Args:
-        vertices: `(pose, vertex, 3)`, mm.
-        controls: `(pose, control)`.
-    """
-
-    def __init__(self, name: str, vertices: Tensor, controls: Tensor) -> None:
-        super().__init__(name, controls=controls)
-        self.recorded = vertices
-
-    def __len__(self) -> int:
-        return len(self.recorded)
-
-    def vertices(self, start: int, stop: int) -> Tensor:
-        return self.recorded[start:stop]
-
-    def encoded(self, space: MeshSpace) -> PoseBatch:
-        """All of them in mesh coordinates, to train on."""
-        return PoseBatch(coordinates=torch.cat([space.encode(piece) for _, piece in self.pieces()]), controls=self.controls)
 
 
 class RecordedRig(LinearRig):
@@ -70,8 +47,13 @@ class RecordedRig(LinearRig):
         fitted_to = table.vertices[order[judging : judging + FITTED_TO]]
         basis, self.residual_mm = fitted_basis(table.rest_vertices, fitted_to, residual_mm)
         super().__init__(name, table.described, table.rest_vertices, table.faces, basis)
-        self.training = RecordedPoses("training", table.vertices[train_rows], table.controls[train_rows])
-        self.held_out = RecordedPoses("held_out_pairs", table.vertices[judge_rows], table.controls[judge_rows])
+        self.training = StoredMeshes("training", table.vertices[train_rows], controls=table.controls[train_rows])
+        self.held_out = StoredMeshes("held_out_pairs", table.vertices[judge_rows], controls=table.controls[judge_rows])
+
+    def poses_to_train_on(self, space: MeshSpace) -> PoseBatch:
+        """The poses to train on, in mesh coordinates."""
+        pieces = [space.encode(piece) for _, piece in self.training.pieces()]
+        return PoseBatch(coordinates=torch.cat(pieces), controls=self.training.controls)
 
     def coefficients(self, controls: Tensor) -> Tensor:
         raise InputError(f"{self.name}: recorded poses cannot be posed anew: train a surrogate of them with model=forward")

@@ -14,7 +14,7 @@ from rigs.surrogate import SurrogateRig
 from tests.conftest import ROOT
 from tests.toys import BlackBox, ToyRig
 
-FEW = ["sampler=sparse_poses", "data.black_box_poses=60", "mesh_space.samples=40"]
+FEW = ["data.black_box_poses=60", "mesh_space.samples=40"]
 
 
 @pytest.fixture(scope="module")

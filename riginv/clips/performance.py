@@ -13,24 +13,22 @@ FPS = 30.0
 TOGETHER = 0.7  # how often a right shape moves with its left one
 
 
-def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simulated_performance") -> WeightedShapes:
+def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simulated_performance") -> WeightedShapes | None:
     """A clip of a rig with ARKit or other blendshapes: each shape rises and falls now and then, smoothly.
 
+    Returns:
+        the clip, or None for a rig without shapes to add: it has no clip, and is judged on its random poses alone.
+
     Raises:
-        InputError: the rig has no shapes to add, or fewer than one frame is asked for.
+        InputError: fewer than one frame is asked for.
     """
     if frames < 1:
         raise InputError(f"a performance of {frames} frames was asked for, expected at least 1")
     shapes = _shapes(rig)
     if not shapes:
-        raise InputError(f"rig '{rig.name}' has no shapes that a performance could be simulated with: give a clip instead")
+        return None
     curves = _strokes(list(shapes), frames)
     return WeightedShapes(name, rig.rest_vertices, torch.stack(list(shapes.values())), curves.to(rig.dtype), FPS)
-
-
-def has_shapes(rig: RigBackend) -> bool:
-    """Whether a performance of the rig can be simulated."""
-    return bool(_shapes(rig))
 
 
 def _shapes(rig: RigBackend) -> dict[str, Tensor]:
