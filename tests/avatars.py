@@ -4,11 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pygltflib as gltf
+import trimesh
 
 from rigs.face import FaceRig
 
 TYPES = {(1,): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+
+
+def cube() -> tuple[np.ndarray, np.ndarray]:
+    """The corners `(8, 3)` of a cube of two units around the origin, and its triangles `(12, 3)`, outward."""
+    box = trimesh.creation.box((2.0, 2.0, 2.0))
+    return np.array(box.vertices), np.array(box.faces)
 
 
 class AvatarWriter:

@@ -5,9 +5,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from riginv.errors import InputError
 from riginv.rig import Control, LinearRig
 from rigs.gltf.arkit import arkit_targets
 from rigs.gltf.avatar import read_avatar
+from rigs.gltf.frames import frame_basis, joint_frames
+from rigs.gltf.motion import AXES, JointMotion, coefficient_names
 
 SHOWN = 12  # targets that pictures show alone
 
@@ -22,6 +25,10 @@ class GltfRig(LinearRig):
         unit_mm: millimetres to a unit of the file: 1000, as glTF is in metres.
         weld: make one of the vertices that seams split.
         default_weights: whether the neutral controls are the weights that the file rests at; else 0.
+        joints: whether the joints of its skins are controls too, three angles each, in degrees, about the joint's own axes:
+            R = Rx Ry Rz after its rotation at rest.
+        joint_include: globs of the joints that are; the others keep their places in their parents.
+        joint_limit_deg: how far an angle may leave 0.
 
     Attributes:
         targets: the names of the morph targets.
@@ -42,21 +49,40 @@ class GltfRig(LinearRig):
         unit_mm: float = 1000.0,
         weld: bool = False,
         default_weights: bool = False,
+        joints: bool = False,
+        joint_include: Sequence[str] = ("*",),
+        joint_limit_deg: float = 60.0,
     ) -> None:
-        avatar = read_avatar(file, list(include), list(exclude), unit_mm, weld, joints=False)
-        basis = torch.tensor(avatar.deltas)
+        for name, value in (("unit_mm", unit_mm), ("joint_limit_deg", joint_limit_deg)):
+            if not (isinstance(value, int | float) and 0 < value < 1e6):
+                raise InputError(f"rig.{name} is {value!r}, expected a number above 0")
+        for name, value in (("include", include), ("exclude", exclude), ("joint_include", joint_include)):
+            if isinstance(value, str):
+                raise InputError(f"rig.{name} is {value!r}, expected a list of globs: rig.{name}=[{value!r}]")
+        avatar = read_avatar(file, list(include), list(exclude), unit_mm, weld, joints)
         rests = [avatar.defaults[name] if default_weights else 0.0 for name in avatar.targets]
         controls = [Control(name, min(0.0, rest), max(1.0, rest), rest) for name, rest in zip(avatar.targets, rests)]
-        rest = torch.tensor(avatar.rest + 0.0, dtype=torch.float32) + torch.einsum("k,kvc->vc", torch.tensor(rests), basis)
-        count = 0 if any(rests) else len(controls)  # blendshape weights are 0 at rest
-        super().__init__(avatar.file.path.stem, controls, rest, torch.tensor(avatar.faces), basis, avatar.targets, count)
-        self.targets = tuple(avatar.targets)
+        names, basis, motion = list(avatar.targets), torch.tensor(avatar.deltas), None
+        rest = torch.tensor(avatar.rest, dtype=torch.float32) + torch.einsum("k,kvc->vc", torch.tensor(rests), basis)
+        if joints:
+            frames = joint_frames(avatar, list(joint_include))
+            rows, pairs = frame_basis(avatar, frames)
+            limits = {"lower": -joint_limit_deg, "upper": joint_limit_deg, "unit": "deg"}
+            controls += [Control(f"{joint}.{axis}", **limits) for joint in frames.names for axis in AXES]
+            names += coefficient_names(frames, pairs, avatar.targets)
+            basis, motion = torch.cat([basis, rows]), JointMotion(frames, pairs)
+        count = 0 if joints or any(rests) else len(controls)  # blendshape weights are 0 at rest
+        super().__init__(avatar.file.path.stem, controls, rest, torch.tensor(avatar.faces), basis, names, count)
+        self.targets, self.motion = tuple(avatar.targets), motion
         self.parts = tuple((piece.label, piece.start, piece.start + piece.count) for piece in avatar.pieces)
         self.register_buffer("vertex_map", torch.tensor(avatar.vertex_map), persistent=False)
 
     def coefficients(self, controls: Tensor) -> Tensor:
-        """Controls `(batch, control)` to the weights `(batch, target)` of the morph targets, which they are."""
-        return controls
+        """Controls `(batch, control)` to the weights of the targets, which they are, and what the joints make of theirs."""
+        if self.motion is None:
+            return controls
+        weights = controls[:, : len(self.targets)]
+        return torch.cat([weights, self.motion(weights, controls[:, len(self.targets) :])], dim=1)
 
     def arkit_deltas(self) -> dict[str, Tensor]:
         place = {name: number for number, name in enumerate(self.targets)}
