@@ -44,7 +44,8 @@ def read_numbers(file: GltfFile, index: int, kind: str, user: str) -> np.ndarray
     """
     accessor = _checked(file, index, kind, user)
     values = _values(file, index, accessor, user)
-    numbers = values.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # said below
+        numbers = values.astype(np.float64)
     if accessor.get("normalized") and values.dtype.kind != "f":
         numbers = np.maximum(numbers / np.iinfo(values.dtype).max, -1.0)
     finite = np.isfinite(numbers).all(axis=1)

@@ -14,6 +14,8 @@ from rigs.gltf.skins import Carriers
 from rigs.gltf.targets import default_weights
 from rigs.gltf.weld import weld_map
 
+FARTHEST_MM = 1e8  # from the origin that a vertex may lie, 100 km: beyond it a file is damaged
+
 
 @dataclass(frozen=True)
 class Avatar:
@@ -78,9 +80,20 @@ def read_avatar(path: str | Path, include: list[str], exclude: list[str], mm: fl
             deltas[number_of[name], here] = turned(blend, change)
         triangles = here[piece.triangles(file)]
         faces.append(triangles[:, ::-1] if np.linalg.det(carriers.transforms[0, :, :3]) < 0 else triangles)
+    check_distances(file, rest, deltas)
     faces = np.concatenate(faces)
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # welding may have closed one
     return Avatar(file, scene, parts, targets, _defaults(file, parts), vertex_map, rest, deltas, faces, mm)
+
+
+def check_distances(file: GltfFile, *arrays: np.ndarray) -> None:
+    """Raises InputError where numbers in mm are beyond what an avatar can have."""
+    for array in arrays:
+        if not np.abs(array).max(initial=0.0) < FARTHEST_MM:
+            raise InputError(
+                f"{file.path}: its nodes place vertices farther than {FARTHEST_MM / 1e6:g} km away: check the scales of its "
+                f"nodes, and rig.unit_mm"
+            )
 
 
 def blended(carriers: Carriers, some: slice | np.ndarray, mm: float) -> np.ndarray:

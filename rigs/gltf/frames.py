@@ -11,7 +11,7 @@ from riginv.errors import InputError
 from riginv.geometry.kinematics import compose
 from riginv.geometry.skinning import NUMBERS
 from rigs.gltf.accessors import MOST_NUMBERS
-from rigs.gltf.avatar import Avatar, blended, turned
+from rigs.gltf.avatar import Avatar, blended, check_distances, turned
 
 NEGLIGIBLE_MM = 1e-4  # a joint whose share of a target's deltas stays below this does not turn them
 LINEAR = 9  # numbers of the 3x4 matrix of a joint that turn deltas: its last column moves points only
@@ -128,6 +128,7 @@ def frame_basis(avatar: Avatar, frames: Frames) -> FrameBasis:
         )
     with_ones = np.concatenate([points, shares[:, :, None]], axis=2)
     rows = np.concatenate([_rows(with_ones), _rows(_turned_deltas(avatar, frames, pairs))])
+    check_distances(avatar.file, rows)
     return FrameBasis(torch.tensor(rows), torch.tensor(pairs))
 
 

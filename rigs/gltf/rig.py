@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -59,14 +60,15 @@ class GltfRig(LinearRig):
         for name, value in (("include", include), ("exclude", exclude), ("joint_include", joint_include)):
             if isinstance(value, str):
                 raise InputError(f"rig.{name} is {value!r}, expected a list of globs: rig.{name}=[{value!r}]")
-        avatar = read_avatar(file, list(include), list(exclude), unit_mm, weld, joints)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
+            avatar = read_avatar(file, list(include), list(exclude), unit_mm, weld, joints)
+            frames = joint_frames(avatar, list(joint_include)) if joints else None
+            rows, pairs = frame_basis(avatar, frames) if frames else (None, None)
         rests = [avatar.defaults[name] if default_weights else 0.0 for name in avatar.targets]
         controls = [Control(name, min(0.0, rest), max(1.0, rest), rest) for name, rest in zip(avatar.targets, rests)]
         names, basis, motion = list(avatar.targets), torch.tensor(avatar.deltas), None
         rest = torch.tensor(avatar.rest, dtype=torch.float32) + torch.einsum("k,kvc->vc", torch.tensor(rests), basis)
-        if joints:
-            frames = joint_frames(avatar, list(joint_include))
-            rows, pairs = frame_basis(avatar, frames)
+        if frames:
             limits = {"lower": -joint_limit_deg, "upper": joint_limit_deg, "unit": "deg"}
             controls += [Control(f"{joint}.{axis}", **limits) for joint in frames.names for axis in AXES]
             names += coefficient_names(frames, pairs, avatar.targets)
