@@ -92,7 +92,7 @@ def test_joints_turn_vertices_and_the_deltas_of_targets(tmp_path):
         angles[3] = 0
         assert np.abs(posed(rig, angles, weights) - skinned(angles, weights)).max() < 0.01
     check_rig(rig)
-    assert len(rig.basis) == 2 + 12 * 3 + 9 * (3 + 1)  # target b moves two vertices, which only the hips carry
+    assert len(rig.basis) == 3 * 2 + 12 * 3 + 9 * (3 + 1)  # target b moves two vertices, which only the hips carry
 
 
 def test_a_joint_that_is_left_out_keeps_its_place_in_its_parent(tmp_path):

@@ -120,7 +120,7 @@ def frame_basis(avatar: Avatar, frames: Frames) -> FrameBasis:
             points[frame, here] = turned(blend, positions) + blend[:, :, 3] - share[:, None] * centres[frame]
             shares[frame, here] = share
     pairs = _pairs(avatar, shares)
-    needed = (len(avatar.targets) + NUMBERS * count + LINEAR * len(pairs)) * 3 * vertices
+    needed = (3 * len(avatar.targets) + NUMBERS * count + LINEAR * len(pairs)) * 3 * vertices
     if needed > MOST_NUMBERS:
         raise InputError(
             f"{avatar.file.path}: {count} joints, of which {len(pairs)} pairs of a joint and a target move a vertex, need "

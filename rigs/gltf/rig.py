@@ -11,7 +11,7 @@ from riginv.rig import Control, LinearRig
 from rigs.gltf.arkit import arkit_targets
 from rigs.gltf.avatar import read_avatar
 from rigs.gltf.frames import frame_basis, joint_frames
-from rigs.gltf.motion import AXES, JointMotion, coefficient_names
+from rigs.gltf.motion import ANGLES, AXES_IN_SPACE, JointMotion, by_axis, coefficient_names
 
 SHOWN = 12  # targets that pictures show alone
 
@@ -70,9 +70,9 @@ class GltfRig(LinearRig):
         rest = torch.tensor(avatar.rest, dtype=torch.float32) + torch.einsum("k,kvc->vc", torch.tensor(rests), basis)
         if frames:
             limits = {"lower": -joint_limit_deg, "upper": joint_limit_deg, "unit": "deg"}
-            controls += [Control(f"{joint}.{axis}", **limits) for joint in frames.names for axis in AXES]
-            names += coefficient_names(frames, pairs, avatar.targets)
-            basis, motion = torch.cat([basis, rows]), JointMotion(frames, pairs)
+            controls += [Control(f"{joint}.{axis}", **limits) for joint in frames.names for axis in ANGLES]
+            names = coefficient_names(frames, pairs, avatar.targets)
+            basis, motion = torch.cat([by_axis(basis), rows]), JointMotion(frames, pairs)
         count = 0 if joints or any(rests) else len(controls)  # blendshape weights are 0 at rest
         super().__init__(avatar.file.path.stem, controls, rest, torch.tensor(avatar.faces), basis, names, count)
         self.targets, self.motion = tuple(avatar.targets), motion
@@ -83,12 +83,13 @@ class GltfRig(LinearRig):
         """Controls `(batch, control)` to the weights of the targets, which they are, and what the joints make of theirs."""
         if self.motion is None:
             return controls
-        weights = controls[:, : len(self.targets)]
-        return torch.cat([weights, self.motion(weights, controls[:, len(self.targets) :])], dim=1)
+        return self.motion(controls[:, : len(self.targets)], controls[:, len(self.targets) :])
 
     def arkit_deltas(self) -> dict[str, Tensor]:
+        rows = 1 if self.motion is None else AXES_IN_SPACE
+        deltas = self.basis[: rows * len(self.targets)].unflatten(0, (-1, rows)).sum(dim=1)
         place = {name: number for number, name in enumerate(self.targets)}
-        return {arkit: self.basis[place[name]] for arkit, name in arkit_targets(list(self.targets)).items()}
+        return {arkit: deltas[place[name]] for arkit, name in arkit_targets(list(self.targets)).items()}
 
     def expressions(self) -> dict[str, dict[str, float]]:
         step = max(1, len(self.targets) // SHOWN)
