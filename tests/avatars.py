@@ -95,12 +95,36 @@ class AvatarWriter:
         return path
 
 
-def face_avatar(path: Path, face: FaceRig, targets: int) -> Path:
-    """The face rig's first primary shapes as the morph targets of an avatar, in metres, some of them sparse."""
+def face_avatar(path: Path, face: FaceRig, targets: int, joints: bool = False) -> Path:
+    """The face rig's first primary shapes as the morph targets of an avatar, in metres, some of them sparse.
+
+    Args:
+        joints: whether a skin of neck, head and jaw carries it.
+    """
     avatar = AvatarWriter()
     deltas = face.basis[:targets].double().numpy() / 1000
     accessors = [avatar.sparse(delta) if number % 3 == 0 else avatar.accessor(delta) for number, delta in enumerate(deltas)]
-    rest = avatar.accessor(face.rest_vertices.double().numpy() / 1000)
-    primitive = avatar.primitive(rest, face.faces.numpy(), accessors)
-    avatar.node("Head", mesh=avatar.mesh("Head", [primitive], list(face.coefficient_names[:targets])))
+    rest = face.rest_vertices.double().numpy() / 1000
+    skin, more = (None, {}) if not joints else _bind(avatar, rest)
+    primitive = avatar.primitive(avatar.accessor(rest), face.faces.numpy(), accessors, **more)
+    avatar.node("Head", mesh=avatar.mesh("Head", [primitive], list(face.coefficient_names[:targets])), skin=skin)
     return avatar.write(path)
+
+
+def _bind(avatar: AvatarWriter, rest: np.ndarray) -> tuple[int, dict[str, int]]:
+    """A skin of neck, head and jaw for the face `(vertex, 3)`, m, and the attributes that bind vertices to it."""
+    low, high = rest.min(axis=0), rest.max(axis=0)
+    up, front = ((rest - low) / (high - low)).T[1:]
+    places = [low + (high - low) * share for share in ([0.5, -0.1, 0.0], [0.5, 0.3, 0.1], [0.5, 0.35, 0.4])]
+    joints: list[int] = []
+    for name, parent, place in zip(("neck", "head", "jaw"), (None, 0, 1), places):
+        before = 0 if parent is None else places[parent]
+        above = None if parent is None else joints[parent]
+        joints.append(avatar.node(name, above, translation=(place - before).tolist()))
+    jaw = np.clip(1 - up / 0.35, 0, 1) * np.clip(2 * front - 0.5, 0, 1)
+    neck = (1 - jaw) * np.clip(0.5 - 2.5 * up, 0, 1)
+    shares = np.stack([neck, 1 - jaw - neck, jaw, 0 * jaw], axis=1)
+    binds = np.tile(np.eye(4), (3, 1, 1))
+    binds[:, :3, 3] = -np.array(places)
+    numbers = avatar.accessor(np.tile([0, 1, 2, 0], (len(rest), 1)), "u1")
+    return avatar.skin(joints, binds), {"JOINTS_0": numbers, "WEIGHTS_0": avatar.accessor(shares)}

@@ -9,7 +9,7 @@ from riginv.errors import InputError
 from riginv.rig import LinearRig
 from riginv.rig_contract import check_rig
 from rigs.gltf import GltfRig
-from tests.avatars import AvatarWriter, cube
+from tests.avatars import AvatarWriter, cube, face_avatar
 
 RNG = np.random.default_rng(11)
 CUBE, FACES = cube()
@@ -162,3 +162,16 @@ def test_a_wrong_skin_is_named(tmp_path, fields, says, joints):
 def test_globs_that_name_no_joint_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"joint_include=\['tail'\] names no joint.*hips, spine, head"):
         GltfRig(dancer(tmp_path / "a.glb"), joints=True, joint_include=["tail"])
+
+
+def test_a_face_turns_as_a_whole_with_its_neck_and_keeps_its_expression(face, tmp_path):
+    rig = GltfRig(str(face_avatar(tmp_path / "head.glb", face, 52, joints=True)), joints=True)
+    assert rig.control_names[52:] == tuple(f"{name}.{axis}" for name in ("neck", "head", "jaw") for axis in ("rx", "ry", "rz"))
+    weights = torch.rand(52)
+    expected = (face.rest_vertices + torch.einsum("k,kvc->vc", weights, face.basis[:52])).double().numpy()
+    low, high = face.rest_vertices.double().numpy().min(axis=0), face.rest_vertices.double().numpy().max(axis=0)
+    neck = low + (high - low) * [0.5, -0.1, 0.0]
+    expected = (expected - neck) @ Rotation.from_euler("XYZ", [20, -30, 10], degrees=True).as_matrix().T + neck
+    found = rig(torch.cat([weights, torch.tensor([20.0, -30, 10]), torch.zeros(6)])[None])[0].numpy()
+    assert np.abs(found - expected).max() < 0.01
+    assert torch.allclose(rig.arkit_deltas()["jawOpen"], face.basis[face.coefficient_names.index("jawOpen")], atol=1e-3)

@@ -13,7 +13,7 @@ from rigs.gltf.avatar import read_avatar
 from rigs.gltf.frames import frame_basis, joint_frames
 from rigs.gltf.motion import ANGLES, AXES_IN_SPACE, JointMotion, by_axis, coefficient_names
 
-SHOWN = 12  # targets that pictures show alone
+SHOWN = 9  # targets that pictures show alone
 
 
 class GltfRig(LinearRig):
