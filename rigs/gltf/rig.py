@@ -75,18 +75,18 @@ class GltfRig(LinearRig):
             basis, motion = torch.cat([by_axis(basis), rows]), JointMotion(frames, pairs)
         count = 0 if joints or any(rests) else len(controls)  # blendshape weights are 0 at rest
         super().__init__(avatar.file.path.stem, controls, rest, torch.tensor(avatar.faces), basis, names, count)
-        self.targets, self.motion = tuple(avatar.targets), motion
+        self.targets, self.joint_motion = tuple(avatar.targets), motion
         self.parts = tuple((piece.label, piece.start, piece.start + piece.count) for piece in avatar.pieces)
         self.register_buffer("vertex_map", torch.tensor(avatar.vertex_map), persistent=False)
 
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the weights of the targets, which they are, and what the joints make of theirs."""
-        if self.motion is None:
+        if self.joint_motion is None:
             return controls
-        return self.motion(controls[:, : len(self.targets)], controls[:, len(self.targets) :])
+        return self.joint_motion(controls[:, : len(self.targets)], controls[:, len(self.targets) :])
 
     def arkit_deltas(self) -> dict[str, Tensor]:
-        rows = 1 if self.motion is None else AXES_IN_SPACE
+        rows = 1 if self.joint_motion is None else AXES_IN_SPACE
         deltas = self.basis[: rows * len(self.targets)].unflatten(0, (-1, rows)).sum(dim=1)
         place = {name: number for number, name in enumerate(self.targets)}
         return {arkit: deltas[place[name]] for arkit, name in arkit_targets(list(self.targets)).items()}
