@@ -1,22 +1,17 @@
-"""The files of an avatar: .glb or .vrm, or .gltf with buffers beside it or within; nothing else is ever opened."""
+"""An avatar's file, opened: its document checked, its buffers at hand."""
 
-import base64
-import binascii
 import codecs
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
 from riginv.errors import InputError
 from rigs.gltf.schema import Document, checked_document
+from rigs.gltf.sources import DATA_URI, MAGIC, VERSION, beside, bytes_of, chunks, from_data_uri
 
-MAGIC, VERSION, HEADER, CHUNK_HEADER = b"glTF", 2, 12, 8
-JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-DATA_URI, BASE64 = "data:", ";base64,"
 COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
 SUPPORTED = ("KHR_mesh_quantization",)
 # Extensions that change how an avatar looks or behaves, not where its vertices are.
@@ -80,9 +75,9 @@ class GltfFile:
             if uri is None:
                 data = self._binary_chunk(index)
             elif uri.startswith(DATA_URI):
-                data = _from_data_uri(self.path, where, uri)
+                data = from_data_uri(self.path, where, uri)
             else:
-                data = _bytes_of(_beside(self.path, where, uri), f"{where} of {self.path}")
+                data = bytes_of(beside(self.path, where, uri), f"{where} of {self.path}")
             if len(data) < buffer["byteLength"]:
                 raise InputError(
                     f"{self.path}: {where} holds {len(data)} bytes, expected {buffer['byteLength']}: "
@@ -106,10 +101,10 @@ def open_gltf(path: str | Path) -> GltfFile:
         InputError: the file is missing, truncated or no glTF 2.0, or needs an extension that is not read here.
     """
     path = Path(path)
-    data = _bytes_of(path, "rig.file")
+    data = bytes_of(path, "rig.file")
     chunk = None
     if data[:4].tobytes() == MAGIC:
-        text, chunk = _chunks(path, data)
+        text, chunk = chunks(path, data)
     elif data[:64].tobytes().removeprefix(codecs.BOM_UTF8).lstrip().startswith(b"{"):
         text = data.tobytes()
     else:
@@ -139,65 +134,3 @@ def compression_error(path: Path, extension: str) -> InputError:
         f"{path}: its meshes are compressed with {extension}; decompress it with "
         f"`npx @gltf-transform/cli cp {path.name} plain.glb` and give rig.file=plain.glb"
     )
-
-
-def _chunks(path: Path, data: np.ndarray) -> tuple[bytes, np.ndarray | None]:
-    """The JSON and the binary chunk of a .glb."""
-    if len(data) < HEADER + CHUNK_HEADER:
-        raise InputError(f"{path}: {len(data)} bytes, too short for a .glb: the file is truncated; copy or export it again")
-    version, length = (int(number) for number in np.frombuffer(data[4:HEADER].tobytes(), "<u4"))
-    if version != VERSION:
-        raise InputError(f"{path}: a .glb of version {version}, expected {VERSION}: export it again as glTF 2.0")
-    if length > len(data):
-        raise InputError(
-            f"{path}: {len(data)} bytes, expected {length} as its header says: the file is truncated; copy or export it again"
-        )
-    found: dict[int, np.ndarray] = {}
-    start = HEADER
-    while start + CHUNK_HEADER <= length:
-        size, kind = (int(number) for number in np.frombuffer(data[start : start + CHUNK_HEADER].tobytes(), "<u4"))
-        start += CHUNK_HEADER
-        if start + size > length:
-            raise InputError(
-                f"{path}: a part of {size} bytes starts at byte {start} of {length}: the file is damaged; export it again"
-            )
-        found.setdefault(kind, data[start : start + size])
-        start += size
-    if JSON_CHUNK not in found:
-        raise InputError(f"{path}: a .glb without its JSON part: the file is damaged; export it again")
-    return found[JSON_CHUNK].tobytes(), found.get(BINARY_CHUNK)
-
-
-def _bytes_of(path: Path, asked: str) -> np.ndarray:
-    """The bytes of a file `(byte,)`, mapped, so that only what is used is read."""
-    try:
-        if not path.is_file():
-            raise InputError(f"{path}: no such file, asked for by {asked}")
-        return np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-
-
-def _beside(path: Path, where: str, uri: str) -> Path:
-    """The file that a URI names, within the folder of the avatar."""
-    name = unquote(uri)
-    folder = path.parent.resolve()
-    try:
-        target = (folder / name).resolve()
-    except (OSError, ValueError, RuntimeError):
-        target = folder.parent
-    if "://" in name or not target.is_relative_to(folder) or "\0" in name:
-        raise InputError(
-            f"{path}: {where} names {uri[:80]!r}, expected a file in the avatar's own folder: put it there, or export a .glb"
-        )
-    return target
-
-
-def _from_data_uri(path: Path, where: str, uri: str) -> np.ndarray:
-    _, mark, body = uri.partition(BASE64)
-    try:
-        if not mark:
-            raise ValueError("it is not marked as base64")
-        return np.frombuffer(base64.b64decode(unquote(body), validate=True), np.uint8)
-    except (ValueError, binascii.Error) as error:
-        raise InputError(f"{path}: {where} holds data that cannot be decoded: {error}; export it again") from None

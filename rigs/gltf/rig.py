@@ -61,7 +61,7 @@ class GltfRig(LinearRig):
             if isinstance(value, str):
                 raise InputError(f"rig.{name} is {value!r}, expected a list of globs: rig.{name}=[{value!r}]")
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
-            avatar = read_avatar(file, list(include), list(exclude), unit_mm, weld, joints)
+            avatar = read_avatar(str(file), list(include), list(exclude), unit_mm, weld, joints)
             frames = joint_frames(avatar, list(joint_include)) if joints else None
             rows, pairs = frame_basis(avatar, frames) if frames else (None, None)
         rests = [avatar.defaults[name] if default_weights else 0.0 for name in avatar.targets]
