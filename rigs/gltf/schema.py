@@ -1,0 +1,137 @@
+"""What a glTF document may say: every field that is read later is checked here, so that no later code meets a surprise.
+
+Libraries that read glTF turn wrong values into others (`"5"` into 5, 1.5 into 1) or fail somewhere within; here the message
+names the field. Source: the glTF 2.0 specification of the Khronos Group, section 5.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from riginv.errors import InputError
+
+Document = dict[str, Any]
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**53
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 2**1000 and math.isfinite(value)
+
+
+Check = tuple[Callable[[Any], bool], str]
+WHOLE: Check = (_whole, "a whole number of at least 0")
+NUMBER: Check = (_number, "a finite number")
+TEXT: Check = (lambda value: isinstance(value, str), "a text")
+FLAG: Check = (lambda value: isinstance(value, bool), "true or false")
+ANYTHING: Check = (lambda value: True, "anything")
+OBJECT: Check = (lambda value: isinstance(value, dict), "an object {...}")
+
+EACH = "*"  # in a specification: whatever the key
+ATTRIBUTES = {EACH: WHOLE}
+# Field -> a check, a list of one specification for each element, or a dict of fields; a field ending in ! must be there.
+DOCUMENT: Document = {
+    "asset!": {"version!": TEXT},
+    "extensionsUsed": [TEXT],
+    "extensionsRequired": [TEXT],
+    "scene": WHOLE,
+    "scenes": [{"nodes": [WHOLE]}],
+    "nodes": [
+        {
+            "name": TEXT,
+            "children": [WHOLE],
+            "mesh": WHOLE,
+            "skin": WHOLE,
+            "matrix": [NUMBER],
+            "translation": [NUMBER],
+            "rotation": [NUMBER],
+            "scale": [NUMBER],
+            "weights": [NUMBER],
+        }
+    ],
+    "meshes": [
+        {
+            "name": TEXT,
+            "weights": [NUMBER],
+            "extras": ANYTHING,
+            "primitives!": [
+                {
+                    "attributes!": ATTRIBUTES,
+                    "indices": WHOLE,
+                    "mode": WHOLE,
+                    "targets": [ATTRIBUTES],
+                    "extensions": OBJECT,
+                    "extras": ANYTHING,
+                }
+            ],
+        }
+    ],
+    "skins": [{"name": TEXT, "joints!": [WHOLE], "inverseBindMatrices": WHOLE}],
+    "accessors": [
+        {
+            "bufferView": WHOLE,
+            "byteOffset": WHOLE,
+            "componentType!": WHOLE,
+            "normalized": FLAG,
+            "count!": WHOLE,
+            "type!": TEXT,
+            "sparse": {
+                "count!": WHOLE,
+                "indices!": {"bufferView!": WHOLE, "byteOffset": WHOLE, "componentType!": WHOLE},
+                "values!": {"bufferView!": WHOLE, "byteOffset": WHOLE},
+            },
+        }
+    ],
+    "bufferViews": [
+        {"buffer!": WHOLE, "byteOffset": WHOLE, "byteLength!": WHOLE, "byteStride": WHOLE, "extensions": OBJECT},
+    ],
+    "buffers": [{"uri": TEXT, "byteLength!": WHOLE}],
+}
+
+
+def checked_document(raw: Any, path: Any) -> Document:
+    """The fields of a glTF document that are read, of the types that they must have; null counts as absent.
+
+    Args:
+        raw: what the JSON held.
+        path: of the file, for messages.
+
+    Raises:
+        InputError: a field is missing or of another type; the message names it.
+    """
+    return _checked(raw, DOCUMENT, str(path), "the document")
+
+
+def _checked(value: Any, expected: Any, path: str, where: str) -> Any:
+    if isinstance(expected, tuple):
+        holds, words = expected
+        if not holds(value):
+            raise InputError(f"{path}: {where} is {_shown(value)}, expected {words}: the file is damaged; export it again")
+        return value
+    if isinstance(expected, list):
+        if not isinstance(value, list):
+            raise InputError(f"{path}: {where} is {_shown(value)}, expected a list: the file is damaged; export it again")
+        return [_checked(item, expected[0], path, f"{where}[{number}]") for number, item in enumerate(value)]
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: {where} is {_shown(value)}, expected an object: the file is damaged; export it again")
+    result = {}
+    for key, inner in expected.items():
+        if key == EACH:
+            return {name: _checked(item, inner, path, f"{where}.{name}") for name, item in value.items()}
+        name = key.removesuffix("!")
+        found = value.get(name)
+        if found is not None:
+            result[name] = _checked(found, inner, path, name if expected is DOCUMENT else f"{where}.{name}")
+        elif key.endswith("!"):
+            raise InputError(f"{path}: {where} has no '{name}', which glTF 2.0 requires: the file is damaged; export it again")
+    return result
+
+
+def _shown(value: Any) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of thousands of digits
+        text = "a huge number"
+    return text if len(text) <= 40 else f"{text[:37]}..."

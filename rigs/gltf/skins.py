@@ -1,0 +1,101 @@
+"""What carries the vertices of a primitive: the joints of a skin in the shares of its weights, or the node alone."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from riginv.errors import InputError
+from riginv.geometry.kinematics import compose
+from riginv.geometry.skinning import SUM_TOLERANCE, check_weights
+from rigs.gltf.accessors import MOST_NUMBERS, count_of, quantised_step, read_indices, read_numbers
+from rigs.gltf.container import GltfFile
+from rigs.gltf.scene import Scene
+
+
+class Carriers(NamedTuple):
+    """The nodes that carry vertices.
+
+    Attributes:
+        nodes: their numbers, `(carrier,)`.
+        shares: how much each vertex follows each, `(vertex, carrier)`; each row sums to 1.
+        transforms: `(carrier, 3, 4)`: from the primitive's own coordinates to the world at rest, metres.
+    """
+
+    nodes: np.ndarray
+    shares: np.ndarray
+    transforms: np.ndarray
+
+
+def carriers(file: GltfFile, scene: Scene, node: int, attributes: dict[str, int], vertices: int, user: str) -> Carriers:
+    """What carries a primitive's vertices. A skin places them by its joints alone, as glTF wants it, not by the node.
+
+    Raises:
+        InputError: weights are negative or do not sum to 1, or joints or matrices are missing; the message names the skin.
+    """
+    skin_number = file.document["nodes"][node].get("skin")
+    if skin_number is None:
+        return Carriers(np.array([node]), np.ones((vertices, 1)), scene.world[[node]].numpy())
+    skin = file.item("skins", skin_number, f"node '{scene.names[node]}'")
+    label = f"skin '{skin['name']}'" if skin.get("name") else f"skins[{skin_number}]"
+    joints = skin["joints"]
+    if not joints:
+        raise InputError(f"{file.path}: {label} has no joints: export it again")
+    for joint in joints:
+        file.item("nodes", joint, label)
+    if vertices * len(joints) > MOST_NUMBERS:
+        raise InputError(f"{file.path}: {label} has {len(joints)} joints for {vertices} vertices: too many to be meant")
+    names = [scene.names[joint] for joint in joints]
+    shares = _shares(file, attributes, vertices, names, f"{user}, {label}")
+    binds = torch.tensor(_inverse_binds(file, skin, len(joints), label))
+    return Carriers(np.array(joints), shares, compose(scene.world[joints], binds).numpy())
+
+
+def _inverse_binds(file: GltfFile, skin: dict, joints: int, label: str) -> np.ndarray:
+    """The inverse bind matrices `(joint, 3, 4)`; identities where the skin has none."""
+    if "inverseBindMatrices" not in skin:
+        return np.tile(np.eye(4)[:3], (joints, 1, 1))
+    accessor, user = skin["inverseBindMatrices"], f"inverseBindMatrices of {label}"
+    count = count_of(file, accessor, user)
+    if count < joints:
+        raise InputError(
+            f"{file.path}: accessors[{accessor}], {user}, holds {count} matrices for {joints} joints: export it again"
+        )
+    matrices = read_numbers(file, accessor, "MAT4", user)[:joints].reshape(joints, 4, 4).transpose(0, 2, 1)
+    affine = np.abs(matrices[:, 3] - [0, 0, 0, 1]).max(axis=1) < 1e-4
+    if not affine.all():
+        raise InputError(
+            f"{file.path}: {user}: matrix {int(np.argmin(affine))} does not end in the row 0 0 0 1: export it again"
+        )
+    return matrices[:, :3]
+
+
+def _shares(file: GltfFile, attributes: dict[str, int], vertices: int, names: list[str], user: str) -> np.ndarray:
+    """Skin weights `(vertex, joint)` from all sets of JOINTS and WEIGHTS; small errors of their sums are mended."""
+    shares = np.zeros((vertices, len(names)))
+    tolerance, number = SUM_TOLERANCE, 0
+    while number == 0 or f"JOINTS_{number}" in attributes or f"WEIGHTS_{number}" in attributes:
+        for field in (f"JOINTS_{number}", f"WEIGHTS_{number}"):
+            if field not in attributes:
+                raise InputError(f"{file.path}: {user}: the mesh has a skin, but no {field}: bind it again, or export it again")
+            count = count_of(file, attributes[field], f"{field} of {user}")
+            if count != vertices:
+                raise InputError(
+                    f"{file.path}: {field} of {user} has {count} elements for {vertices} vertices: export it again"
+                )
+        joints = read_indices(file, attributes[f"JOINTS_{number}"], "VEC4", f"JOINTS_{number} of {user}")
+        weights = read_numbers(file, attributes[f"WEIGHTS_{number}"], "VEC4", f"WEIGHTS_{number} of {user}")
+        tolerance = max(tolerance, 4 * quantised_step(file, attributes[f"WEIGHTS_{number}"]))
+        wrong = (weights != 0) & (joints >= len(names))
+        if wrong.any():
+            vertex, place = np.argwhere(wrong)[0]
+            raise InputError(
+                f"{file.path}: JOINTS_{number} of {user}: vertex {vertex} follows joint {joints[vertex, place]}, the skin has "
+                f"joints 0 to {len(names) - 1}: bind it again, or export it again"
+            )
+        np.add.at(shares, (np.arange(vertices)[:, None], np.where(weights != 0, joints, 0)), weights)
+        number += 1
+    sums = shares.sum(axis=1, keepdims=True)
+    shares = np.where(np.abs(sums - 1) <= tolerance, shares / np.where(sums == 0, 1, sums), shares)
+    check_weights(torch.tensor(shares), f"{file.path}: {user}", names)
+    return shares
