@@ -55,8 +55,8 @@ def read_deltas(path: Path, name: str, vertex_count: int) -> np.ndarray:
         found = np.asarray(read(name))
     if found.shape != (vertex_count, 3) or found.dtype.kind not in "fiu":
         raise InputError(
-            f"{path}: '{name}' is {found.dtype} of shape {found.shape}, expected numbers of shape ({vertex_count}, 3), a row for "
-            "each vertex of the neutral; if it is no shape, leave it out with rig.exclude"
+            f"{path}: '{name}' is {found.dtype} of shape {found.shape}, expected numbers of shape ({vertex_count}, 3), a row "
+            "for each vertex of the neutral; if it is no shape, leave it out with rig.exclude"
         )
     if not np.isfinite(found).all():
         raise InputError(f"{path}: the deltas '{name}' hold NaN or infinite numbers; export them again")

@@ -40,4 +40,7 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             raise InputError(
                 f"{path}, line {number}: found '{found}', expected {expected}: truncated? export it again"
             ) from None
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(sizes, dtype=np.int64), np.array(corners, np.int64)
+    try:
+        return np.array(vertices).reshape(-1, 3), np.array(sizes, dtype=np.int64), np.array(corners, dtype=np.int64)
+    except OverflowError:
+        raise InputError(f"{path}: a face uses vertex {max(map(abs, corners)) + 1}: damaged; export it again") from None

@@ -42,7 +42,7 @@ def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     content = path.read_bytes()
     endian, elements, start = _header(path, content)
     body = _Binary(content, start, endian) if endian else _Text(content[start:])
-    vertices, faces = np.zeros((0, 3)), []
+    vertices, sizes, corners = np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
     for element in elements:
         names = [prop.name for prop in element.properties]
         try:
@@ -52,14 +52,14 @@ def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
                 vertices = np.array([[row[column] for column in columns] for row in rows], dtype=np.float64).reshape(-1, 3)
             elif element.name == "face":
                 column = next(names.index(name) for name in FACE_LISTS if name in names)
-                faces = [[int(corner) for corner in row[column]] for row in rows]
-        except (ValueError, IndexError, TypeError, OverflowError, StopIteration, struct.error):
+                sizes = np.array([len(row[column]) for row in rows], dtype=np.int64)
+                corners = np.array([corner for row in rows for corner in row[column]], dtype=np.float64).astype(np.int64)
+        except (ValueError, IndexError, TypeError, StopIteration, struct.error):
             raise InputError(
                 f"{path}: the header promises {element.count} of '{element.name}', and they cannot all be read: truncated, or "
                 "no mesh of vertices with x, y, z and faces with vertex_indices; export it again"
             ) from None
-    sizes = np.array([len(face) for face in faces], dtype=np.int64)
-    return vertices, sizes, np.array([corner for face in faces for corner in face], dtype=np.int64)
+    return vertices, sizes, corners
 
 
 def _header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
