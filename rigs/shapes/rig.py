@@ -78,7 +78,7 @@ class ShapesRig(LinearRig):
         size = (self.rest_vertices.amax(dim=0) - self.rest_vertices.amin(dim=0)).tolist()
         lines = [
             f"{self.name}: {len(shapes.primaries)} primary shapes, {len(shapes.inbetweens)} in-betweens, "
-            f"{len(shapes.combinations)} combinations with {len(shapes.combination_inbetweens)} in-betweens; "
+            f"{len(shapes.combinations)} combinations, {len(shapes.combination_inbetweens)} in-betweens of combinations; "
             f"{len(self.rest_vertices)} vertices, {' x '.join(f'{length:.3g}' for length in size)} mm"
         ]
         lines += [f"  {name}: in-between of {shape} at {place:g}" for name, (shape, place) in shapes.inbetweens.items()]
