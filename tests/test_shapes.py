@@ -1,7 +1,10 @@
 """A folder of shapes: its files as they stand, its names by the convention, its meshes against plain NumPy."""
 
 import inspect
+import re
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ from riginv.errors import InputError
 from riginv.rig_contract import check_rig
 from rigs.shapes import ShapesRig
 from rigs.shapes.build import build_geometry
+from rigs.shapes.deltas import names_in, read_deltas
 from rigs.shapes.mesh import read_mesh
 from rigs.shapes.names import read_names
 from tests.conftest import ROOT
@@ -259,6 +263,20 @@ def test_it_is_trained_and_evaluated_like_any_rig(run, tmp_path):
     assert judged.metrics["rig_poses/mean_vertex_error_mm"] == pytest.approx(outcome.metrics["rig_poses/mean_vertex_error_mm"])
 
 
+def test_the_folder_of_the_page_is_what_the_page_says(tmp_path, monkeypatch, face):
+    page = (ROOT / "docs/shapes.md").read_text(encoding="utf-8")
+    script = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0]
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True)
+    monkeypatch.chdir(tmp_path)
+    rig = ShapesRig("face-shapes", unit_mm=10)
+    shown = re.findall(r"^    (face-shapes: .*?)\n      \.\.\.", page, re.MULTILINE | re.DOTALL)[0]
+    assert rig.describe().startswith(shown.replace("\n    ", "\n"))
+    np.testing.assert_allclose(rig.arkit_deltas()["mouthFunnel"].numpy(), face.arkit_deltas()["mouthFunnel"].numpy(), atol=1e-3)
+    place = face.coefficient_names.index("jawLeft_mouthSmileLeft")
+    found = rig.basis[rig.coefficient_names.index("jawLeft_mouthSmileLeft")]
+    np.testing.assert_allclose(found.numpy(), face.basis[place].numpy(), atol=1e-3)  # the repair alone is found again
+
+
 # Mistakes
 
 
@@ -302,6 +320,9 @@ PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float
         ({}, {"deltas": ["x"]}, "rig.deltas: 'x' matches none"),
         ({}, {"combination": "sum"}, "rig.combination is 'sum', expected product or min"),
         ({}, {"unit_mm": 0}, "rig.unit_mm is 0"),
+        ({}, {"include": "jaw*"}, "rig.include is 'jaw\\*', expected a list of globs"),
+        ({}, {"deltas": "yes"}, "rig.deltas is 'yes', expected a list of globs"),
+        ({}, {"corrective_names": "no"}, "rig.corrective_names is 'no', expected true or false"),
         ({}, {"unit_mm": float("nan")}, "rig.unit_mm is nan"),
     ],
 )
@@ -331,6 +352,14 @@ def test_arrays_that_are_no_deltas_are_refused(tmp_path, array):
     with pytest.raises(InputError, match="table.npz: .*'b'"):
         ShapesRig(str(folder))
     assert ShapesRig(str(folder), exclude=["b"]).control_names == ("a",)
+
+
+def test_a_table_may_hold_the_neutral_and_other_things_where_they_are_left_out(tmp_path):
+    folder = write_folder(tmp_path / "rig", a=POINTS)
+    np.savez(folder / "table.npz", b=offset(0), neutral=POINTS, poseNames=np.array(["b"]))
+    with pytest.raises(InputError, match="neutral.obj and table.npz both hold a shape 'neutral'"):
+        ShapesRig(str(folder))
+    assert ShapesRig(str(folder), exclude=["neutral", "poseNames"]).control_names == ("a", "b")
 
 
 def test_arrays_of_objects_are_not_unpickled(tmp_path):
@@ -370,6 +399,35 @@ def test_every_cut_of_a_file_is_either_refused_or_whole(tmp_path):
             with pytest.raises(InputError):
                 ShapesRig(str(folder))
         (folder / name).unlink()
+
+
+def test_no_damage_to_a_file_gets_past_the_readers(tmp_path):
+    """Bytes changed and cut off at random: either the file still reads, or one sentence says that it does not."""
+    write_obj(tmp_path / "a.obj", POINTS)
+    write_ply(tmp_path / "t.ply", POINTS, "ascii")
+    write_ply(tmp_path / "b.ply", POINTS, "binary_big_endian")
+    np.save(tmp_path / "n.npy", offset(0))
+    np.savez(tmp_path / "z.npz", b=offset(0))
+    np.savez_compressed(tmp_path / "c.npz", b=offset(0))
+    save_file({"b": offset(0)}, tmp_path / "s.safetensors")
+    draw, outcomes = np.random.default_rng(0), set()
+    for path in sorted(tmp_path.iterdir()):
+        whole = path.read_bytes()
+        for _ in range(200):
+            damaged = bytearray(whole)
+            for place in draw.integers(len(whole), size=draw.integers(1, 5)):
+                damaged[place] = draw.integers(256)
+            path.write_bytes(damaged[: draw.integers(len(whole)) if draw.random() < 0.3 else None])
+            try:
+                if path.suffix in (".obj", ".ply"):
+                    assert np.isfinite(read_mesh(path).vertices).all()
+                else:
+                    assert all(read_deltas(path, name, len(POINTS)).shape == POINTS.shape for name in names_in(path))
+                outcomes.add((path.name, "read"))
+            except InputError as error:
+                assert "\n" not in str(error)
+                outcomes.add((path.name, "refused"))
+    assert len(outcomes) == 14
 
 
 def test_the_config_says_what_the_class_takes(tmp_path):

@@ -1,6 +1,8 @@
 """Shapes as arrays of deltas: `.npy` (one shape), `.npz` and `.safetensors` (a table from names to shapes)."""
 
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +11,10 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from riginv.errors import InputError
+
+# What numpy, zipfile and safetensors raise for damaged files; RuntimeError: encrypted, or of a kind that zipfile cannot read.
+DAMAGE = (OSError, EOFError, ValueError, KeyError, MemoryError, RuntimeError, SyntaxError, tokenize.TokenError)
+DAMAGE += (zlib.error, zipfile.BadZipFile, SafetensorError)
 
 
 @contextmanager
@@ -67,7 +73,7 @@ def read_deltas(path: Path, name: str, vertex_count: int) -> np.ndarray:
 def _explained(path: Path) -> Iterator[None]:
     try:
         yield
-    except (OSError, EOFError, ValueError, KeyError, MemoryError, zipfile.BadZipFile, SafetensorError) as error:
+    except DAMAGE as error:
         if isinstance(error, InputError):
             raise
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -48,28 +48,29 @@ def find_shapes(
     if not meshes:
         there = f"its {len(files)} files are {_listed([path.name for path in files])}" if files else "it is empty"
         raise InputError(f"{folder}: no meshes there: {there}; expected a neutral and one file for each shape ({known})")
-    places: dict[str, Path] = {}
-    for path in (path for path in files if path.suffix.lower() in (*MESH_READERS, *DELTA_READERS)):
-        for name in names_in(path):
-            if name in places:
-                raise InputError(
-                    f"{folder}: {places[name].name} and {path.name} both hold a shape '{name}': move one out of the folder"
-                )
-            places[name] = path
     neutral_path = _neutral(folder, neutral, meshes)
-    shapes = {name: path for name, path in places.items() if path != neutral_path}
-    if not shapes:
+    readable = [path for path in files if path.suffix.lower() in (*MESH_READERS, *DELTA_READERS)]
+    there = [(name, path) for path in readable if path != neutral_path for name in names_in(path)]
+    if not there:
         raise InputError(
             f"{folder}: {neutral_path.name} is the only shape there; expected one more file for each shape ({known})"
         )
-    _check_globs("include", include, shapes, folder)
-    shapes = {
-        name: path for name, path in shapes.items() if _matches(name, path, include) and not _matches(name, path, exclude)
-    }
+    _check_globs("include", include, there, folder)
+    shapes: dict[str, Path] = {}
+    for name, path in there:
+        if not _matches(name, path, include) or _matches(name, path, exclude):
+            continue
+        twin = neutral_path if name == neutral_path.stem else shapes.get(name)
+        if twin:
+            raise InputError(
+                f"{folder}: {twin.name} and {path.name} both hold a shape '{name}': move one out of the folder, or leave it "
+                "out with rig.exclude"
+            )
+        shapes[name] = path
     if not shapes:
         raise InputError(f"{folder}: rig.include and rig.exclude leave no shape but the neutral; widen them")
     globs = ["*"] if deltas is True else list(deltas or [])
-    _check_globs("deltas", globs, shapes, folder)
+    _check_globs("deltas", globs, list(shapes.items()), folder)
     return neutral_path, {
         name: Source(path, path.suffix.lower() in DELTA_READERS or _matches(name, path, globs)) for name, path in shapes.items()
     }
@@ -92,12 +93,11 @@ def _matches(name: str, path: Path, globs: Sequence[str]) -> bool:
     return any(fnmatchcase(name, glob) or fnmatchcase(path.name, glob) for glob in globs)
 
 
-def _check_globs(field: str, globs: Sequence[str], shapes: dict[str, Path], folder: Path) -> None:
+def _check_globs(field: str, globs: Sequence[str], there: list[tuple[str, Path]], folder: Path) -> None:
     for glob in globs:
-        if not any(_matches(name, path, [glob]) for name, path in shapes.items()):
-            raise InputError(
-                f"rig.{field}: '{glob}' matches none of the {len(shapes)} shapes in {folder} ({_listed(list(shapes))})"
-            )
+        if not any(_matches(name, path, [glob]) for name, path in there):
+            names = _listed([name for name, _ in there])
+            raise InputError(f"rig.{field}: '{glob}' matches none of the {len(there)} shapes in {folder} ({names})")
 
 
 def _listed(names: list[str]) -> str:

@@ -48,6 +48,11 @@ class ShapesRig(LinearRig):
     ) -> None:
         if isinstance(unit_mm, bool) or not isinstance(unit_mm, int | float) or not 0 < unit_mm < math.inf:
             raise InputError(f"rig.unit_mm is {unit_mm!r}, expected how many mm the files' unit is, such as 10 for cm")
+        for field, value in (("include", include), ("exclude", exclude), ("deltas", deltas)):
+            if not (_are_globs(value) or (field == "deltas" and isinstance(value, bool))):
+                raise InputError(f"rig.{field} is {value!r}, expected a list of globs, such as rig.{field}='[\"jaw*\"]'")
+        if not isinstance(corrective_names, bool):
+            raise InputError(f"rig.corrective_names is {corrective_names!r}, expected true or false")
         neutral_path, sources = find_shapes(folder, str(neutral), include, exclude, deltas)
         shapes = read_names(sources) if corrective_names else Convention(sorted(sources))
         logic = ShapeLogic(shapes, combination)
@@ -87,3 +92,7 @@ class ShapesRig(LinearRig):
         for name, (found, near) in misspelt_parts(shapes).items():
             lines.append(f"  {name}: a shape of its own, for there is no '{found}'; if '{near}' is meant, rename the file")
         return "\n".join(lines)
+
+
+def _are_globs(value: object) -> bool:
+    return isinstance(value, list | tuple) and all(isinstance(glob, str) for glob in value)
