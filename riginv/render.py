@@ -10,14 +10,15 @@ CLAY = np.array([0.80, 0.62, 0.53])
 KEY_LIGHT, FILL_LIGHT, RIM_LIGHT = np.array([-0.45, 0.55, 0.75]), np.array([0.7, 0.1, 0.5]), np.array([0.0, 0.6, -0.6])
 AMBIENT, KEY, FILL, RIM, SHINE, GAMMA = 0.16, 0.72, 0.28, 0.10, 0.12, 1.6
 HEAT_STOPS = np.array([[0.27, 0.33, 0.55], [0.35, 0.66, 0.62], [0.93, 0.86, 0.45], [0.85, 0.36, 0.22], [0.55, 0.05, 0.13]])
+HARD_EDGE = np.radians(30)
 DISTANCE = 12.0  # of the camera, in half-heights of the picture: little perspective
 
 
 class Camera:
-    """Looks at the middle of a rest mesh from the front, turned by some degrees; the same for every pose of it."""
+    """Looks at the middle of a mesh, or of several as one, from the front, turned by some degrees; the same for every pose."""
 
-    def __init__(self, rest_vertices: Tensor, turn_degrees: float = 15.0, size: tuple[int, int] = (240, 290)) -> None:
-        points = rest_vertices.detach().cpu().double().numpy()
+    def __init__(self, vertices: Tensor, turn_degrees: float = 15.0, size: tuple[int, int] = (240, 290)) -> None:
+        points = vertices.detach().cpu().double().numpy()
         self.middle = (points.max(axis=0) + points.min(axis=0)) / 2
         angle = np.radians(-turn_degrees)
         cos, sin = np.cos(angle), np.sin(angle)
@@ -48,7 +49,8 @@ class Camera:
         image = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
         if len(ray):
             weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], where)[..., None]
-            normals = _unit((mesh.vertex_normals[triangles[face]] * weights).sum(axis=1))
+            smooth_normals = _unit((mesh.vertex_normals[triangles[face]] * weights).sum(axis=1))
+            normals = mesh.face_normals[face] if is_angular(mesh) else smooth_normals
             inside = (normals * directions[ray]).sum(axis=1, keepdims=True) > 0
             painted = CLAY if colors is None else (np.asarray(colors)[triangles[face]] * weights).sum(axis=1)
             image[ray] = shade(painted, np.where(inside, -0.6 * normals, normals))
@@ -61,6 +63,11 @@ class Camera:
         across, up = np.meshgrid(x, y)
         origin = np.array([0.0, 0.0, DISTANCE])
         return origin, _unit(np.stack([across.ravel(), up.ravel(), np.zeros(across.size)], axis=1) - origin)
+
+
+def is_angular(mesh: trimesh.Trimesh) -> bool:
+    """Whether a mesh is made of hard edges, as a box is, and no smooth surface."""
+    return len(mesh.face_adjacency_angles) > 0 and float(np.median(mesh.face_adjacency_angles)) > HARD_EDGE
 
 
 def shade(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:

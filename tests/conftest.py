@@ -90,6 +90,12 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
     return run_command
 
 
+@pytest.fixture
+def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cache of the test's own, empty."""
+    monkeypatch.setenv("RIGINV_CACHE", str(tmp_path_factory.mktemp("cache")))
+
+
 @pytest.fixture(scope="session")
 def capture_file() -> Path:
     """The shared captured clip; tests that need it are skipped where it is absent."""

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from riginv.geometry.blendshapes import apply_deltas, combination_weights, screen
+from riginv.geometry.blendshapes import apply_deltas, combination_weights, screen, smallest_weights
 
 
 def test_screen_is_the_complement_of_the_product_of_complements():
@@ -15,13 +15,14 @@ def test_screen_is_the_complement_of_the_product_of_complements():
     np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
-def test_combinations_are_products():
+def test_combinations_are_products_or_the_least_weight():
     draw = np.random.default_rng(1)
     weights = draw.random((4, 7))
-    members = [[0, 1, -1], [2, 5, 6], [3, 4, -1]]
-    expected = [[np.prod([row[i] for i in group if i >= 0]) for group in members] for row in weights]
-    found = combination_weights(torch.from_numpy(weights), torch.tensor(members))
-    np.testing.assert_allclose(found, expected, atol=1e-15)
+    members = [[0, 1, -1, -1], [2, 5, 6, -1], [3, 4, 0, 1]]
+    for combine, rule in ((combination_weights, np.prod), (smallest_weights, np.min)):
+        expected = [[rule([row[i] for i in group if i >= 0]) for group in members] for row in weights]
+        found = combine(torch.from_numpy(weights), torch.tensor(members))
+        np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
 def test_deltas_add_up():

@@ -32,7 +32,7 @@ def test_the_two_commands_are_there_each_with_its_setup():
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_command_composes(page):
     for command in commands(page):
-        if "--config-dir my_configs" in command or "riginv.invert" in command:
+        if "--config-dir" in command or "riginv.invert" in command:
             continue  # a reader's own folder
         name, *arguments = command.removeprefix("python -m riginv.").split()
         values = [true_rig_choice(argument.strip("'\"")) for argument in arguments if "=" in argument]

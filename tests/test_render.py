@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from riginv.render import BACKGROUND, GAMMA, Camera, grid, heat_colors
 from tests.toys import ToyRig
@@ -40,6 +41,15 @@ def test_a_moved_vertex_changes_the_picture_where_it_is(face):
     after = np.asarray(camera.picture(face(controls)[0], face.faces)).astype(int)
     changed = np.abs(after - before).sum(axis=2) > 30
     assert changed[140:].mean() > 0.1 and changed[:90].mean() < 0.01  # the mouth, not the brow
+
+
+def test_a_box_has_sharp_edges_and_a_sphere_has_none():
+    tones = {}
+    for mesh in (trimesh.creation.box(extents=(100, 100, 100)), trimesh.creation.icosphere(3, radius=50)):
+        vertices, faces = torch.tensor(mesh.vertices), torch.tensor(mesh.faces)
+        picture = np.asarray(Camera(vertices, turn_degrees=30, size=(120, 120)).picture(vertices, faces, smooth=1))
+        tones[len(faces)] = len(np.unique(picture[~is_background(picture)], axis=0))
+    assert tones[12] == 2 and tones[1280] > 200  # the two sides of the box that are in sight
 
 
 def test_nothing_in_sight_is_an_empty_picture():

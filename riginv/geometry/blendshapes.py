@@ -24,18 +24,29 @@ def screen(activations: Tensor, sources: Tensor) -> Tensor:
 
 
 def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
-    """The weight of each combination: the product of the weights of the two or three shapes that it repairs.
+    """The weight of each combination: the product of the weights of the shapes that it repairs.
 
     Args:
         weights: `(batch, shape)`.
-        members: `(combination, 3)` indices of shapes, -1 for the third of a pair.
+        members: `(combination, slot)` indices of shapes, -1 where a slot is empty.
 
     Returns:
         `(batch, combination)`.
     """
     padded = torch.cat([weights, weights.new_ones(len(weights), 1)], dim=1)
-    first, second, third = members.T
-    return padded[:, first] * padded[:, second] * padded[:, third]
+    product = padded[:, members[:, 0]]
+    for slot in members.T[1:]:
+        product = product * padded[:, slot]
+    return product
+
+
+def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
+    """The other rule for combinations: the least of the weights of its shapes; as `combination_weights` otherwise."""
+    padded = torch.cat([weights, weights.new_full((len(weights), 1), torch.inf)], dim=1)
+    smallest = padded[:, members[:, 0]]
+    for slot in members.T[1:]:
+        smallest = torch.minimum(smallest, padded[:, slot])
+    return smallest
 
 
 def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tensor:

@@ -1,0 +1,5 @@
+"""A folder of sculpted shapes as a rig (docs/shapes.md)."""
+
+from rigs.shapes.rig import ShapesRig
+
+__all__ = ["ShapesRig"]

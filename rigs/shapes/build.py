@@ -1,0 +1,94 @@
+"""From the files of a folder to a rest mesh and a basis, kept in the cache until a file or a setting changes."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+from scipy import sparse
+from torch import Tensor
+
+from riginv.cache import cached_tensors
+from riginv.errors import InputError
+from rigs.shapes.deltas import read_deltas
+from rigs.shapes.folder import Source
+from rigs.shapes.logic import ShapeLogic
+from rigs.shapes.mesh import READERS, PolygonMesh, read_mesh
+from rigs.shapes.names import Convention
+
+
+def shape_geometry(
+    neutral: Path, sources: Mapping[str, Source], shapes: Convention, logic: ShapeLogic, unit_mm: float
+) -> dict[str, Tensor]:
+    """The tensors of a folder of shapes.
+
+    Returns:
+        rest_vertices `(vertex, 3)` and basis `(shape, vertex, 3)`, mm, in the order of `shapes.names`; faces `(face, 3)`.
+
+    Raises:
+        InputError: a file cannot be read, or does not fit the neutral.
+    """
+    files = [neutral, *sorted({source.path for source in sources.values()})]
+    facts = {
+        "code": [path.read_text() for path in sorted(Path(__file__).parent.glob("*.py"))],
+        "files": [(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in files],
+        "deltas": [sources[name].is_deltas for name in shapes.names],
+        "shapes": [shapes.names, shapes.inbetweens, shapes.combinations, shapes.combination_inbetweens],
+        "settings": [str(neutral), unit_mm, logic.combine.__name__],
+    }
+    key = hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
+    return cached_tensors("shapes", key, lambda: build_geometry(neutral, sources, shapes, logic, unit_mm))
+
+
+def build_geometry(
+    neutral_path: Path, sources: Mapping[str, Source], shapes: Convention, logic: ShapeLogic, unit_mm: float
+) -> dict[str, Tensor]:
+    """Build what `shape_geometry` returns, without the cache."""
+    neutral = read_mesh(neutral_path)
+    if not len(neutral.sizes):
+        raise InputError(f"{neutral_path}: the neutral has vertices but no faces; export it again with its faces")
+    console = Console(stderr=True)
+    names = track(shapes.names, "reading shapes", console=console, transient=True, disable=not console.is_terminal)
+    found = np.stack([_read(name, sources[name], neutral) for name in names]).astype(np.float32)
+    return {
+        "rest_vertices": torch.tensor(neutral.vertices * unit_mm, dtype=torch.float32),
+        "faces": torch.tensor(neutral.triangles()),
+        "basis": torch.from_numpy(solve_basis(found, sources, shapes, logic) * np.float32(unit_mm)),
+    }
+
+
+def _read(name: str, source: Source, neutral: PolygonMesh) -> np.ndarray:
+    """How far a file moves each vertex of the neutral, `(vertex, 3)`, in the file's unit."""
+    if source.path.suffix.lower() not in READERS:
+        return read_deltas(source.path, name, len(neutral.vertices)).astype(np.float32)
+    mesh = read_mesh(source.path)
+    mesh.check_like(neutral)
+    return (mesh.vertices if source.is_deltas else mesh.vertices - neutral.vertices).astype(np.float32)
+
+
+def solve_basis(found: np.ndarray, sources: Mapping[str, Source], shapes: Convention, logic: ShapeLogic) -> np.ndarray:
+    """The deltas `(shape, vertex, 3)` with which the rig makes each sculpt exactly, in the pose it was sculpted for.
+
+    The rig adds weights times deltas. With the weights of all shapes in the pose of each sculpt as the rows of a matrix,
+    weights @ deltas = sculpts - neutral; so a combination's deltas are its sculpt less what its parts make together. Where a
+    file holds deltas already, they stand as they are.
+
+    Args:
+        found: `(shape, vertex, 3)`: sculpt less neutral, or deltas.
+    """
+    primary = {name: number for number, name in enumerate(shapes.primaries)}
+    poses = torch.zeros(len(shapes.names), len(primary), dtype=torch.float64)
+    for row, name in enumerate(shapes.names):
+        for shape, weight in shapes.pose(name).items():
+            poses[row, primary[shape]] = weight
+    weights = logic(poses).numpy()
+    given = np.array([sources[name].is_deltas for name in shapes.names])
+    weights[given] = np.eye(len(weights))[given]
+    inverse = np.linalg.inv(weights)[len(primary) :]  # primary shapes are their own deltas
+    inverse[np.abs(inverse) < 1e-12] = 0
+    solved = sparse.csr_array(inverse) @ found.reshape(len(found), -1)
+    return np.concatenate([found[: len(primary)], solved.reshape(-1, *found.shape[1:]).astype(np.float32)])

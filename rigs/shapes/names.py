@@ -1,0 +1,110 @@
+"""The naming convention of riggers: which shapes correct which.
+
+`a50` is the in-between of `a`: what `a` looks like at half its weight. `a_b`, `a_b_c` ... are combinations: what `a` and `b`
+look like together. The parts of a combination may be in-betweens (`a50_b`), and a combination may have in-betweens of its own
+(`a_b50`, where there is no shape `b50`: both at half). Every other name is a primary shape, whatever it contains (`brow_up_L`).
+"""
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from riginv.errors import InputError
+
+INBETWEEN = re.compile(r"(.*\D)(\d\d)")  # two digits: percent
+
+
+@dataclass(frozen=True)
+class Convention:
+    """What each shape is, by its name.
+
+    Attributes:
+        primaries: shapes with a control of their own.
+        inbetweens: name -> the primary shape, and the weight of it at which the in-between stands.
+        combinations: name -> the primary shapes and in-betweens that it combines.
+        combination_inbetweens: name -> the combination, and the weight of all its shapes at which the in-between stands.
+    """
+
+    primaries: list[str] = field(default_factory=list)
+    inbetweens: dict[str, tuple[str, float]] = field(default_factory=dict)
+    combinations: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    combination_inbetweens: dict[str, tuple[str, float]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """All shapes, those that correct others last."""
+        return [*self.primaries, *self.inbetweens, *self.combinations, *self.combination_inbetweens]
+
+    def pose(self, name: str) -> Mapping[str, float]:
+        """The weights of the primary shapes at which a shape was sculpted; the others are 0."""
+        if name in self.inbetweens:
+            return dict([self.inbetweens[name]])
+        if name in self.combinations:
+            return {shape: weight for member in self.combinations[name] for shape, weight in self.pose(member).items()}
+        if name in self.combination_inbetweens:
+            combination, place = self.combination_inbetweens[name]
+            return dict.fromkeys(self.pose(combination), place)
+        return {name: 1.0}
+
+
+def read_names(names: Iterable[str]) -> Convention:
+    """Sort shapes by the convention: shorter names first, so that a name's parts are known before it.
+
+    Raises:
+        InputError: two shapes are combinations of the same shapes.
+    """
+    found = Convention()
+    combined: dict[frozenset[str], str] = {}
+    for name in sorted(names, key=lambda name: (name.count("_"), len(name), name)):
+        members = _members(name, found)
+        digits = INBETWEEN.fullmatch(name)
+        whole, place = (digits[1], int(digits[2]) / 100) if digits and digits[2] != "00" else ("", 0.0)
+        if members:
+            twin = combined.setdefault(frozenset(members), name)
+            if twin != name:
+                raise InputError(
+                    f"shapes '{twin}' and '{name}' both combine {' and '.join(members)}: keep one of them, or leave one out "
+                    "with rig.exclude"
+                )
+            found.combinations[name] = members
+        elif whole in found.primaries:
+            found.inbetweens[name] = (whole, place)
+        elif whole in found.combinations and all(member in found.primaries for member in found.combinations[whole]):
+            found.combination_inbetweens[name] = (whole, place)
+        else:
+            found.primaries.append(name)
+    found.primaries.sort()
+    return found
+
+
+def misspelt_parts(found: Convention) -> dict[str, tuple[str, str]]:
+    """Primary shapes that look like combinations with a misspelt part: name -> that part, and what may be meant."""
+    result = {}
+    known = [*found.primaries, *found.inbetweens]
+    for name in found.primaries:
+        parts = name.split("_")
+        for cut in range(1, len(parts)):
+            halves = "_".join(parts[:cut]), "_".join(parts[cut:])
+            for one, other in (halves, halves[::-1]):
+                if one in known and (near := difflib.get_close_matches(other, known, n=1, cutoff=0.8)):
+                    result[name] = (other, near[0])
+    return result
+
+
+def _members(name: str, found: Convention) -> tuple[str, ...]:
+    """The shapes that a name joins by underscores; empty where it joins none.
+
+    Where it can be read in several ways, the first part is as long as can be, then the second, and so on.
+    """
+    parts = name.split("_")
+    split: dict[int, list[str]] = {len(parts): []}  # where the rest of the name starts -> the shapes that it joins
+    for start in reversed(range(len(parts))):
+        for end in range(len(parts), start, -1):
+            first = "_".join(parts[start:end])
+            if end in split and (first in found.primaries or first in found.inbetweens):
+                split[start] = [first, *split[end]]
+                break
+    members = split.get(0, [])
+    owners = {found.inbetweens.get(member, (member,))[0] for member in members}
+    return tuple(members) if len(members) > 1 and len(owners) == len(members) else ()

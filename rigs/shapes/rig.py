@@ -1,0 +1,98 @@
+"""A folder of sculpted shapes as a rig: one control for each primary shape; in-betweens and combinations follow by name."""
+
+import logging
+import math
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.rig import Control, LinearRig
+from rigs.face.shapes import ARKIT_NAMES
+from rigs.shapes.build import shape_geometry
+from rigs.shapes.folder import find_shapes
+from rigs.shapes.logic import Combination, ShapeLogic
+from rigs.shapes.names import Convention, misspelt_parts, read_names
+
+LOG = logging.getLogger(__name__)
+PICTURED = 24  # shapes that a contact sheet shows, at most
+
+
+class ShapesRig(LinearRig):
+    """A neutral mesh and one file for each shape; differentiable.
+
+    Args:
+        folder: where the files lie: .obj and .ply meshes, .npy, .npz and .safetensors deltas.
+        neutral: the name of the rest mesh's file, with or without its ending.
+        include: globs; only shapes whose name or file name matches one are read.
+        exclude: globs; shapes whose name or file name matches one are left out.
+        unit_mm: how many mm the files' unit is.
+        corrective_names: whether `a50` is an in-between of `a`, and `a_b` the combination of `a` and `b`.
+        combination: the weight of a combination: `product` or `min` of those of its parts.
+        deltas: which meshes hold deltas instead of sculpts: all, none, or those that globs match.
+
+    Raises:
+        InputError: the folder does not make a rig; the message names the file.
+    """
+
+    def __init__(
+        self,
+        folder: str,
+        neutral: str = "neutral",
+        include: Sequence[str] = ("*",),
+        exclude: Sequence[str] = (),
+        unit_mm: float = 1.0,
+        corrective_names: bool = True,
+        combination: Combination = "product",
+        deltas: bool | Sequence[str] = False,
+    ) -> None:
+        if isinstance(unit_mm, bool) or not isinstance(unit_mm, int | float) or not 0 < unit_mm < math.inf:
+            raise InputError(f"rig.unit_mm is {unit_mm!r}, expected how many mm the files' unit is, such as 10 for cm")
+        for field, value in (("include", include), ("exclude", exclude), ("deltas", deltas)):
+            if not (_are_globs(value) or (field == "deltas" and isinstance(value, bool))):
+                raise InputError(f"rig.{field} is {value!r}, expected a list of globs, such as rig.{field}='[\"jaw*\"]'")
+        if not isinstance(corrective_names, bool):
+            raise InputError(f"rig.corrective_names is {corrective_names!r}, expected true or false")
+        neutral_path, sources = find_shapes(folder, str(neutral), include, exclude, deltas)
+        shapes = read_names(sources) if corrective_names else Convention(sorted(sources))
+        logic = ShapeLogic(shapes, combination)
+        geometry = shape_geometry(neutral_path, sources, shapes, logic, float(unit_mm))
+        controls = [Control(name) for name in shapes.primaries]
+        rest, faces, basis = geometry["rest_vertices"], geometry["faces"], geometry["basis"]
+        name = neutral_path.resolve().parent.name
+        super().__init__(name, controls, rest, faces, basis, shapes.names, primary_count=len(shapes.primaries))
+        self.shapes, self.logic = shapes, logic
+        LOG.info(self.describe())
+
+    def coefficients(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, control)`, the weights of the primary shapes, to the weights `(batch, shape)` of all shapes."""
+        return self.logic(controls)
+
+    def arkit_deltas(self) -> dict[str, Tensor]:
+        place = {name: number for number, name in enumerate(self.shapes.primaries)}
+        return {name: self.basis[place[name]] for name in ARKIT_NAMES if name in place}
+
+    def expressions(self) -> dict[str, dict[str, float]]:
+        """Each shape as it was sculpted, those that correct others first."""
+        corrective_first = [*self.shapes.names[self.primary_count :], *self.shapes.primaries]
+        return {name: dict(self.shapes.pose(name)) for name in corrective_first[:PICTURED]}
+
+    def describe(self) -> str:
+        """What was found, and what each name was taken as; one line for each shape that corrects others."""
+        shapes = self.shapes
+        size = (self.rest_vertices.amax(dim=0) - self.rest_vertices.amin(dim=0)).tolist()
+        lines = [
+            f"{self.name}: {len(shapes.primaries)} primary shapes, {len(shapes.inbetweens)} in-betweens, "
+            f"{len(shapes.combinations)} combinations, {len(shapes.combination_inbetweens)} in-betweens of combinations; "
+            f"{len(self.rest_vertices)} vertices, {' x '.join(f'{length:.3g}' for length in size)} mm"
+        ]
+        lines += [f"  {name}: in-between of {shape} at {place:g}" for name, (shape, place) in shapes.inbetweens.items()]
+        lines += [f"  {name}: combination of {' and '.join(parts)}" for name, parts in shapes.combinations.items()]
+        lines += [f"  {name}: in-between of {of} at {place:g}" for name, (of, place) in shapes.combination_inbetweens.items()]
+        for name, (found, near) in misspelt_parts(shapes).items():
+            lines.append(f"  {name}: a shape of its own, for there is no '{found}'; if '{near}' is meant, rename the file")
+        return "\n".join(lines)
+
+
+def _are_globs(value: object) -> bool:
+    return isinstance(value, list | tuple) and all(isinstance(glob, str) for glob in value)
