@@ -6,13 +6,14 @@ import torch
 import trimesh
 from scipy import sparse
 
+from rigs.arkit import ARKIT_NAMES
 from rigs.face.assets import read_base_mesh
 from rigs.face.build import PARTS, build_geometry, face_geometry
 from rigs.face.controls import build_controls
 from rigs.face.inbetweens import bump
 from rigs.face.limits import CAPACITY, CEILINGS, cost, limit_curve, region
 from rigs.face.mesh import build_face_mesh
-from rigs.face.shapes import ARKIT_NAMES, ARKIT_SPLIT, arkit_targets, primary_names
+from rigs.face.shapes import ARKIT_SPLIT, arkit_targets, primary_names
 from rigs.face.subdivision import loop_matrix, unique_edges
 from tests.test_curves import reference
 

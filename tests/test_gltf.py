@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from riginv.clips.live_link import live_link_clip
 from riginv.errors import InputError
 from riginv.rig_contract import check_rig
-from rigs.face.shapes import ARKIT_NAMES
+from rigs.arkit import ARKIT_NAMES, arkit_targets
 from rigs.gltf import GltfRig
-from rigs.gltf.arkit import arkit_targets
 from tests.avatars import AvatarWriter, cube, face_avatar
 
 RNG = np.random.default_rng(7)

@@ -10,13 +10,14 @@ import trimesh
 from torch import Tensor
 
 from riginv.cache import cached_tensors
+from rigs.arkit import ARKIT_NAMES
 from rigs.face.assets import read_base_mesh
 from rigs.face.combinations import build_combinations
 from rigs.face.controls import build_controls
 from rigs.face.inbetweens import build_inbetweens
 from rigs.face.limits import CEILINGS
 from rigs.face.mesh import build_face_mesh
-from rigs.face.shapes import ARKIT_NAMES, build_primaries
+from rigs.face.shapes import build_primaries
 
 PARTS = ("skin", "mouth", "left_eye", "right_eye", "upper_teeth", "lower_teeth", "tongue")
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from riginv.geometry.curves import Curve, Key
 from riginv.rig import Control
-from rigs.face.shapes import ARKIT_NAMES, ARKIT_SPLIT, UNITS_SPLIT, UNITS_WHOLE
+from rigs.arkit import ARKIT_NAMES
+from rigs.face.shapes import ARKIT_SPLIT, UNITS_SPLIT, UNITS_WHOLE
 
 SIDES = ("Left", "Right")
 

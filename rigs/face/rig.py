@@ -6,12 +6,13 @@ from torch import Tensor
 from riginv.geometry.blendshapes import combination_weights, screen
 from riginv.geometry.curves import Curve, evaluate_curves, pack_curves
 from riginv.rig import LinearRig
+from rigs.arkit import ARKIT_NAMES
 from rigs.face.build import face_geometry
 from rigs.face.controls import build_controls
 from rigs.face.inbetweens import bump
 from rigs.face.limits import CAPACITY, CEILINGS, REGIONS, cost, limit_curve, region
 from rigs.face.looks import EXPRESSIONS, paint
-from rigs.face.shapes import ARKIT_NAMES, ARKIT_SPLIT, primary_names
+from rigs.face.shapes import ARKIT_SPLIT, primary_names
 
 
 class FaceRig(LinearRig):

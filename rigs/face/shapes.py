@@ -7,20 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rigs.arkit import ARKIT_NAMES
 from rigs.face.assets import ARKIT_FOLDER, EXPRESSION_FOLDER, MORPH_FOLDER, BaseMesh, data_folder, read_target
 from rigs.face.mesh import FaceMesh
 
 BLEND_WIDTH = 12.0  # mm on either side of the middle, where the two halves of a split shape overlap
-
-ARKIT_NAMES = (
-    "browDownLeft browDownRight browInnerUp browOuterUpLeft browOuterUpRight cheekPuff cheekSquintLeft cheekSquintRight "
-    "eyeBlinkLeft eyeBlinkRight eyeLookDownLeft eyeLookDownRight eyeLookInLeft eyeLookInRight eyeLookOutLeft "
-    "eyeLookOutRight eyeLookUpLeft eyeLookUpRight eyeSquintLeft eyeSquintRight eyeWideLeft eyeWideRight jawForward jawLeft "
-    "jawOpen jawRight mouthClose mouthDimpleLeft mouthDimpleRight mouthFrownLeft mouthFrownRight mouthFunnel mouthLeft "
-    "mouthLowerDownLeft mouthLowerDownRight mouthPressLeft mouthPressRight mouthPucker mouthRight mouthRollLower "
-    "mouthRollUpper mouthShrugLower mouthShrugUpper mouthSmileLeft mouthSmileRight mouthStretchLeft mouthStretchRight "
-    "mouthUpperUpLeft mouthUpperUpRight noseSneerLeft noseSneerRight tongueOut"
-).split()
 
 ARKIT_SPLIT = (
     "browInnerUp cheekPuff mouthFunnel mouthPucker mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper"

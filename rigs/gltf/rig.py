@@ -8,7 +8,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig import Control, LinearRig
-from rigs.gltf.arkit import arkit_targets
+from rigs.arkit import arkit_targets
 from rigs.gltf.avatar import read_avatar
 from rigs.gltf.frames import frame_basis, joint_frames
 from rigs.gltf.motion import ANGLES, AXES_IN_SPACE, JointMotion, by_axis, coefficient_names

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig import Control, LinearRig
-from rigs.face.shapes import ARKIT_NAMES
+from rigs.arkit import arkit_targets
 from rigs.shapes.build import shape_geometry
 from rigs.shapes.folder import find_shapes
 from rigs.shapes.logic import Combination, ShapeLogic
@@ -70,7 +70,7 @@ class ShapesRig(LinearRig):
 
     def arkit_deltas(self) -> dict[str, Tensor]:
         place = {name: number for number, name in enumerate(self.shapes.primaries)}
-        return {name: self.basis[place[name]] for name in ARKIT_NAMES if name in place}
+        return {arkit: self.basis[place[name]] for arkit, name in arkit_targets(self.shapes.primaries).items()}
 
     def expressions(self) -> dict[str, dict[str, float]]:
         """Each shape as it was sculpted, those that correct others first."""
