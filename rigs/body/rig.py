@@ -4,7 +4,7 @@ import roma
 import torch
 from torch import Tensor
 
-from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels
+from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels, turns_against
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig import LinearRig
 from rigs.body.build import body_geometry
@@ -48,6 +48,17 @@ class BodyRig(LinearRig):
         for name, tensor in buffers.items():
             self.register_buffer(name, tensor.to(self.dtype) if tensor.is_floating_point() else tensor, persistent=False)
         self.moves = slice(control[MOVES[0]], control[MOVES[-1]] + 1)
+        # The root carries no skin: the left side of the pelvis, which has no controls of its own, tells how it is turned.
+        place = {int(joint): number for number, joint in enumerate(skinned)}
+        self.pelvis = place[joint["pelvis.L"]]
+        self.skinned_parents = tuple(place.get(self.parents[number], self.pelvis) for number in place)
+        self.skinned_parents = tuple(
+            -1 if number == self.pelvis else parent for number, parent in enumerate(self.skinned_parents)
+        )
+        feature_frames = geometry["frames"][skinned].clone()
+        feature_frames[self.pelvis] = geometry["frames"][joint["root"]]
+        self.register_buffer("feature_frames", feature_frames.to(self.dtype), persistent=False)
+        self.register_buffer("root_to_pelvis", heads[joint["pelvis.L"]] - heads[joint["root"]], persistent=False)
         self.levels = tree_levels(self.parents, self.joint_names)
 
     def expressions(self) -> dict[str, dict[str, float]]:
@@ -60,6 +71,15 @@ class BodyRig(LinearRig):
         rotations = frames @ roma.euler_to_rotmat(ORDER, angles) @ frames.mT
         return self.coefficients_of(rotations, controls[:, self.moves])
 
+    def features(self, coefficients: Tensor) -> Tensor:
+        """Where the root is, in metres, how it is turned, and the angles of each joint against the one above it, radians."""
+        worlds = coefficients.unflatten(1, (-1, 3, 4))
+        root = worlds[:, self.pelvis, :, :3]
+        place = worlds[:, self.pelvis, :, 3] - root @ self.root_to_pelvis.to(coefficients)
+        frames = self.feature_frames.to(coefficients)
+        turns = frames.mT @ turns_against(worlds, self.skinned_parents) @ frames
+        return torch.cat([place / 1000, root.flatten(1), joint_angles(turns).flatten(1)], dim=1)
+
     def coefficients_of(self, rotations: Tensor, move: Tensor) -> Tensor:
         """The coefficients of any pose of the skeleton, in reach of the controls or not.
 
@@ -71,3 +91,11 @@ class BodyRig(LinearRig):
         offsets = torch.cat([offsets[:, :1] + move[:, None], offsets[:, 1:]], dim=1)  # the root is the first joint
         worlds = forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
         return worlds[:, self.skinned].flatten(1)
+
+
+def joint_angles(turns: Tensor) -> Tensor:
+    """The angles `(..., 3)` about first, middle and last axis of turns `(..., 3, 3)`, which need not be quite orthogonal."""
+    first = torch.atan2(turns[..., 2, 1], turns[..., 1, 1])
+    middle = torch.atan2(-turns[..., 0, 1], torch.hypot(turns[..., 2, 1], turns[..., 1, 1]))
+    last = torch.atan2(turns[..., 0, 2], turns[..., 0, 0])
+    return torch.stack([first, middle, last], dim=-1)
