@@ -169,6 +169,10 @@ class LinearRig(RigBackend):
         """
         return None
 
+    def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
+        """How features `(batch, feature)` changed; a rig with angles among them takes the shorter way round."""
+        return after - before
+
     def forward(self, controls: Tensor) -> Tensor:
         change = self.coefficients(controls) - self.neutral_coefficients().to(controls)
         return apply_deltas(self.rest_vertices.to(controls), self.basis.to(controls), change)

@@ -71,5 +71,14 @@ class RigFeatures(nn.Module):
 
     def forward(self, coordinates: Tensor) -> Tensor:
         """Mesh coordinates `(batch, coordinate)` to features `(batch, feature)`; 0 at the neutral mesh."""
-        features = self.rig[0].features(self.neutral + coordinates @ self.estimate)
-        return (features - self.rest) / self.scale
+        return self.change(self.rest, self._features(coordinates))
+
+    def left(self, wanted: Tensor, found: Tensor) -> Tensor:
+        """What is left `(batch, feature)` from the mesh that was found to the one that is wanted, both in mesh coordinates."""
+        return self.change(self._features(found), self._features(wanted))
+
+    def change(self, before: Tensor, after: Tensor) -> Tensor:
+        return self.rig[0].feature_change(before, after) / self.scale
+
+    def _features(self, coordinates: Tensor) -> Tensor:
+        return self.rig[0].features(self.neutral + coordinates @ self.estimate)

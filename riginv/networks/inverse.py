@@ -15,6 +15,7 @@ from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import Anchored, mlp
 
 START_GAIN = 0.3  # of the last layer: answers start close to neutral
+CORRECTION_GAIN = 0.02  # of the last layer where a guess stands before the first perceptron: they start close to that
 
 
 class Answer(NamedTuple):
@@ -108,7 +109,8 @@ class StagedInverse(InverseNetwork):
         self.features = RigFeatures(rig) if offers_features else None
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
-        self.stages = nn.ModuleList(Anchored(_start_small(mlp(count, hidden, controls, activation))) for count in inputs)
+        gain = CORRECTION_GAIN if self.features else START_GAIN
+        self.stages = nn.ModuleList(Anchored(_start_small(mlp(count, hidden, controls, activation), gain)) for count in inputs)
         self.register_buffer("coordinate_scale", torch.ones(()))
         self.register_buffer("gradient_scale", torch.ones(controls) if self.features else torch.ones(()))
 
@@ -126,19 +128,9 @@ class StagedInverse(InverseNetwork):
     def answers(self, coordinates: Tensor) -> list[Answer]:
         seen = self._look(coordinates)
         result: list[Answer] = []
-        raw = torch.zeros(())
-        if self.features:
-            raw, answer = self._guess(seen)
-        for number, stage in enumerate(self.stages):
-            if number == 0 and not self.features:
-                raw = stage(seen)
-            else:
-                error = answer.coordinates - coordinates
-                gradient = self._gradient(raw, error)
-                before = raw.detach()
-                left = seen - self._look(answer.coordinates) if self.features else -error / self.coordinate_scale
-                inputs = [seen, left.detach(), gradient / self.gradient_scale, torch.tanh(0.3 * before)]
-                raw = before + stage(torch.cat(inputs, dim=1))
+        raw, answer = self._guess(seen) if self.features else (None, None)
+        for stage in self.stages:
+            raw = stage(seen) if raw is None else self._corrected(stage, raw, answer, seen, coordinates)
             if not raw.requires_grad:
                 raw = raw.requires_grad_()
             controls = self.control_map(raw)
@@ -146,9 +138,18 @@ class StagedInverse(InverseNetwork):
             result.append(answer)
         return result
 
+    def _corrected(self, stage: nn.Module, raw: Tensor, answer: Answer, seen: Tensor, coordinates: Tensor) -> Tensor:
+        """Raw outputs `(batch, control)`, corrected by a perceptron that sees what the answer to them left."""
+        error = answer.coordinates - coordinates
+        gradient = self._gradient(raw, error)
+        before = raw.detach()
+        left = self.features.left(coordinates, answer.coordinates) if self.features else -error / self.coordinate_scale
+        inputs = [seen, left.detach(), gradient / self.gradient_scale, torch.tanh(0.3 * before)]
+        return before + stage(torch.cat(inputs, dim=1))
+
     def _guess(self, features: Tensor) -> tuple[Tensor, Answer]:
         """The raw outputs and the answer that stand before the first perceptron, where the rig offers features."""
-        raw = self.control_map.raw_of(self.features.guess(features).detach()).requires_grad_()
+        raw = self.control_map.raw_of(self.features.guess(features)).detach().requires_grad_()
         controls = self.control_map(raw)
         return raw, Answer(controls, self.rig(controls))
 
@@ -169,8 +170,8 @@ def _size(values: Tensor) -> Tensor:
     return values.square().mean().sqrt().clamp_min(1e-12)
 
 
-def _start_small(network: nn.Sequential) -> nn.Sequential:
+def _start_small(network: nn.Sequential, gain: float = START_GAIN) -> nn.Sequential:
     with torch.no_grad():
-        network[-1].weight.mul_(START_GAIN)
+        network[-1].weight.mul_(gain)
         network[-1].bias.zero_()
     return network

@@ -4,15 +4,19 @@ import roma
 import torch
 from torch import Tensor
 
+from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels, turns_against
 from riginv.geometry.skinning import check_weights, skinning_basis
-from riginv.rig import LinearRig
-from rigs.body.build import body_geometry
+from riginv.rig import LinearRig, Motion
+from rigs.body.build import body_geometry, skeleton_of
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
 from rigs.body.skeleton import KEPT
+from rigs.body.walk import FPS, walk
 
 ORDER = "XZY"  # of a joint's turns in its frame: about its last axis first, then the middle one, then the first (axes.py)
+
+PLACE_AND_TURN = 12  # numbers of the root's place and turn, the first of the features
 
 
 class BodyRig(LinearRig):
@@ -64,6 +68,14 @@ class BodyRig(LinearRig):
     def expressions(self) -> dict[str, dict[str, float]]:
         return EXPRESSIONS
 
+    @torch.no_grad()
+    def motion(self) -> Motion:
+        """The walk that the package `anny` carries, 101 frames (`rigs.body.walk`)."""
+        skeleton = skeleton_of(body_geometry(), self.joint_names)
+        rotations, move = (values.to(self.rest_vertices) for values in walk(skeleton))
+        change = self.coefficients_of(rotations, move) - self.neutral_coefficients()
+        return Motion("walk", FPS, apply_deltas(self.rest_vertices, self.basis, change))
+
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the 12 numbers of each skinned joint's matrix, `(batch, 12 * joint)`."""
         angles = (controls @ self.angles.to(controls)).unflatten(1, (-1, 3))
@@ -79,6 +91,11 @@ class BodyRig(LinearRig):
         frames = self.feature_frames.to(coefficients)
         turns = frames.mT @ turns_against(worlds, self.skinned_parents) @ frames
         return torch.cat([place / 1000, root.flatten(1), joint_angles(turns).flatten(1)], dim=1)
+
+    def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
+        change = after - before
+        angles = torch.remainder(change[:, PLACE_AND_TURN:] + torch.pi, 2 * torch.pi) - torch.pi
+        return torch.cat([change[:, :PLACE_AND_TURN], angles], dim=1)
 
     def coefficients_of(self, rotations: Tensor, move: Tensor) -> Tensor:
         """The coefficients of any pose of the skeleton, in reach of the controls or not.
