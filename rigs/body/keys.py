@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.curves import Key, evaluate_curves, pack_curves
+from rigs.body.skeleton import FROM_BLENDER
 from rigs.face.assets import data_folder
 
-FROM_BLENDER = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # its z is up, and -y is out of the face
 KEYED_FPS = 24.0  # Blender's
 
 

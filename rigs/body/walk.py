@@ -8,14 +8,16 @@ and scales of spine and neck, which are all nearly 0 and 1, and the forearm's sh
 """
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels
 from rigs.body.keys import KeyedBones, bone_axes
-from rigs.body.skeleton import Skeleton
+from rigs.body.skeleton import Skeleton, read_skeleton
 
 FILE = "mpfb2/walkcycles/crappy_experimental_female.json"
 FPS = 60.0
@@ -26,14 +28,18 @@ REACH = 0.9999  # of a limb's length: a straight one has no side to bend to
 
 
 class Limb(NamedTuple):
-    """The joints of a limb, the bone whose end its pole starts from, and the limb's target and pole in the file."""
+    """The joints of a limb."""
 
     upper: str
     lower: str
     end: str
-    pole_bone: str
-    target: str
-    pole: str
+
+
+class Target(NamedTuple):
+    """Where something is to be, `(frame, 3)`, mm, and how it is to be turned against rest, `(frame, 3, 3)`."""
+
+    place: Tensor
+    turn: Tensor
 
 
 def walk(skeleton: Skeleton) -> tuple[Tensor, Tensor]:
@@ -42,21 +48,36 @@ def walk(skeleton: Skeleton) -> tuple[Tensor, Tensor]:
     Returns:
         rotations of each joint against its parent, `(frame, joint, 3, 3)`, and the move of the root, `(frame, 3)`, mm.
     """
-    keys = KeyedBones(FILE, FPS)
+    keys, made_on = KeyedBones(FILE, FPS), read_skeleton()
     poser = _Poser(skeleton, len(keys.frames))
-    legs = poser.length("upperleg01.L", "lowerleg01.L", "foot.L") / keys.facts["leg_length"]  # mm for each metre of the file
-    arms = poser.length("upperarm01.L", "lowerarm01.L", "wrist.L") / keys.facts["arm_length"]
     for bone in ("root", *TURNED):
-        axes = poser.axes(bone)
+        axes = _axes(made_on, bone)
         poser.rotations[:, poser.number(bone)] = axes @ keys.turn(bone) @ axes.T
-    poser.move = keys.place("root") @ poser.axes("root").T * legs
+    legs, arms = ("upperleg01.L", "lowerleg01.L", "foot.L"), ("upperarm01.L", "lowerarm01.L", "wrist.L")
+    leg_scale = chain_length(skeleton, legs) / keys.facts["leg_length"]  # mm for each metre of the file
+    arm_scale = chain_length(skeleton, arms) / keys.facts["arm_length"]
+    poser.move = levelled(keys.place("root") @ _axes(made_on, "root").T * leg_scale)
+
+    def keyed(name: str, rest: np.ndarray, axes: Tensor, scale: float) -> Target:
+        turned = axes @ keys.turn(name) @ axes.T
+        return Target(torch.tensor(rest) + keys.place(name) @ axes.T * scale, turned)
+
     for side, ending in (("left", ".L"), ("right", ".R")):
-        for names, targets, holder, scale in (
-            (("upperarm01", "lowerarm01", "wrist", "upperarm02"), ("hand_ik", "elbow_ik"), CHEST, arms),
-            (("upperleg01", "lowerleg01", "foot", "upperleg02"), ("foot_ik", "knee_ik"), None, legs),
+        for upper, lower, end, bent, targets, holder, chain, scale in (
+            ("upperarm", "lowerarm", "wrist", "upperarm02", ("hand_ik", "elbow_ik"), CHEST, arms, arm_scale),
+            ("upperleg", "lowerleg", "foot", "upperleg02", ("foot_ik", "knee_ik"), None, legs, leg_scale),
         ):
-            limb = Limb(*(name + ending for name in names), *(f"{side}_{target}" for target in targets))
-            poser.reach(limb, keys, holder, scale)
+            limb = Limb(f"{upper}01{ending}", f"{lower}01{ending}", end + ending)
+            size = chain_length(skeleton, chain) / chain_length(made_on, chain)
+            origin = made_on.heads[made_on.number[limb.upper]] if holder else np.zeros(3)
+            place = skeleton.heads[skeleton.number[limb.upper]] if holder else np.zeros(3)
+            end_rest = place + size * (made_on.heads[made_on.number[limb.end]] - origin)
+            pole_rest = place + size * (made_on.tails[made_on.number[bent + ending]] - origin)
+            target = keyed(f"{side}_{targets[0]}", end_rest, _axes(made_on, limb.end), scale)
+            pole = keyed(f"{side}_{targets[1]}", pole_rest, _axes(made_on, bent + ending, roll=0.0), scale)
+            if holder is None:
+                target, pole = (values._replace(place=levelled(values.place)) for values in (target, pole))
+            poser.reach(limb, target, pole.place, holder)
     path = poser.move[:, [0, 2]]
     poser.move[:, [0, 2]] = path - (path.amax(dim=0) + path.amin(dim=0)) / 2
     return poser.rotations, poser.move
@@ -75,19 +96,6 @@ class _Poser:
     def number(self, joint: str) -> int:
         return self.skeleton.number[joint]
 
-    def head(self, joint: str) -> Tensor:
-        return self.heads[self.number(joint)]
-
-    def length(self, *joints: str) -> float:
-        """The length of a chain of straight bones, mm."""
-        return sum(float((self.head(one) - self.head(other)).norm()) for one, other in itertools.pairwise(joints))
-
-    def axes(self, joint: str, roll: float | None = None) -> Tensor:
-        """The axes `(3, 3)` of a bone at rest; with the bone's own roll unless one is given."""
-        number = self.number(joint)
-        direction = self.skeleton.tails[number] - self.skeleton.heads[number]
-        return torch.tensor(bone_axes(direction, self.skeleton.rolls[number] if roll is None else roll))
-
     def worlds(self) -> Tensor:
         """World transforms `(frame, joint, 3, 4)` of the pose so far."""
         parents = torch.tensor(self.skeleton.parents)
@@ -95,28 +103,24 @@ class _Poser:
         offsets[:, 0] += self.move
         return forward_kinematics(transform_from(self.rotations, offsets), self.skeleton.parents, self.levels)
 
-    def reach(self, limb: Limb, keys: KeyedBones, holder: str | None, scale: float) -> None:
+    def reach(self, limb: Limb, target: Target, pole: Tensor, holder: str | None) -> None:
         """Turn the joints of a limb so that its end reaches the target, bent towards the pole, and turned as the target is.
 
         Args:
+            pole: `(frame, 3)`, mm.
             holder: the joint that target and pole move with; None: they stand in the world.
-            scale: mm for each metre of the file.
         """
         worlds = self.worlds()
-        upper, lower, end = (self.number(joint) for joint in (limb.upper, limb.lower, limb.end))
-        end_axes = self.axes(limb.end)
-        knee = torch.tensor(self.skeleton.tails[self.number(limb.pole_bone)])
-        target = self.head(limb.end) + keys.place(limb.target) @ end_axes.T * scale
-        pole = knee + keys.place(limb.pole) @ self.axes(limb.pole_bone, roll=0.0).T * scale
-        turned = end_axes @ keys.turn(limb.target) @ end_axes.T
+        upper, lower, end = (self.number(joint) for joint in limb)
+        place, turned = target
         if holder is not None:
             held = worlds[:, self.number(holder)]
-            target, pole = (_carried(held, self.head(holder), point) for point in (target, pole))
+            place, pole = (_carried(held, self.heads[self.number(holder)], point) for point in (place, pole))
             turned = held[..., :3] @ turned
 
         start = worlds[:, upper, :, 3]
         first, second = self.heads[lower] - self.heads[upper], self.heads[end] - self.heads[lower]
-        middle, reached = two_bones(start, target, pole, first.norm(), second.norm())
+        middle, reached = two_bones(start, place, pole, first.norm(), second.norm())
         hinge = torch.linalg.cross(pole - start, reached - start)
         rest_hinge = torch.linalg.cross(first, second)
         if limb.upper.startswith("upperleg"):
@@ -127,6 +131,28 @@ class _Poser:
         self.rotations[:, upper] = above.mT @ up
         self.rotations[:, lower] = up.mT @ low
         self.rotations[:, end] = low.mT @ turned
+
+
+def levelled(places: Tensor) -> Tensor:
+    """Places `(frame, 3)` that gain nothing but the way forward from the first frame to the last, as a walk on the flat does.
+
+    The axes of the character that the walk was made on are known but nearly: along a way of 0.8 m a degree makes 14 mm.
+    """
+    gained = (places[-1] - places[0]) * torch.tensor([1.0, 1.0, 0.0], dtype=places.dtype)
+    return places - torch.linspace(0, 1, len(places), dtype=places.dtype)[:, None] * gained
+
+
+def chain_length(skeleton: Skeleton, joints: Sequence[str]) -> float:
+    """The length of a chain of straight bones, mm."""
+    heads = [skeleton.heads[skeleton.number[joint]] for joint in joints]
+    return sum(float(np.linalg.norm(one - other)) for one, other in itertools.pairwise(heads))
+
+
+def _axes(skeleton: Skeleton, joint: str, roll: float | None = None) -> Tensor:
+    """The axes `(3, 3)` of a bone at rest, as columns; with the bone's own roll unless one is given."""
+    number = skeleton.number[joint]
+    direction = skeleton.tails[number] - skeleton.heads[number]
+    return torch.tensor(bone_axes(direction, skeleton.rolls[number] if roll is None else roll))
 
 
 def two_bones(start: Tensor, target: Tensor, pole: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
