@@ -16,6 +16,7 @@ from rigs.body.walk import FPS, walk
 
 ORDER = "XZY"  # of a joint's turns in its frame: about its last axis first, then the middle one, then the first (axes.py)
 
+LOCKED = 0.01  # the cosine of the middle angle below which first and last cannot be told apart
 PLACE_AND_TURN = 12  # numbers of the root's place and turn, the first of the features
 
 
@@ -111,8 +112,14 @@ class BodyRig(LinearRig):
 
 
 def joint_angles(turns: Tensor) -> Tensor:
-    """The angles `(..., 3)` about first, middle and last axis of turns `(..., 3, 3)`, which need not be quite orthogonal."""
+    """The angles `(..., 3)` about first, middle and last axis of turns `(..., 3, 3)`, which need not be quite orthogonal.
+
+    In gimbal lock, the middle angle at 90 degrees, first and last are one: it is given to the first.
+    """
+    upright = torch.hypot(turns[..., 2, 1], turns[..., 1, 1])  # the cosine of the middle angle
+    middle = torch.atan2(-turns[..., 0, 1], upright)
+    locked = upright < LOCKED
     first = torch.atan2(turns[..., 2, 1], turns[..., 1, 1])
-    middle = torch.atan2(-turns[..., 0, 1], torch.hypot(turns[..., 2, 1], turns[..., 1, 1]))
+    both = torch.atan2(-turns[..., 1, 2], middle.sign() * turns[..., 1, 0])
     last = torch.atan2(turns[..., 0, 2], turns[..., 0, 0])
-    return torch.stack([first, middle, last], dim=-1)
+    return torch.stack([torch.where(locked, both, first), middle, torch.where(locked, 0.0, last)], dim=-1)
