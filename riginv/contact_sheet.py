@@ -57,9 +57,9 @@ def random_poses(rig: RigBackend, count: int, seed: int) -> dict[str, Tensor]:
 @torch.no_grad()
 def draw(rig: RigBackend, poses: dict[str, Tensor], columns: int, turn_degrees: float) -> Image.Image:
     """A grid of pictures of the poses `(control,)`, by name."""
-    meshes, colors = [rig(controls[None])[0] for controls in poses.values()], rig.vertex_colors()
-    camera = Camera(torch.cat(meshes), turn_degrees)  # far enough away for all of them
-    pictures = [camera.picture(mesh, rig.faces, colors) for mesh in meshes]
+    camera, colors = Camera(rig.rest_vertices, turn_degrees), rig.vertex_colors()
+    meshes = [rig(controls[None])[0] for controls in poses.values()]
+    pictures = [camera.following(mesh).picture(mesh, rig.faces, colors) for mesh in meshes]
     return grid(pictures, list(poses), columns)
 
 

@@ -17,6 +17,7 @@ SETS = {
     "simulated_performance": ("simulated performance", "no clip was given: capture=TAKE.csv judges a Live Link Face recording"),
     "held_out_pairs": ("held-out pairs", "recorded poses that training never saw"),
     "surrogate": ("surrogate", "the surrogate alone on the controls of those poses: how far it can be believed"),
+    "walk": ("walk", "the walk that the rig brings: no clip was given"),
     "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
 }
 NO_RIG = "none"  # as the true rig, where poses that were recorded of it are all there is
