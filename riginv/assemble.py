@@ -133,7 +133,7 @@ def calibrate(config: Config, module: RigModule, sampler: MeshSampler) -> None:
     sample = sampler.sample(CALIBRATION_MESHES, generator_at(config["seed"], "calibration"))
     if module.kind == "inverse":
         module.network.calibrate(sample["coordinates"])
-    else:
+    elif not isinstance(module.rig.rig, FittedRig | RecordedRig):  # the coefficients of these are scaled already
         module.network.set_scales(module.rig.rig, sample["controls"])
 
 
