@@ -1,5 +1,6 @@
 """A .blend file as a rig: a black box that Blender evaluates."""
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
@@ -26,7 +27,7 @@ class BlenderRig(RigBackend):
         file: the .blend; None: that of `twin_of`.
         mesh: the name of the mesh object; None: the only one.
         include, exclude, rename, bounds: of the controls that were found, see `Selection`.
-        workers: processes at most.
+        workers: processes at most; None: one for each CPU core, up to 8.
         interpreter: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
         timeout_s: after which a worker is taken for hung.
         scripts: whether the file's own Python may run.
@@ -47,7 +48,7 @@ class BlenderRig(RigBackend):
         exclude: Sequence[str] = (),
         rename: Mapping[str, str] | None = None,
         bounds: Mapping[str, Sequence[float]] | None = None,
-        workers: int = 2,
+        workers: int | None = None,
         interpreter: str | None = None,
         timeout_s: float = 120.0,
         scripts: bool = False,
@@ -58,7 +59,7 @@ class BlenderRig(RigBackend):
             raise InputError("rig.file must be given: the .blend that holds the rig")
         path = twin_file(twin_of, program) if file is None else _checked(file)
         load = {"file": str(path), "mesh": mesh, "scripts": scripts}
-        pool = WorkerPool(script_command(program, "worker.py"), load, workers, timeout_s)
+        pool = WorkerPool(script_command(program, "worker.py"), load, workers or min(os.cpu_count() or 1, 8), timeout_s)
         try:
             header, arrays = pool.describe()
         except (WorkerRefused, PoseLostError) as error:

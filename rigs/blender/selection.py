@@ -57,9 +57,7 @@ def _fits(name: str, patterns: Sequence[str] | Mapping) -> bool:
 def _must_fit(pattern: str, names: list[str], key: str, source: str) -> None:
     if not any(fnmatchcase(name, pattern) for name in names):
         near = difflib.get_close_matches(pattern, names, n=3, cutoff=0.5) or names[:3]
-        raise InputError(
-            f"{key}: '{pattern}' fits none of the {len(names)} controls of {source}, such as {', '.join(near)}"
-        )
+        raise InputError(f"{key}: '{pattern}' fits none of the {len(names)} controls of {source}, such as {', '.join(near)}")
 
 
 def _renamed(name: str, rename: Mapping[str, str]) -> str:

@@ -119,7 +119,9 @@ def custom_property(datablock, owner, key, index):
 def shape_keys(mesh, datablocks, driven):
     """Shape keys that no driver moves, those of the mesh first."""
     found = []
-    for keys in sorted((each for each in datablocks if isinstance(each, bpy.types.Key)), key=lambda each: each.user != mesh.data):
+    for keys in sorted(
+        (each for each in datablocks if isinstance(each, bpy.types.Key)), key=lambda each: each.user != mesh.data
+    ):
         if not keys.use_relative:
             continue
         for block in keys.key_blocks:
@@ -147,7 +149,15 @@ def free_channels(armature, bone, driven):
     reach = UNLIMITED_LENGTHS * bone.bone.length * mm
     kinds = [
         ("location", "location", bone.lock_location, "mm", 1 / mm, (-reach, reach), 0.0),
-        ("rotation", "rotation_euler", bone.lock_rotation, "deg", math.radians(1), (-UNLIMITED_DEGREES, UNLIMITED_DEGREES), 0.0),
+        (
+            "rotation",
+            "rotation_euler",
+            bone.lock_rotation,
+            "deg",
+            math.radians(1),
+            (-UNLIMITED_DEGREES, UNLIMITED_DEGREES),
+            0.0,
+        ),
         ("scale", "scale", bone.lock_scale, "", 1.0, (1.0, 1.0), 1.0),  # only where something limits it
     ]
     found = []

@@ -77,6 +77,11 @@ def serve(scene):
 if __name__ == "__main__":
     sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # Blender does not add it
     sys.modules["worker"] = sys.modules["__main__"]  # so that the scene's Refused is ours
+    cores = os.sched_getaffinity(0) if sys.platform == "linux" else None
+    if cores:  # workers share the cores between them: Blender starts as many threads as it sees cores when it is loaded
+        os.sched_setaffinity(0, {min(cores)})
     from scene import BlenderScene
 
+    if cores:
+        os.sched_setaffinity(0, cores)
     serve(BlenderScene())
