@@ -14,7 +14,7 @@ from riginv.callbacks.saving import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.cli.run_folder import RunFolder
 from riginv.clips.live_link import live_link_clip
 from riginv.clips.performance import simulated_performance
-from riginv.data.mesh_sets import MeshSet
+from riginv.data.mesh_sets import MeshSet, StoredMeshes
 from riginv.data.poses import PoseDataModule
 from riginv.data.test_sets import random_poses, random_sets, watched
 from riginv.errors import InputError
@@ -22,6 +22,7 @@ from riginv.judge import build_judge, check_same_controls
 from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
 from riginv.rig import LinearRig, RigBackend
+from riginv.sampling.choice import fitted
 from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise
 from riginv.sampling.noise import CaptureNoise
 from riginv.sampling.seeds import generator_at
@@ -58,9 +59,12 @@ def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
     return true_rig
 
 
-def build_clip(config: Config, true_rig: RigBackend) -> MeshSet:
-    """The clip to judge on: the one given, or else a simulated performance, named so."""
-    return live_link_clip(config["capture"], true_rig) if config["capture"] else simulated_performance(true_rig)
+def build_clip(config: Config, true_rig: RigBackend) -> MeshSet | None:
+    """The clip to judge on: the one given, or else the rig's own motion, or a simulated performance; None where it has none."""
+    if config["capture"]:
+        return live_link_clip(config["capture"], true_rig)
+    motion = true_rig.motion()
+    return StoredMeshes(motion.name, motion.vertices, motion.fps) if motion else simulated_performance(true_rig)
 
 
 def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> RigModule:
@@ -76,7 +80,7 @@ def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> R
 
 def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:
     """What training sees, with capture noise and storage where the config asks for them."""
-    sampler = build(config["sampler"], rig)
+    sampler = build(fitted(config["sampler"], rig.rig), rig)
     noise, stored = config["noise"], config["data"]["stored_poses"]
     if noise["vertex_mm"] or noise["smooth_mm"]:
         sampler = WithNoise(sampler, CaptureNoise(rig.space, **noise))

@@ -38,12 +38,14 @@ class MeshSpace(nn.Module):
     @classmethod
     def from_rig(cls, rig: LinearRig) -> "MeshSpace":
         """The exact mesh space of a rig that ends in a linear map: the span of its basis."""
-        basis = rig.basis.flatten(1).double()
-        q, r = torch.linalg.qr(basis.T)
-        left, values, _ = torch.linalg.svd(r)
-        rank = int((values > RANK_TOLERANCE * values[0]).sum())
-        frame = (q @ left[:, :rank]).T.unflatten(1, rig.rest_vertices.shape)
-        return cls(rig.rest_vertices, frame.to(rig.dtype))
+        axes = _axis_by_axis(rig.basis)
+        if axes is None:
+            frame, values = _orthonormal(rig.basis.flatten(1))
+            frame = frame.unflatten(1, rig.rest_vertices.shape)
+        else:
+            frame, values = _orthonormal_by_axis(rig.basis, axes)
+        kept = values > RANK_TOLERANCE * values.amax()
+        return cls(rig.rest_vertices, frame[kept].to(rig.dtype))
 
     @classmethod
     def from_samples(cls, rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> "MeshSpace":
@@ -115,3 +117,30 @@ class RigInMeshSpace(nn.Module):
     def forward(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to mesh coordinates `(batch, coordinate)`; 0 at the neutral controls."""
         return (self.rig.coefficients(controls) - self.neutral_coefficients) @ self.linear_map
+
+
+def _orthonormal(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Orthonormal rows `(coefficient, number)` with the same span, and the size of each, `(coefficient,)`, descending."""
+    q, r = torch.linalg.qr(rows.double().T)
+    left, values, _ = torch.linalg.svd(r)
+    return (q @ left[:, : len(values)]).T, values
+
+
+def _axis_by_axis(basis: Tensor) -> Tensor | None:
+    """The one axis `(coefficient,)` along which each coefficient moves vertices, as in skinning; None where one moves more."""
+    moved = torch.stack([basis[:, :, axis].ne(0).any(dim=1) for axis in range(3)], dim=1)
+    return moved.int().argmax(dim=1) if bool((moved.sum(dim=1) <= 1).all()) else None
+
+
+def _orthonormal_by_axis(basis: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
+    """What `_orthonormal` gives for a basis `(coefficient, vertex, 3)`, as three problems of a twenty-seventh of the size.
+
+    Coefficients of different axes move no coordinate in common, so that their spans are orthogonal as they are.
+    """
+    frames, sizes = [], []
+    for axis in range(3):
+        rows, values = _orthonormal(basis[axes == axis, :, axis])
+        frames.append(torch.stack([rows if other == axis else torch.zeros_like(rows) for other in range(3)], dim=2))
+        sizes.append(values)
+    values, order = torch.cat(sizes).sort(descending=True, stable=True)
+    return torch.cat(frames)[order], values

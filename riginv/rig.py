@@ -30,6 +30,21 @@ class Control:
     unit: str = ""
 
 
+@dataclass(frozen=True)
+class Motion:
+    """A motion that a rig's author offers to judge inverses on.
+
+    Attributes:
+        name: the key of its figures in metrics.
+        fps: frames a second.
+        vertices: `(frame, vertex, 3)`, mm; in reach of the rig's controls or not.
+    """
+
+    name: str
+    fps: float
+    vertices: Tensor
+
+
 class RigBackend(nn.Module, ABC):
     """A rig: `forward` maps controls to vertices. It holds facts, nothing that is trained, and never clamps its controls.
 
@@ -86,6 +101,10 @@ class RigBackend(nn.Module, ABC):
     def expressions(self) -> dict[str, dict[str, float]]:
         """Named poses worth looking at: the controls that leave neutral, by name; empty where nobody named any."""
         return {}
+
+    def motion(self) -> Motion | None:
+        """A motion to judge an inverse on where no capture is given; None: a simulated performance, where it has shapes."""
+        return None
 
     def vertex_colors(self) -> Tensor | None:
         """Colours `(vertex, 3)` in [0, 1] for pictures, or None for plain clay."""

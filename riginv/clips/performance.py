@@ -13,11 +13,14 @@ FPS = 30.0
 TOGETHER = 0.7  # how often a right shape moves with its left one
 
 
-def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simulated_performance") -> WeightedShapes:
+def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simulated_performance") -> WeightedShapes | None:
     """A clip of a rig with ARKit or other blendshapes: each shape rises and falls now and then, smoothly.
 
+    Returns:
+        the clip, or None for a rig without shapes to add: it has no clip, and is judged on its random poses alone.
+
     Raises:
-        InputError: the rig has no shapes to add, or fewer than one frame is asked for.
+        InputError: fewer than one frame is asked for.
     """
     if frames < 1:
         raise InputError(f"a performance of {frames} frames was asked for, expected at least 1")
@@ -26,7 +29,7 @@ def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simul
         count = rig.primary_count
         shapes = dict(zip(rig.coefficient_names[:count], rig.basis[:count]))
     if not shapes:
-        raise InputError(f"rig '{rig.name}' has no shapes that a performance could be simulated with: give a clip instead")
+        return None
     curves = _strokes(list(shapes), frames)
     return WeightedShapes(name, rig.rest_vertices, torch.stack(list(shapes.values())), curves.to(rig.dtype), FPS)
 

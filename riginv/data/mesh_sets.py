@@ -54,6 +54,24 @@ class WeightedShapes(MeshSet):
         return self.rest_vertices + (self.weights[start:stop] @ self.deltas.flatten(1)).unflatten(1, self.rest_vertices.shape)
 
 
+class StoredMeshes(MeshSet):
+    """Meshes as they are.
+
+    Args:
+        meshes: `(mesh, vertex, 3)`, mm.
+    """
+
+    def __init__(self, name: str, meshes: Tensor, fps: float | None = None) -> None:
+        super().__init__(name, fps)
+        self.meshes = meshes
+
+    def __len__(self) -> int:
+        return len(self.meshes)
+
+    def vertices(self, start: int, stop: int) -> Tensor:
+        return self.meshes[start:stop]
+
+
 class PosedRig(MeshSet):
     """Poses of a rig.
 

@@ -1,1 +1,1 @@
-"""Pure batched functions of rig logic: driven-key curves, combinations, in-betweens."""
+"""Pure batched functions of rig logic: driven-key curves, combinations, forward kinematics, skinning."""

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
+from riginv.rig import LinearRig
 
 
 class ControlSampler(nn.Module, ABC):
@@ -18,6 +19,11 @@ class ControlSampler(nn.Module, ABC):
         self.register_buffer("lower", rig.rig.lower, persistent=False)
         self.register_buffer("upper", rig.rig.upper, persistent=False)
         self.register_buffer("neutral", rig.rig.neutral_controls, persistent=False)
+
+    @classmethod
+    def belongs_to(cls, rig: LinearRig) -> bool:
+        """Whether a mixture for this rig should hold poses of it (`riginv.sampling.choice`)."""
+        return True
 
     @abstractmethod
     def sample(self, count: int, generator: torch.Generator) -> Tensor:

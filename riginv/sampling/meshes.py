@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
+from riginv.rig import LinearRig
 from riginv.sampling.controls import (
     ControlSampler,
     check_plausible,
@@ -34,6 +35,11 @@ class PoseBatch(TypedDict, total=False):
 class MeshSampler(nn.Module, ABC):
     """Draws meshes, in mesh coordinates."""
 
+    @classmethod
+    def belongs_to(cls, rig: LinearRig) -> bool:
+        """Whether a mixture for this rig should hold it (`riginv.sampling.choice`)."""
+        return True
+
     @abstractmethod
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         """A batch of `count` meshes, without gradients."""
@@ -52,7 +58,15 @@ class RigPoses(MeshSampler):
         return PoseBatch(coordinates=self.rig(controls), controls=controls)
 
 
-class RandomCombinations(MeshSampler):
+class OfBlendshapes(MeshSampler):
+    """Draws from a rig's blendshapes, which it must have."""
+
+    @classmethod
+    def belongs_to(cls, rig: LinearRig) -> bool:
+        return rig.has_blendshapes
+
+
+class RandomCombinations(OfBlendshapes):
     """The paper's meshes for the inverse: blendshapes combined with no regard for the rig's logic, count and values uniform.
 
     Raises:
@@ -75,7 +89,7 @@ def random_weights(shapes: int, count: int, generator: torch.Generator) -> Tenso
     return torch.where(active, torch.rand(count, shapes, generator=generator, device=generator.device), 0.0)
 
 
-class PlausibleCombinations(MeshSampler):
+class PlausibleCombinations(OfBlendshapes):
     """A few primary shapes at a time added linearly, as captured faces are: near the rig's poses, mostly not among them.
 
     Args:

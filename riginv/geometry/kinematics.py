@@ -1,0 +1,101 @@
+"""Forward kinematics: from the local transforms of joints to world transforms, one depth of the tree after another.
+
+A transform is a 3x4 matrix, the last column its translation: it maps a point p to M[:, :3] p + M[:, 3].
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+
+
+def tree_levels(parents: Sequence[int], names: Sequence[str] | None = None) -> list[Tensor]:
+    """The joints of each depth of a tree, roots first; the order of the joints does not matter, several roots are fine.
+
+    Args:
+        parents: the parent of each joint, -1 for a root.
+        names: of the joints, for messages; their numbers without it.
+
+    Returns:
+        for each depth the indices of its joints, `(joint of that depth,)`.
+
+    Raises:
+        InputError: there are no joints, a parent is not among them, or joints form a cycle; the message names the joint.
+    """
+    count = len(parents)
+    names = [str(number) for number in range(count)] if names is None else names
+    if not count:
+        raise InputError("a skeleton needs at least one joint")
+    for joint, parent in enumerate(parents):
+        if not -1 <= parent < count:
+            raise InputError(
+                f"joint '{names[joint]}' has parent number {parent}, expected 0 to {count - 1}, or -1 for a root: "
+                f"mend its parent"
+            )
+    levels: list[list[int]] = []
+    children: dict[int, list[int]] = {}
+    for joint, parent in enumerate(parents):
+        children.setdefault(parent, []).append(joint)
+    level = children.get(-1, [])
+    while level:
+        levels.append(level)
+        level = [child for joint in level for child in children.get(joint, [])]
+    hanging = sorted(set(range(count)) - {joint for level in levels for joint in level})
+    if hanging:
+        cycle = _cycle(parents, hanging[0])
+        chain = " -> ".join(f"'{names[joint]}'" for joint in [*cycle, cycle[0]])
+        raise InputError(f"the joints form a cycle, each the child of the next: {chain}; give one of them another parent")
+    return [torch.tensor(level) for level in levels]
+
+
+def _cycle(parents: Sequence[int], joint: int) -> list[int]:
+    """The joints of the cycle that the ancestors of `joint` run into."""
+    seen: list[int] = []
+    while joint not in seen:
+        seen.append(joint)
+        joint = parents[joint]
+    return seen[seen.index(joint) :]
+
+
+def compose(outer: Tensor, inner: Tensor) -> Tensor:
+    """The transform `(..., 3, 4)` that applies `inner` first, then `outer`."""
+    product = outer[..., :3] @ inner
+    return torch.cat([product[..., :3], product[..., 3:] + outer[..., 3:]], dim=-1)
+
+
+def invert(transforms: Tensor) -> Tensor:
+    """The inverse `(..., 3, 4)` of affine transforms, which may scale and shear."""
+    linear = torch.linalg.inv(transforms[..., :3])
+    return torch.cat([linear, -linear @ transforms[..., 3:]], dim=-1)
+
+
+def transform_from(rotations: Tensor, translations: Tensor) -> Tensor:
+    """Transforms `(..., 3, 4)` from rotations `(..., 3, 3)` and translations `(..., 3)`."""
+    return torch.cat([rotations, translations[..., None]], dim=-1)
+
+
+def forward_kinematics(local: Tensor, parents: Sequence[int], levels: Sequence[Tensor]) -> Tensor:
+    """World transforms from transforms relative to the parents; the work is batched over the joints of one depth.
+
+    Args:
+        local: `(batch, joint, 3, 4)`; a root's is its world transform.
+        parents: as for `tree_levels`.
+        levels: what `tree_levels` made of the parents.
+
+    Returns:
+        `(batch, joint, 3, 4)`.
+    """
+    of_joint = torch.tensor(parents, device=local.device)
+    place = torch.empty_like(of_joint)
+    worlds: list[Tensor] = []
+    for level in levels:
+        level = level.to(local.device)
+        here = local[:, level]
+        if worlds:
+            here = compose(worlds[-1][:, place[of_joint[level]]], here)
+        place[level] = torch.arange(len(level), device=local.device)
+        worlds.append(here)
+    order = torch.cat([level.to(local.device) for level in levels])
+    return torch.cat(worlds, dim=1)[:, order.argsort()]

@@ -1,0 +1,84 @@
+"""Linear blend skinning: each vertex follows the skinning matrices of some joints, in the shares of its weights.
+
+The skinning matrix of a joint, 3x4, maps the rest mesh to where the joint alone would carry it; at rest it is the identity.
+Vertices are linear in its 12 numbers, so that a skinned rig ends in a linear map (`riginv.rig.LinearRig`).
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+
+NUMBERS = 12  # of one skinning matrix, row by row
+SUM_TOLERANCE = 1e-3  # how far the weights of a vertex may sum to something else than 1
+
+
+def check_weights(weights: Tensor, where: str, joint_names: Sequence[str] | None = None) -> None:
+    """Check skin weights `(vertex, joint)`.
+
+    Args:
+        where: what they belong to, such as a file, for the message.
+        joint_names: for the message; numbers without it.
+
+    Raises:
+        InputError: a weight is not finite or negative, or those of a vertex do not sum to 1; the message names the vertex.
+    """
+    for wrong, what, want in (
+        (~torch.isfinite(weights), "not finite", "finite numbers"),
+        (weights < 0, "negative", "at least 0"),
+    ):
+        if wrong.any():
+            vertex, joint = (int(place) for place in wrong.nonzero()[0])
+            name = joint_names[joint] if joint_names else joint
+            raise InputError(
+                f"{where}: the skin weight of vertex {vertex} for joint '{name}' is {what} "
+                f"({float(weights[vertex, joint]):g}), expected {want}: mend the weights and export again"
+            )
+    sums = weights.sum(dim=1)
+    off = (sums - 1).abs() > SUM_TOLERANCE
+    if off.any():
+        vertex = int(off.nonzero()[0, 0])
+        raise InputError(
+            f"{where}: the skin weights of {int(off.sum())} vertices do not sum to 1, the first is vertex {vertex} with "
+            f"{float(sums[vertex]):g}: normalise the weights and export again"
+        )
+
+
+def skinning_basis(rest_vertices: Tensor, weights: Tensor, centres: Tensor | None = None) -> Tensor:
+    """The basis that the numbers of the skinning matrices are multiplied with.
+
+    Args:
+        rest_vertices: `(vertex, 3)`, mm.
+        weights: `(vertex, joint)`, each row summing to 1.
+        centres: `(joint, 3)`, mm: what each joint's matrix is about, such as its place at rest; then the matrix maps
+            rest - centre, and its translation is the place where the centre goes. None: the origin for all.
+
+    Returns:
+        `(12 * joint, vertex, 3)`: for each joint, row by row, the 12 numbers of its matrix. The matrices flattened to
+        `(batch, 12 * joint)`, times this, are the vertices.
+    """
+    vertices, joints = weights.shape
+    offsets = rest_vertices[None] - (0 if centres is None else centres[:, None])
+    points = torch.cat([offsets.expand(joints, vertices, 3), offsets.new_ones(joints, vertices, 1)], dim=2)
+    weighted = (weights.T[..., None] * points).transpose(1, 2)  # (joint, column, vertex)
+    basis = weighted.new_zeros(joints, 3, 4, vertices, 3)
+    for axis in range(3):
+        basis[:, axis, :, :, axis] = weighted
+    return basis.reshape(NUMBERS * joints, vertices, 3)
+
+
+def skin(rest_vertices: Tensor, weights: Tensor, matrices: Tensor) -> Tensor:
+    """Skin a mesh directly, without a basis.
+
+    Args:
+        rest_vertices: `(vertex, 3)`, mm.
+        weights: `(vertex, joint)`.
+        matrices: skinning matrices `(batch, joint, 3, 4)`: a joint's world transform times its inverse at rest.
+
+    Returns:
+        `(batch, vertex, 3)`, mm.
+    """
+    blended = torch.einsum("vj,bjrc->bvrc", weights, matrices)
+    return (blended[..., :3] @ rest_vertices[..., None]).squeeze(-1) + blended[..., 3]
