@@ -17,7 +17,6 @@ from riginv.data.test_sets import random_poses
 from rigs.blender.rig import BlenderRig
 from rigs.face import FaceRig
 
-
 LOOP = "s = 0\nfor i in range(10_000_000): s += i * i % 7"
 
 

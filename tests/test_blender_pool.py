@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from rigs.blender.pool import PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefused
+from rigs.blender.process import WorkerRefusedError
 from tests.toy_worker import CRASHES, HANGS, NAMES, REFUSES, REST
 
 TOY = str(Path(__file__).parent / "toy_worker.py")
@@ -103,10 +103,10 @@ def test_what_a_worker_refuses_is_told_at_once():
     with toys() as pool:
         pool.describe()
         before = pool.process_ids()
-        with pytest.raises(WorkerRefused, match="toy: trouble"):
+        with pytest.raises(WorkerRefusedError, match="toy: trouble"):
             pool.evaluate(NAMES, controls)
         assert set(before) <= set(pool.process_ids())
-    with toys(load={"file": "doll"}) as pool, pytest.raises(WorkerRefused, match="doll: there is no such toy"):
+    with toys(load={"file": "doll"}) as pool, pytest.raises(WorkerRefusedError, match="doll: there is no such toy"):
         pool.describe()
 
 

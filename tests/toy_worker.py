@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "rigs/blender/in_blender"))
-from worker import Refused, serve
+from worker import RefusedError, serve
 
 NAMES = ("wide", "tall", "trouble")
 REST = np.arange(12, dtype=np.float32).reshape(4, 3)
@@ -23,7 +23,7 @@ class ToyScene:
         if file == "crash":
             os.abort()
         if file != "toy":
-            raise Refused(f"{file}: there is no such toy")
+            raise RefusedError(f"{file}: there is no such toy")
         print("a print that must not disturb the protocol")
         os.write(1, b"nor must one past Python\n")
         return {}, {}
@@ -42,7 +42,7 @@ class ToyScene:
             while values["trouble"] == HANGS:
                 time.sleep(1)
             if values["trouble"] == REFUSES:
-                raise Refused("toy: trouble")
+                raise RefusedError("toy: trouble")
             meshes.append(REST * (1 + values["wide"]) + values["tall"])
         return {}, {"vertices": np.array(meshes, np.float32).reshape(-1, 4, 3)}
 

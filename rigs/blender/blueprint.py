@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from torch import Tensor
@@ -35,9 +35,48 @@ class Value:
     of_controls: bool = False
 
 
+class Channel(NamedTuple):
+    """What a value does to a joint: its `rotation` (radians) about, or its `location` (mm) along an axis of its frame."""
+
+    joint: str
+    kind: Literal["rotation", "location"]
+    axis: int
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joints that carry a mesh by linear blend skinning.
+
+    Attributes:
+        names: of the joints, parents before their children.
+        parents: the number of each joint's parent, -1 for a root.
+        heads: `(joint, 3)`, mm.
+        lengths: `(joint,)`, mm, of the bones, for the eye.
+        frames: `(joint, 3, 3)`, whose columns are the axes of each joint at rest; the bone lies along the second.
+        order: in which a joint turns about its axes, as in `YZX`: first about the second.
+        weights: `(vertex, joint)`.
+        channels: by name of the value.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    heads: np.ndarray
+    lengths: np.ndarray
+    frames: np.ndarray
+    order: str
+    weights: np.ndarray
+    channels: dict[str, Channel]
+
+    ARRAYS: ClassVar = ("heads", "lengths", "frames", "weights")
+
+    def facts(self) -> dict[str, Any]:
+        """All but the arrays, for JSON."""
+        return {"names": self.names, "parents": self.parents, "order": self.order, "channels": self.channels}
+
+
 @dataclass(frozen=True)
 class Blueprint:
-    """All that is needed to rebuild a blendshape rig elsewhere.
+    """All that is needed to rebuild a rig of shapes or joints elsewhere.
 
     Attributes:
         name: of the rig.
@@ -47,6 +86,7 @@ class Blueprint:
         rest_vertices: `(vertex, 3)`, mm, y up.
         faces: `(face, 3)`.
         deltas: `(shape, vertex, 3)`, mm.
+        skeleton: of a rig that has one.
     """
 
     name: str
@@ -56,25 +96,33 @@ class Blueprint:
     rest_vertices: np.ndarray
     faces: np.ndarray
     deltas: np.ndarray
+    skeleton: Skeleton | None = None
 
     def facts(self) -> str:
         """All but the arrays, as JSON."""
         facts = {"name": self.name, "shapes": self.shapes}
         facts["controls"] = [asdict(control) for control in self.controls]
         facts["values"] = [asdict(value) for value in self.values]
+        facts["skeleton"] = self.skeleton and self.skeleton.facts()
         return json.dumps(facts)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays by name."""
+        arrays = {"rest_vertices": self.rest_vertices, "faces": self.faces, "deltas": self.deltas}
+        if self.skeleton:
+            arrays |= {name: getattr(self.skeleton, name) for name in Skeleton.ARRAYS}
+        return arrays
 
     def content_hash(self) -> str:
         """Of everything in it, in hexadecimal."""
         digest = hashlib.sha256(self.facts().encode())
-        for array in (self.rest_vertices, self.faces, self.deltas):
+        for array in self.arrays().values():
             digest.update(np.ascontiguousarray(array))
         return digest.hexdigest()
 
     def save(self, path: Path) -> None:
         """Write it as an .npz that NumPy reads without running code."""
-        facts = np.frombuffer(self.facts().encode(), np.uint8)
-        np.savez(path, facts=facts, rest_vertices=self.rest_vertices, faces=self.faces, deltas=self.deltas)
+        np.savez(path, facts=np.frombuffer(self.facts().encode(), np.uint8), **self.arrays())
 
 
 def unpack_curves(table: Tensor) -> list[Curve]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rigs.blender.process import Message, WorkerLost, WorkerProcess, WorkerRefused
+from rigs.blender.process import Message, WorkerLostError, WorkerProcess, WorkerRefusedError
 
 CHUNK = 16  # poses that a worker gets at a time, at most
 ATTEMPTS = 3  # after so many lost workers in a row the pose is to blame
@@ -80,7 +80,7 @@ class WorkerPool:
         """What a worker says of what it has loaded.
 
         Raises:
-            WorkerRefused: it cannot load it.
+            WorkerRefusedError: it cannot load it.
             PoseLostError: loading cost several workers.
         """
         (answer,) = self._run([(range(0), {"command": "describe"}, {})]).values()
@@ -97,7 +97,7 @@ class WorkerPool:
             `(pose, vertex, 3)` float32, mm.
 
         Raises:
-            WorkerRefused: a pose cannot be evaluated.
+            WorkerRefusedError: a pose cannot be evaluated.
             PoseLostError: a pose cost several workers in a row.
         """
         size = min(CHUNK, -(-len(controls) // self._settings[2]))
@@ -128,7 +128,7 @@ class WorkerPool:
             while waiting:
                 task, outcome = crew.next_outcome(job)
                 waiting -= 1
-                if isinstance(outcome, WorkerLost):
+                if isinstance(outcome, WorkerLostError):
                     again = _again(task, outcome)
                     waiting += len(again)
                     crew.put(again)
@@ -149,7 +149,7 @@ class WorkerPool:
             return self._crew
 
 
-def _again(task: _Task, loss: WorkerLost) -> list[_Task]:
+def _again(task: _Task, loss: WorkerLostError) -> list[_Task]:
     """The tasks that stand in for one whose worker was lost: each pose by itself, so that one bad pose costs no other."""
     losses = task.losses + 1
     if losses >= ATTEMPTS:
@@ -214,7 +214,7 @@ class _Crew:
                 process = process or self._start()
                 outcome = process.request(task.header, task.arrays, self._timeout_s)
                 _check(outcome, task)
-            except WorkerRefused as error:
+            except WorkerRefusedError as error:
                 outcome = error
             except BaseException as error:
                 outcome = error
@@ -228,7 +228,7 @@ class _Crew:
         self._running.add(process)
         try:
             if self._closed:
-                raise WorkerLost("the pool was closed")
+                raise WorkerLostError("the pool was closed")
             process.request({"command": "load", **self._load}, {}, self._timeout_s)
         except BaseException:
             self._end(process)
@@ -242,7 +242,7 @@ class _Crew:
 
 
 def _check(answer: Message, task: _Task) -> None:
-    """Raises WorkerLost where an answer is not one to the task."""
+    """Raises WorkerLostError where an answer is not one to the task."""
     vertices = answer[1].get("vertices")
     if task.header["command"] == "evaluate" and (vertices is None or vertices.ndim != 3 or len(vertices) != len(task.rows)):
-        raise WorkerLost(f"it gave {'no meshes' if vertices is None else vertices.shape} for {len(task.rows)} poses")
+        raise WorkerLostError(f"it gave {'no meshes' if vertices is None else vertices.shape} for {len(task.rows)} poses")

@@ -21,11 +21,11 @@ PATIENCE_S = 10.0  # for the system to end a process that was killed
 Message = tuple[dict[str, Any], dict[str, np.ndarray]]
 
 
-class WorkerLost(Exception):
+class WorkerLostError(Exception):
     """A worker died, hung, or spoke nonsense; the message says which."""
 
 
-class WorkerRefused(Exception):
+class WorkerRefusedError(Exception):
     """A worker says why it cannot do what it was asked; it is well and waits for the next request."""
 
 
@@ -59,8 +59,8 @@ class WorkerProcess:
         """Send a request and wait for its answer.
 
         Raises:
-            WorkerLost: there will be none, or none came in time; the process is gone.
-            WorkerRefused: the answer is an error.
+            WorkerLostError: there will be none, or none came in time; the process is gone.
+            WorkerRefusedError: the answer is an error.
         """
         watchdog = threading.Timer(timeout_s, self._give_up)
         watchdog.daemon = True
@@ -71,11 +71,11 @@ class WorkerProcess:
         except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
             watchdog.cancel()
             self.end()
-            raise WorkerLost(self._why(error, timeout_s)) from None
+            raise WorkerLostError(self._why(error, timeout_s)) from None
         finally:
             watchdog.cancel()
         if "error" in answer:
-            raise WorkerRefused(answer["error"])
+            raise WorkerRefusedError(answer["error"])
         return answer, found
 
     def kill(self) -> None:

@@ -13,7 +13,7 @@ from riginv.errors import InputError
 from riginv.rig import Control, RigBackend
 from rigs.blender.interpreter import find_interpreter, script_command
 from rigs.blender.pool import PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefused
+from rigs.blender.process import WorkerRefusedError
 from rigs.blender.selection import Selection, select
 from rigs.blender.twin import twin_file
 
@@ -62,9 +62,9 @@ class BlenderRig(RigBackend):
         pool = WorkerPool(script_command(program, "worker.py"), load, workers or min(os.cpu_count() or 1, 8), timeout_s)
         try:
             header, arrays = pool.describe()
-        except (WorkerRefused, PoseLostError) as error:
+        except (WorkerRefusedError, PoseLostError) as error:
             pool.close()
-            raise InputError(str(error) if isinstance(error, WorkerRefused) else f"{path}: {error}") from None
+            raise InputError(str(error) if isinstance(error, WorkerRefusedError) else f"{path}: {error}") from None
         found = [Control(**control) for control in header["controls"]]
         self.found_names, controls = select(found, Selection(include, exclude, rename, bounds), str(path))
         name = path.stem if file is not None else f"{twin_of.name} in Blender"
@@ -81,7 +81,7 @@ class BlenderRig(RigBackend):
         """
         try:
             vertices = self.pool.evaluate(self.found_names, controls.detach().to("cpu", torch.float32).numpy())
-        except WorkerRefused as error:
+        except WorkerRefusedError as error:
             raise InputError(str(error)) from None
         return torch.from_numpy(np.ascontiguousarray(vertices)).to(controls)
 

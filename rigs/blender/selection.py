@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from itertools import zip_longest
 
 from riginv.errors import InputError
 from riginv.rig import Control
@@ -64,8 +65,10 @@ def _renamed(name: str, rename: Mapping[str, str]) -> str:
     for pattern, new in rename.items():
         match = re.fullmatch("".join(_as_regex(part) for part in re.split(r"([*?])", pattern)), name)
         if match:
-            parts = iter(match.groups())
-            return re.sub(r"[*?]", lambda _: next(parts, ""), new)
+            pieces = re.split(r"[*?]", new)
+            return pieces[0] + "".join(
+                a + b for a, b in zip_longest(match.groups()[: len(pieces) - 1], pieces[1:], fillvalue="")
+            )
     return name
 
 

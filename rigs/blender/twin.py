@@ -13,8 +13,10 @@ from riginv.errors import InputError
 from riginv.files import written_beside
 from riginv.rig import RigBackend
 from rigs.blender.blueprint import Blueprint
+from rigs.blender.body import body_blueprint
 from rigs.blender.face import face_blueprint
 from rigs.blender.interpreter import SCRIPTS, script_command
+from rigs.body import BodyRig
 from rigs.face import FaceRig
 
 BUILDER = "build_blend.py"
@@ -29,7 +31,11 @@ def blueprint_of(rig: RigBackend) -> Blueprint:
     """
     if isinstance(rig, FaceRig):
         return face_blueprint(rig)
-    raise InputError(f"rig '{rig.name}' cannot be rebuilt in Blender: only rig=face can; name a .blend with rig.file=")
+    if isinstance(rig, BodyRig):
+        return body_blueprint(rig)
+    raise InputError(
+        f"rig '{rig.name}' cannot be rebuilt in Blender: only rig=face and rig=body can; name a .blend with rig.file="
+    )
 
 
 def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
@@ -55,7 +61,8 @@ def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
 def twin_file(rig: RigBackend, interpreter: str) -> Path:
     """The .blend of a rig's twin, from the cache where this code has built it before."""
     blueprint = blueprint_of(rig)
-    key = hashlib.sha256(blueprint.content_hash().encode() + (SCRIPTS / BUILDER).read_bytes()).hexdigest()[:16]
+    code = b"".join((SCRIPTS / name).read_bytes() for name in (BUILDER, "drivers.py"))
+    key = hashlib.sha256(blueprint.content_hash().encode() + code).hexdigest()[:16]
     name = f"blender/{blueprint.name}-{key}.blend"
     kept = cache_folder() / name
     if not kept.is_file():

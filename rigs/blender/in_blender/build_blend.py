@@ -1,72 +1,105 @@
-"""Runs inside Blender's Python: build a .blend from a saved blueprint. Needs nothing but bpy and NumPy.
+"""Runs inside Blender's Python: build a .blend from a saved blueprint (rigs/blender/blueprint.py).
 
-    PYTHON build_blend.py BLUEPRINT.npz OUT.blend     or     blender --background --python build_blend.py -- BLUEPRINT.npz OUT.blend
+    PYTHON build_blend.py BLUEPRINT.npz OUT.blend
+    blender --background --python build_blend.py -- BLUEPRINT.npz OUT.blend
 
-Controls are custom properties of one object, `NAME controls`; weights of shapes are shape keys with drivers; what lies between
-(a driver of a shape, a limit) are driven custom properties of a hidden object, `NAME logic`. All expressions are of the kind
-that Blender computes itself, so an animator need not allow scripts.
+Controls are custom properties of one object, `NAME controls`; weights of shapes are shape keys with drivers, joints are bones
+with drivers; what lies between (a driver of a shape, a limit) are driven custom properties of a hidden object, `NAME logic`.
+All expressions are of the kind that Blender computes itself, so an animator need not allow scripts.
 """
 
 import json
+import os
 import sys
+from typing import Any
+
 import bpy
 import numpy as np
 
 METRES = 0.001  # per mm
-PERCENT = 100.0  # curves get their inputs times this: Blender takes an input within 0.0001 of a key for the key
-TERMS = 8  # of one expression, which may be 255 characters long
 
 
-def main(blueprint, out):
+def main(blueprint: str, out: str) -> None:
+    """Build and save."""
     with np.load(blueprint, allow_pickle=False) as file:
         facts = json.loads(file["facts"].tobytes())
-        rest, faces, deltas = file["rest_vertices"], file["faces"], file["deltas"]
+        arrays = {name: file[name] for name in file.files if name != "facts"}
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.scene.unit_settings.system = "METRIC"
-    face = add_mesh(facts["name"], rest, faces)
-    add_shape_keys(face, facts["shapes"], rest, deltas)
-    controller = add_controls(facts, face)
-    add_values(facts, face, controller)
+    mesh = add_mesh(facts["name"], arrays)
+    add_shape_keys(mesh, facts["shapes"], arrays)
+    armature = add_armature(mesh, facts["skeleton"], arrays) if facts["skeleton"] else None
+    controller = add_controls(facts, mesh)
+    add_values(facts, mesh, armature, controller)
     bpy.ops.wm.save_as_mainfile(filepath=out, compress=True, copy=True)
 
 
-def upright(vertices):
-    """Millimetres, y up, to metres, z up."""
+def upright(vertices: np.ndarray) -> np.ndarray:
+    """From y up to z up, in float64."""
     x, y, z = np.moveaxis(np.asarray(vertices, np.float64), -1, 0)
-    return np.stack([x, -z, y], axis=-1) * METRES
+    return np.stack([x, -z, y], axis=-1)
 
 
-def add_object(name, data, location=(0.0, 0.0, 0.0)):
+def add_object(name: str, data: Any, location: Any = (0.0, 0.0, 0.0)) -> bpy.types.Object:
+    """A new object in the scene."""
     added = bpy.data.objects.new(name, data)
     added.location = location
     bpy.context.scene.collection.objects.link(added)
     return added
 
 
-def add_mesh(name, rest, faces):
-    vertices = upright(rest)
+def add_mesh(name: str, arrays: dict[str, np.ndarray]) -> bpy.types.Object:
+    """The rest mesh as an object, in metres."""
+    vertices = upright(arrays["rest_vertices"]) * METRES
     # Near its origin a mesh of this size has the most digits in float32: errors add up over hundreds of shape keys.
-    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    centre = ((vertices.min(axis=0) + vertices.max(axis=0)) / 2).astype(np.float32)
     mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata((vertices - centre.astype(np.float32)).tolist(), [], faces.tolist())
+    mesh.from_pydata((vertices - centre).tolist(), [], arrays["faces"].tolist())
     mesh.shade_smooth()
     return add_object(name, mesh, centre.tolist())
 
 
-def add_shape_keys(face, names, rest, deltas):
-    origin = np.array(face.location, np.float64)
-    face.shape_key_add(name="Basis")
-    for name, delta in zip(names, deltas):
-        key = face.shape_key_add(name=name, from_mix=False)
-        moved = upright(rest.astype(np.float64) + delta) - origin
+def add_shape_keys(mesh: bpy.types.Object, names: list[str], arrays: dict[str, np.ndarray]) -> None:
+    """The shapes as relative shape keys."""
+    origin = np.array(mesh.location, np.float64)
+    for name, delta in zip(["Basis", *names] if names else [], [0.0, *arrays["deltas"]]):
+        key = mesh.shape_key_add(name=name, from_mix=False)
+        moved = upright(arrays["rest_vertices"].astype(np.float64) + delta) * METRES - origin
         key.points.foreach_set("co", moved.astype(np.float32).ravel())
         if key.name != name:
             raise SystemExit(f"Blender cannot name a shape key '{name}'")
 
 
-def add_controls(facts, face):
-    size = max(face.dimensions)
-    controller = add_object(f"{facts['name']} controls", None, face.location + bpy_vector(size, 0.0, 0.0))
+def add_armature(mesh: bpy.types.Object, skeleton: dict, arrays: dict[str, np.ndarray]) -> bpy.types.Object:
+    """The skeleton as an armature at the place of the mesh, which it deforms; all channels are locked."""
+    names, origin = skeleton["names"], np.array(mesh.location, np.float64)
+    heads = upright(arrays["heads"]) * METRES - origin
+    frames = np.stack([upright(arrays["frames"][..., axis]) for axis in range(3)], axis=-1)
+    armature = add_object(f"{mesh.name} skeleton", bpy.data.armatures.new(f"{mesh.name} skeleton"), mesh.location)
+    armature.show_in_front = True
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    for name, parent, head, frame, length in zip(names, skeleton["parents"], heads, frames, arrays["lengths"]):
+        bone = armature.data.edit_bones.new(name)
+        bone.head, bone.tail = head.tolist(), (head + frame[:, 1] * length * METRES).tolist()
+        bone.align_roll(frame[:, 2].tolist())
+        bone.parent = armature.data.edit_bones[names[parent]] if parent >= 0 else None
+    bpy.ops.object.mode_set(mode="OBJECT")
+    for bone in armature.pose.bones:
+        bone.rotation_mode = skeleton["order"]
+        bone.lock_location, bone.lock_rotation, bone.lock_scale = [(True, True, True)] * 3
+    for joint, name in enumerate(names):
+        group = mesh.vertex_groups.new(name=name)
+        for vertex in np.flatnonzero(arrays["weights"][:, joint]).tolist():
+            group.add([vertex], float(arrays["weights"][vertex, joint]), "REPLACE")
+    mesh.modifiers.new("skeleton", "ARMATURE").object = armature
+    return armature
+
+
+def add_controls(facts: dict, mesh: bpy.types.Object) -> bpy.types.Object:
+    """An empty beside the mesh whose custom properties are the controls."""
+    size = max(mesh.dimensions)
+    controller = add_object(f"{facts['name']} controls", None, (mesh.location.x + size, mesh.location.y, mesh.location.z))
     controller.empty_display_size = size / 10
     for control in facts["controls"]:
         controller[control["name"]] = float(control["neutral"])
@@ -76,71 +109,40 @@ def add_controls(facts, face):
     return controller
 
 
-def bpy_vector(*values):
-    return type(bpy.context.scene.cursor.location)(values)
-
-
-def add_values(facts, face, controller):
+def add_values(facts: dict, mesh: bpy.types.Object, armature: bpy.types.Object | None, controller: bpy.types.Object) -> None:
+    """A driver for each value, on a shape key, a bone or a property of the hidden object."""
     logic = add_object(f"{facts['name']} logic", None)
     logic.hide_viewport = logic.hide_render = True
-    keys, shapes = face.data.shape_keys, set(facts["shapes"])
-    sources = {}
+    shapes, channels = set(facts["shapes"]), (facts["skeleton"] or {}).get("channels", {})
+    places = {}  # of each value: datablock, path and index
 
-    def driven(name):
+    def place_of(name: str) -> tuple:
         if name in shapes:
-            return keys, f'key_blocks["{name}"].value'
+            return mesh.data.shape_keys, f'key_blocks["{name}"].value', -1
+        if name in channels:
+            joint, kind, axis = channels[name]
+            return armature, f'pose.bones["{joint}"].{"rotation_euler" if kind == "rotation" else kind}', axis
         logic[name] = 0.0
-        return logic, f'["{name}"]'
+        return logic, f'["{name}"]', -1
 
     for value in facts["values"]:
-        inputs = value["inputs"]
-        path = [(controller, f'["{name}"]') for name in inputs] if value["of_controls"] else [sources[name] for name in inputs]
-        factors = value["factors"]
-        while len(path) > TERMS:  # sum a part by itself
-            part = f"{value['name']} part {len(path)}"
-            add_driver(*driven(part), "sum", path[:TERMS], factors[:TERMS], [])
-            path, factors = [*path[TERMS:], (logic, f'["{part}"]')], [*factors[TERMS:], 1.0]
-        sources[value["name"]] = driven(value["name"])
-        add_driver(*sources[value["name"]], value["operation"], path, factors, value["curve"])
-
-
-def expression(operation, factors, count):
-    names = [f"v{number}" for number in range(count)]
-    if operation == "sum":
-        return "+".join(name if factor == 1 else f"{factor!r}*{name}" for factor, name in zip(factors, names))
-    if operation == "product":
-        return "*".join(names)
-    if operation == "screen":
-        return "1-" + "*".join(f"(1-{name})" for name in names)
-    return f"min({','.join(names)})"
-
-
-def add_driver(owner, path, operation, inputs, factors, curve):
-    fcurve = owner.driver_add(path)
-    for modifier in list(fcurve.modifiers):
-        fcurve.modifiers.remove(modifier)
-    while fcurve.keyframe_points:  # Blender adds two of its own
-        fcurve.keyframe_points.remove(fcurve.keyframe_points[0], fast=True)
-    driver = fcurve.driver
-    driver.type = "SCRIPTED"
-    for number, (source, source_path) in enumerate(inputs):
-        variable = driver.variables.new()
-        variable.name, variable.type = f"v{number}", "SINGLE_PROP"
-        target = variable.targets[0]
-        target.id_type = "KEY" if isinstance(source, bpy.types.Key) else "OBJECT"
-        target.id, target.data_path = source, source_path
-    text = expression(operation, factors, len(inputs))
-    driver.expression = f"{PERCENT:g}*({text})" if curve else text
-    if not driver.is_simple_expression:
-        raise SystemExit(f"Blender cannot compute '{driver.expression}' without scripts")
-    fcurve.extrapolation = "CONSTANT"
-    fcurve.keyframe_points.add(len(curve))
-    for point, (x, y, left, right) in zip(fcurve.keyframe_points, curve):
-        point.interpolation, point.handle_left_type, point.handle_right_type = "BEZIER", "FREE", "FREE"
-        point.co = PERCENT * x, y
-        point.handle_left = PERCENT * (x + left[0]), y + left[1]
-        point.handle_right = PERCENT * (x + right[0]), y + right[1]
+        name, inputs, factors = value["name"], value["inputs"], value["factors"]
+        if value["of_controls"]:
+            sources = [(controller, f'["{control}"]', -1) for control in inputs]
+        else:
+            sources = [places[other] for other in inputs]
+        if channels.get(name, ("", ""))[1] == "location":
+            factors = [factor * METRES for factor in factors]
+        while len(sources) > TERMS:  # sum a part by itself
+            part = place_of(f"{name} part {len(sources)}")
+            add_driver(part, "sum", sources[:TERMS], factors[:TERMS], [])
+            sources, factors = [*sources[TERMS:], part], [*factors[TERMS:], 1.0]
+        places[name] = place_of(name)
+        add_driver(places[name], value["operation"], sources, factors, value["curve"])
 
 
 if __name__ == "__main__":
+    sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # Blender does not add it
+    from drivers import TERMS, add_driver
+
     main(*(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]))

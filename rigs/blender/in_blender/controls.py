@@ -2,6 +2,7 @@
 
 import math
 import re
+from typing import Any
 
 import bpy
 
@@ -20,12 +21,25 @@ OVERRULE = {
     "COPY_LOCATION": ("location",),
     "COPY_SCALE": ("scale",),
 }
+Driven = set[tuple[bpy.types.ID, str, int | None]]  # what drivers write: datablock, path, index
 
 
 class Control:
     """One number that an animator moves: `owner.key`, or `owner[key]` of a custom property, or the element `index` of it."""
 
-    def __init__(self, name, datablock, owner, key, index, limits, neutral, unit="", factor=1.0, custom=False):
+    def __init__(
+        self,
+        name: str,
+        datablock: bpy.types.ID,
+        owner: Any,
+        key: str,
+        index: int | None,
+        limits: tuple[float, float],
+        neutral: float,
+        unit: str = "",
+        factor: float = 1.0,
+        custom: bool = False,
+    ) -> None:
         self.name, self.datablock, self.unit = name, datablock, unit
         self.owner, self.key, self.index, self.custom = owner, key, index, custom
         self.lower, self.upper = limits
@@ -33,7 +47,7 @@ class Control:
         self.factor = factor  # from the unit to what Blender stores
         self.value = None
 
-    def set(self, value):
+    def set(self, value: float) -> bool:
         """Set it, and return whether it changed."""
         if value == self.value:
             return False
@@ -51,7 +65,7 @@ class Control:
         return True
 
 
-def discover(mesh, datablocks):
+def discover(mesh: bpy.types.Object, datablocks: list[bpy.types.ID]) -> dict[str, Control]:
     """The controls of a mesh by name, of all datablocks that it depends on."""
     curves = [(datablock, curve) for datablock in datablocks for curve in drivers_of(datablock)]
     driven = {(datablock, curve.data_path, curve.array_index) for datablock, curve in curves}
@@ -69,13 +83,13 @@ def discover(mesh, datablocks):
     return {control.name: control for control in found}
 
 
-def drivers_of(datablock):
+def drivers_of(datablock: bpy.types.ID) -> list[bpy.types.FCurve]:
     """The driver F-curves of a datablock."""
     animation = getattr(datablock, "animation_data", None)
     return list(animation.drivers) if animation else []
 
 
-def properties_that_drive(curves, driven):
+def properties_that_drive(curves: list[tuple[bpy.types.ID, bpy.types.FCurve]], driven: Driven) -> list[Control]:
     """Custom properties that a driver reads and none writes, in the order of their owners' properties."""
     found = {}
     targets = [target for _, curve in curves for variable in curve.driver.variables for target in variable.targets]
@@ -98,7 +112,7 @@ def properties_that_drive(curves, driven):
     return [control for _, control in sorted(found.items(), key=lambda item: item[0]) if control]
 
 
-def custom_property(datablock, owner, key, index):
+def custom_property(datablock: bpy.types.ID, owner: Any, key: str, index: int | None) -> Control | None:
     """A custom property as a control, with the limits of its slider; None where it is not a number."""
     value = owner[key] if index is None else owner[key][index]
     if not isinstance(value, (bool, int, float)):
@@ -116,7 +130,7 @@ def custom_property(datablock, owner, key, index):
     )
 
 
-def shape_keys(mesh, datablocks, driven):
+def shape_keys(mesh: bpy.types.Object, datablocks: list[bpy.types.ID], driven: Driven) -> list[Control]:
     """Shape keys that no driver moves, those of the mesh first."""
     found = []
     for keys in sorted(
@@ -131,7 +145,7 @@ def shape_keys(mesh, datablocks, driven):
     return found
 
 
-def free_channels(armature, bone, driven):
+def free_channels(armature: bpy.types.Object, bone: bpy.types.PoseBone, driven: Driven) -> list[Control]:
     """What an animator may do to a bone: channels that are not locked, driven or overruled, of bones that are shown."""
     collections = bone.bone.collections
     if bone.bone.hide or (len(collections) and not any(collection.is_visible_effectively for collection in collections)):
@@ -172,7 +186,7 @@ def free_channels(armature, bone, driven):
     return found
 
 
-def limits(constraints, kind, index, factor, unlimited):
+def limits(constraints: list, kind: str, index: int, factor: float, unlimited: tuple[float, float]) -> tuple[float, float]:
     """The limits of a channel, in its unit, by the bone's Limit constraints."""
     lower, upper = unlimited
     for constraint in constraints:

@@ -12,6 +12,7 @@ import math
 import os
 import struct
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -19,21 +20,21 @@ GREETING = b"riginv-worker 1\n"
 COMMANDS = ("load", "describe", "evaluate")
 
 
-class Refused(Exception):
+class RefusedError(Exception):
     """What was asked cannot be done; the message tells the user why."""
 
 
 class Channel:
     """Messages on what were standard input and output; prints of others go to standard error."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.incoming, self.outgoing = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         os.dup2(2, 1)
         self.outgoing.write(GREETING)
         self.outgoing.flush()
 
-    def receive(self):
+    def receive(self) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
         """A header and its arrays by name; None and nothing once the other end is gone."""
         length = self.incoming.read(4)
         if len(length) < 4:
@@ -45,7 +46,8 @@ class Channel:
             arrays[field["name"]] = np.frombuffer(self.incoming.read(count), field["dtype"]).reshape(field["shape"])
         return header, arrays
 
-    def send(self, header, arrays):
+    def send(self, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+        """Send a header and arrays by name."""
         packed = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         fields = [{"name": name, "dtype": array.dtype.str, "shape": array.shape} for name, array in packed.items()]
         encoded = json.dumps({**header, "arrays": fields}).encode()
@@ -55,7 +57,7 @@ class Channel:
         self.outgoing.flush()
 
 
-def serve(scene):
+def serve(scene: Any) -> None:
     """Answer requests until asked to quit, or until the other end is gone."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, SIGKILL: amid an evaluation nobody notices that the parent died
@@ -67,16 +69,16 @@ def serve(scene):
         command = header.pop("command")
         try:
             if command not in COMMANDS:
-                raise Refused(f"there is no command '{command}'")
+                raise RefusedError(f"there is no command '{command}'")
             answer = getattr(scene, command)(**header, **arrays)
-        except Refused as error:
+        except RefusedError as error:
             answer = {"error": str(error)}, {}
         channel.send(*answer)
 
 
 if __name__ == "__main__":
     sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # Blender does not add it
-    sys.modules["worker"] = sys.modules["__main__"]  # so that the scene's Refused is ours
+    sys.modules["worker"] = sys.modules["__main__"]  # so that the scene's RefusedError is ours
     cores = os.sched_getaffinity(0) if sys.platform == "linux" else None
     if cores:  # workers share the cores between them: Blender starts as many threads as it sees cores when it is loaded
         os.sched_setaffinity(0, {min(cores)})
