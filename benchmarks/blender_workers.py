@@ -2,8 +2,8 @@
 
     python benchmarks/blender_workers.py [--workers 2] [--poses 128] [--rounds 5]
 
-The rig is the Blender twin of the default face. Loading is not timed: it happens once. The best round counts, and beside it stands
-what as many plain Python loops gain at that time: on a machine that others use it is less than N.
+The rig is the Blender twin of the default face. Loading is not timed: it happens once. The best round counts. Beside
+it stands what as many plain Python loops gain at that time: on a machine that others use it is less than N.
 """
 
 import argparse
