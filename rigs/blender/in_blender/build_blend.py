@@ -146,3 +146,4 @@ if __name__ == "__main__":
     from drivers import TERMS, add_driver
 
     main(*(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]))
+    os._exit(0)  # where Python drivers ran, bpy can hang when it cleans up

@@ -28,8 +28,6 @@ class BlenderScene:
             animation = getattr(datablock, "animation_data", None)
             if animation:  # a rig is a function of its controls, not of time
                 animation.action, animation.use_nla = None, False
-        if not scripts:
-            refuse_scripts(file, datablocks)
         self.controls = discover(self.mesh, datablocks)
         if not self.controls:
             raise RefusedError(
@@ -40,6 +38,7 @@ class BlenderScene:
         self.mm = bpy.context.scene.unit_settings.scale_length * 1000
         self.rest = None
         self.rest, self.faces = self.pose({}), self.triangles()
+        refuse_broken_drivers(file, datablocks, scripts)
         return {"mesh": self.mesh.name, "software": f"Blender {bpy.app.version_string}"}, {}
 
     def describe(self) -> Answer:
@@ -132,12 +131,12 @@ def reached_from(thing: bpy.types.ID) -> list[bpy.types.ID]:
     return reached
 
 
-def refuse_scripts(file: str, datablocks: list[bpy.types.ID]) -> None:
-    """Drivers that need Python would stand still, and running a file's Python is for its owner to decide."""
+def refuse_broken_drivers(file: str, datablocks: list[bpy.types.ID], scripts: bool) -> None:
+    """Drivers that Blender gave up on stand still: mostly since they need Python, which only a file's owner may allow."""
     drivers = [curve.driver for datablock in datablocks for curve in drivers_of(datablock)]
-    unsafe = [driver for driver in drivers if driver.type == "SCRIPTED" and not driver.is_simple_expression]
-    if unsafe:
+    broken = [driver for driver in drivers if driver.type == "SCRIPTED" and not driver.is_valid]
+    if broken and not scripts:
         raise RefusedError(
-            f"{file}: {len(unsafe)} drivers need Python, such as '{unsafe[0].expression}'; if you trust the file, add "
-            f"rig.scripts=true"
+            f"{file}: {len(broken)} drivers need Python that Blender does not run unasked, such as '{broken[0].expression}'; "
+            f"if you trust the file, add rig.scripts=true"
         )
