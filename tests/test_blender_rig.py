@@ -138,7 +138,8 @@ def test_modifiers_count_and_scale_and_unit_too(tmp_path):
     script = """
 thing = cube("thing")
 shape(thing, "wide", (0.5, 0, 0), only=lambda co: co.x > 0)
-thing.modifiers.new("smooth", "SUBSURF").levels = 1
+smooth = thing.modifiers.new("smooth", "SUBSURF")
+smooth.levels, smooth.use_limit_surface = 1, False
 thing.scale = (2, 2, 2)
 thing.hide_viewport = True
 scene.unit_settings.scale_length = 0.01
