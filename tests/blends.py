@@ -1,5 +1,6 @@
 """Small .blend files, made by Blender for the tests; tests that need it are skipped where there is none."""
 
+import os
 import subprocess
 from pathlib import Path
 
@@ -23,7 +24,8 @@ def make_blend(path: Path, script: str) -> Path:
         f"{BITS}\n{script}\nbpy.ops.wm.save_as_mainfile(filepath={str(path)!r}, copy=True)\nimport os\nos._exit(0)\n"
     )
     (path.parent / "make.py").write_text(program)
-    subprocess.run([blender(), str(path.parent / "make.py")], check=True, capture_output=True, timeout=120)
+    environment = {**os.environ, "TMPDIR": str(path.parent)}
+    subprocess.run([blender(), str(path.parent / "make.py")], check=True, capture_output=True, timeout=120, env=environment)
     return path
 
 

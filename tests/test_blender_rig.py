@@ -170,6 +170,9 @@ BROKEN = {
         "switch off the modifier",
     ),
     "no such control": ("shape(cube('a'), 'smile', (1, 0, 0))", {"include": ["smlie"]}, "such as smile"),
+    "no list": ("shape(cube('a'), 'smile', (1, 0, 0))", {"include": "smile"}, "rig.include=[smile]"),
+    "no workers": ("shape(cube('a'), 'smile', (1, 0, 0))", {"workers": 0}, "rig.workers is 0"),
+    "no time": ("shape(cube('a'), 'smile', (1, 0, 0))", {"timeout_s": 0}, "rig.timeout_s is 0"),
     "nothing left": ("shape(cube('a'), 'smile', (1, 0, 0))", {"exclude": ["*"]}, "leave none of its 1 controls"),
     "bounds": ("shape(cube('a'), 'smile', (1, 0, 0))", {"bounds": {"smile": [1, 0]}}, "lower 1.0 >= upper 0.0"),
     "one bound": ("shape(cube('a'), 'smile', (1, 0, 0))", {"bounds": {"smile": [1]}}, "expected [lower, upper]"),
@@ -181,9 +184,21 @@ def test_what_is_wrong_with_a_file_is_said_in_a_sentence(case, tmp_path):
     script, arguments, says = BROKEN[case]
     path = make_blend(tmp_path / "broken.blend", script)
     with pytest.raises(InputError) as error:
-        rig = BlenderRig(str(path), workers=1, **arguments)
+        rig = BlenderRig(str(path), **{"workers": 1, **arguments})
         rig(rig.upper[None])
     assert says in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_pose_that_ends_blender_is_told_with_its_controls(tmp_path):
+    script = """
+a = cube("a"); shape(a, "x", (1, 0, 0)); p = add("p"); p["c"] = 0.0
+drive(a.data.shape_keys, 'key_blocks["x"].value', p, '["c"]', "v if v < 0.75 else __import__('os')._exit(7)")
+"""
+    rig = BlenderRig(str(make_blend(tmp_path / "fatal.blend", script)), scripts=True, workers=1)
+    assert torch.isfinite(rig(torch.tensor([[0.5]]))).all()
+    with pytest.raises(InputError, match=r"fatal: pose 1 cost 3 workers in a row.*ended with code 7.*it moves: c 0\.8"):
+        rig(torch.tensor([[0.5], [0.8], [0.2]]))
+    rig.pool.close()
 
 
 def test_python_of_a_trusted_file_may_run(tmp_path):

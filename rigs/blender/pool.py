@@ -19,7 +19,15 @@ POLL_S = 1.0
 
 
 class PoseLostError(RuntimeError):
-    """A pose, or loading, cost several workers in a row; the message says which, and how the last one ended."""
+    """A pose, or loading, cost several workers in a row; the message says which, and how the last one ended.
+
+    Attributes:
+        row: of the pose; None: no pose was asked for.
+    """
+
+    def __init__(self, message: str, row: int | None = None) -> None:
+        super().__init__(message)
+        self.row = row
 
 
 @dataclass
@@ -153,8 +161,9 @@ def _again(task: _Task, loss: WorkerLostError) -> list[_Task]:
     """The tasks that stand in for one whose worker was lost: each pose by itself, so that one bad pose costs no other."""
     losses = task.losses + 1
     if losses >= ATTEMPTS:
-        what = "describing the rig" if task.header["command"] == "describe" else f"pose {task.rows.start}"
-        raise PoseLostError(f"{what} cost {ATTEMPTS} workers in a row; of the last one: {loss}")
+        row = task.rows.start if len(task.rows) else None
+        what = "describing the rig" if row is None else f"pose {row}"
+        raise PoseLostError(f"{what} cost {ATTEMPTS} workers in a row; of the last one: {loss}", row)
     if len(task.rows) <= 1:
         return [_Task(task.job, task.rows, task.header, task.arrays, losses)]
     controls = task.arrays["controls"]

@@ -54,6 +54,10 @@ class BlenderRig(RigBackend):
         scripts: bool = False,
         twin_of: RigBackend | None = None,
     ) -> None:
+        if workers is not None and workers < 1:
+            raise InputError(f"rig.workers is {workers}, expected at least 1")
+        if not timeout_s > 0:
+            raise InputError(f"rig.timeout_s is {timeout_s}, expected seconds above 0")
         program = find_interpreter(interpreter)
         if file is None and twin_of is None:
             raise InputError("rig.file must be given: the .blend that holds the rig")
@@ -77,12 +81,17 @@ class BlenderRig(RigBackend):
         """Controls `(batch, control)` to vertices `(batch, vertex, 3)`, mm.
 
         Raises:
-            InputError: Blender cannot evaluate a pose.
+            InputError: Blender cannot evaluate a pose, or it ends or hangs on it time after time.
         """
+        values = controls.detach().to("cpu", torch.float32)
         try:
-            vertices = self.pool.evaluate(self.found_names, controls.detach().to("cpu", torch.float32).numpy())
+            vertices = self.pool.evaluate(self.found_names, values.numpy())
         except WorkerRefusedError as error:
             raise InputError(str(error)) from None
+        except PoseLostError as error:
+            moved = (values[error.row] != self.neutral_controls.cpu()).nonzero()[:, 0].tolist() if len(values) else []
+            pose = ", ".join(f"{self.control_names[control]} {float(values[error.row, control]):g}" for control in moved[:8])
+            raise InputError(f"{self.name}: {error}; what it moves: {pose}{', ...' if len(moved) > 8 else ''}") from None
         return torch.from_numpy(np.ascontiguousarray(vertices)).to(controls)
 
     def arkit_deltas(self) -> dict[str, Tensor]:

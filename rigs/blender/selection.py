@@ -38,6 +38,11 @@ def select(found: Sequence[Control], selection: Selection, source: str) -> tuple
         InputError: a glob fits nothing, a bound is no pair of ascending numbers, or nothing is left.
     """
     names = [control.name for control in found]
+    for key in ("include", "exclude"):
+        if isinstance(getattr(selection, key), str):
+            raise InputError(
+                f"rig.{key} is '{getattr(selection, key)}', expected a list: rig.{key}=[{getattr(selection, key)}]"
+            )
     for key in ("include", "exclude", "rename"):
         for pattern in getattr(selection, key) or ():
             _must_fit(pattern, names, f"rig.{key}", source)

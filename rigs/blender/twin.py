@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import hashlib
+import os
 import shutil
 import subprocess
 import tempfile
@@ -48,8 +49,11 @@ def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
         saved, built = Path(folder) / "blueprint.npz", Path(folder) / "built.blend"
         blueprint.save(saved)
         command = script_command(interpreter, BUILDER, str(saved), str(built))
+        environment = {**os.environ, "TMPDIR": folder}  # what Blender leaves there goes with it
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, stdin=subprocess.DEVNULL)
+            done = subprocess.run(
+                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LONGEST_S
+            )
         except (subprocess.TimeoutExpired, OSError) as error:
             raise InputError(f"{interpreter} could not build {out}: {error}") from None
         if done.returncode or not built.is_file():
