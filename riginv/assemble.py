@@ -97,9 +97,11 @@ def build_data(config: Config, module: RigModule, true_rig: RigBackend, clip: Me
 
 def calibrate(config: Config, module: RigModule, sampler: MeshSampler) -> None:
     """Let the network set its fixed scales by a sample of what it will see."""
+    sample = sampler.sample(CALIBRATION_MESHES, generator_at(config["seed"], "calibration"))
     if module.kind == "inverse":
-        meshes = sampler.sample(CALIBRATION_MESHES, generator_at(config["seed"], "calibration"))
-        module.network.calibrate(meshes["coordinates"])
+        module.network.calibrate(sample["coordinates"])
+    else:
+        module.network.set_scales(module.rig.rig, sample["controls"])
 
 
 def build_trainer(config: Config, folder: RunFolder) -> tuple[L.Trainer, TrainingClock]:

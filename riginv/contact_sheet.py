@@ -58,7 +58,8 @@ def random_poses(rig: RigBackend, count: int, seed: int) -> dict[str, Tensor]:
 def draw(rig: RigBackend, poses: dict[str, Tensor], columns: int, turn_degrees: float) -> Image.Image:
     """A grid of pictures of the poses `(control,)`, by name."""
     camera, colors = Camera(rig.rest_vertices, turn_degrees), rig.vertex_colors()
-    pictures = [camera.picture(rig(controls[None])[0], rig.faces, colors) for controls in poses.values()]
+    meshes = [rig(controls[None])[0] for controls in poses.values()]
+    pictures = [camera.following(mesh).picture(mesh, rig.faces, colors) for mesh in meshes]
     return grid(pictures, list(poses), columns)
 
 

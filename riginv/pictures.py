@@ -26,7 +26,8 @@ def comparison(rig: RigBackend, pairs: list[Pair]) -> Image.Image:
         distances = (result - target).norm(dim=1)
         top = float(distances.max())
         heat = heat_colors(distances, top)
-        pictures += [camera.picture(target, faces, colors), camera.picture(result, faces, colors)]
-        pictures += [camera.picture(result, faces, heat)]
+        view = camera.following(target, result)
+        pictures += [view.picture(target, faces, colors), view.picture(result, faces, colors)]
+        pictures += [view.picture(result, faces, heat)]
         labels += [label, "result", f"error: mean {float(distances.mean()):.2f}, red {top:.1f} mm"]
     return grid(pictures, labels, columns=3)

@@ -1,5 +1,7 @@
 """Pictures of meshes: rays cast by trimesh, shaded as clay."""
 
+import copy
+
 import numpy as np
 import trimesh
 from PIL import Image, ImageDraw
@@ -14,7 +16,10 @@ DISTANCE = 12.0  # of the camera, in half-heights of the picture: little perspec
 
 
 class Camera:
-    """Looks at the middle of a rest mesh from the front, turned by some degrees; the same for every pose of it."""
+    """Looks at the middle of a rest mesh from the front, turned by some degrees; the same for every pose of it.
+
+    Only where a pose leaves the picture does `following` move it, so that pictures of poses can be compared.
+    """
 
     def __init__(self, rest_vertices: Tensor, turn_degrees: float = 15.0, size: tuple[int, int] = (240, 290)) -> None:
         points = rest_vertices.detach().cpu().double().numpy()
@@ -25,6 +30,20 @@ class Camera:
         self.size = size
         extent = np.abs((points - self.middle) @ self.rotation.T).max(axis=0)
         self.half_height = 1.1 * max(extent[1], extent[0] * size[1] / size[0])
+
+    def following(self, *meshes: Tensor) -> "Camera":
+        """This camera, or, where meshes `(vertex, 3)` reach out of its picture, one like it that sees them whole."""
+        points = np.concatenate([mesh.detach().cpu().double().numpy() for mesh in meshes])
+        width = self.half_height * self.size[0] / self.size[1]
+        x, y, _ = np.abs((points - self.middle) @ self.rotation.T).max(axis=0)
+        if x <= width and y <= self.half_height:
+            return self
+        moved = copy.copy(self)
+        turned = points @ self.rotation.T
+        moved.middle = (turned.max(axis=0) + turned.min(axis=0)) / 2 @ self.rotation
+        extent = (turned.max(axis=0) - turned.min(axis=0)) / 2
+        moved.half_height = max(self.half_height, 1.1 * max(extent[1], extent[0] * self.size[1] / self.size[0]))
+        return moved
 
     def picture(
         self, vertices: Tensor, faces: Tensor, colors: Tensor | np.ndarray | None = None, smooth: int = 2

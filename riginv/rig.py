@@ -161,6 +161,18 @@ class LinearRig(RigBackend):
         """The coefficients `(1, coefficient)` of the rest mesh."""
         return self.coefficients(self.neutral_controls[None])
 
+    def features(self, coefficients: Tensor) -> Tensor | None:
+        """What of coefficients `(batch, coefficient)` tells about the controls: `(batch, feature)`, differentiable.
+
+        An inverse looks at it in place of mesh coordinates. None where the coefficients say it as they are; a skeleton gives
+        the turn of each joint against the one above it.
+        """
+        return None
+
+    def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
+        """How features `(batch, feature)` changed; a rig with angles among them takes the shorter way round."""
+        return after - before
+
     def forward(self, controls: Tensor) -> Tensor:
         change = self.coefficients(controls) - self.neutral_coefficients().to(controls)
         return apply_deltas(self.rest_vertices.to(controls), self.basis.to(controls), change)

@@ -14,6 +14,7 @@ SETS = {
     "rig_poses": ("rig poses", "random poses of the rig, as in the paper"),
     "capture": ("capture", "the captured performance that was given"),
     "simulated_performance": ("simulated performance", "no clip was given: capture=TAKE.csv judges a Live Link Face recording"),
+    "walk": ("walk", "the walk that the rig brings: no clip was given"),
     "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
 }
 COLUMNS = (

