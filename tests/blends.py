@@ -25,7 +25,9 @@ def make_blend(path: Path, script: str) -> Path:
     )
     (path.parent / "make.py").write_text(program)
     environment = {**os.environ, "TMPDIR": str(path.parent)}
-    subprocess.run([blender(), str(path.parent / "make.py")], check=True, capture_output=True, timeout=120, env=environment)
+    command = [blender(), str(path.parent / "make.py")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
+    assert done.returncode == 0, done.stderr
     return path
 
 
@@ -57,7 +59,9 @@ def drive(owner, path, source, source_path, expression="v"):
     driver.type = "SCRIPTED"
     variable = driver.variables.new()
     variable.name = "v"
-    variable.targets[0].id, variable.targets[0].data_path = source, source_path
+    target = variable.targets[0]
+    target.id_type = source.id_type
+    target.id, target.data_path = source, source_path
     driver.expression = expression
     return curve
 

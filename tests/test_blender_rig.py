@@ -134,6 +134,40 @@ def test_free_bones_are_controls_with_the_limits_of_their_constraints(arm_file):
     rig.pool.close()
 
 
+def test_bones_that_drive_and_their_properties_are_controls_too(tmp_path):
+    script = """
+face = cube("face")
+for name in ("smile", "blink", "spin"):
+    shape(face, name, (1, 0, 0))
+panel = bones("panel", ((0, 0, 0), (0, 0, 1)), ((5, 0, 0), (5, 0, 1)))
+apart = bones("apart", ((9, 0, 0), (9, 0, 1)))
+first, second = panel.pose.bones
+second.lock_location = second.lock_rotation = (True, True, True)
+first.lock_location, first.lock_rotation = (True, False, True), (True, True, True)
+second["blink [L]"] = 0.0
+second.id_properties_ui("blink [L]").update(min=0, max=1, default=0.0)
+panel.data["spin"] = (0.0, 0.0)
+keys = face.data.shape_keys
+curve = keys.key_blocks["smile"].driver_add("value")
+variable = curve.driver.variables.new()
+variable.name, variable.type = "v", "TRANSFORMS"
+target = variable.targets[0]
+target.id, target.bone_target, target.transform_type, target.transform_space = panel, "bone0", "LOC_Y", "LOCAL_SPACE"
+curve.driver.expression = "v*5"
+drive(keys, 'key_blocks["blink"].value', panel, 'pose.bones["bone1"]["blink [L]"]')
+drive(keys, 'key_blocks["spin"].value', panel.data, '["spin"][1]')
+"""
+    rig = BlenderRig(str(make_blend(tmp_path / "panel.blend", script)), mesh="face", workers=1)
+    limits = {"bone0.location_y": (-100, 100, 0, "mm"), "blink [L]": (0, 1, 0, ""), "spin[1]": (0, 1, 0, "")}
+    assert controls_of(rig) == limits
+    for name, value, expected in (("bone0.location_y", 50.0, 250.0), ("blink [L]", 0.5, 500.0), ("spin[1]", 0.75, 750.0)):
+        controls = rig.neutral_controls[None].clone()
+        controls[0, rig.control_names.index(name)] = value
+        moved = rig(controls)[0] - rig.rest_vertices
+        torch.testing.assert_close(moved, torch.tensor([expected, 0, 0]).expand_as(moved), atol=1e-2, rtol=0)
+    rig.pool.close()
+
+
 def test_modifiers_count_and_scale_and_unit_too(tmp_path):
     script = """
 thing = cube("thing")

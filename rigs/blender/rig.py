@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.rig import Control, RigBackend
+from riginv.rig import Control, Motion, RigBackend
 from rigs.blender.interpreter import find_interpreter, script_command
 from rigs.blender.pool import PoseLostError, WorkerPool
 from rigs.blender.process import WorkerRefusedError
@@ -99,6 +99,9 @@ class BlenderRig(RigBackend):
 
     def expressions(self) -> dict[str, dict[str, float]]:
         return {name: pose for rig in self._twin_of for name, pose in rig.expressions().items()}
+
+    def motion(self) -> Motion | None:
+        return next((rig.motion() for rig in self._twin_of), None)
 
     def vertex_colors(self) -> Tensor | None:
         return next((rig.vertex_colors() for rig in self._twin_of), None)

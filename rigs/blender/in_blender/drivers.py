@@ -22,7 +22,7 @@ def add_driver(place: Place, operation: str, sources: list[Place], factors: list
         variable = driver.variables.new()
         variable.name, variable.type = f"v{number}", "SINGLE_PROP"
         target = variable.targets[0]
-        target.id_type = "KEY" if isinstance(source, bpy.types.Key) else "OBJECT"
+        target.id_type = source.id_type
         target.id, target.data_path = source, source_path + (f"[{source_index}]" if source_index >= 0 else "")
     text = expression(operation, factors, len(sources))
     driver.expression = f"{PERCENT:g}*({text})" if curve else text
