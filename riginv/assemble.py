@@ -20,7 +20,7 @@ from riginv.data.poses import PoseDataModule
 from riginv.data.test_sets import random_poses, random_sets, watched
 from riginv.errors import InputError
 from riginv.fitted_rig import FittedRig
-from riginv.judge import check_same_controls
+from riginv.judge import build_judge, check_same_controls
 from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
 from riginv.modules.holden import HoldenModule
@@ -70,8 +70,8 @@ def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
     """
     rig = rig.posed if isinstance(rig, FittedRig) else rig
     if config["true_rig"].get("_target_"):
-        true_rig = build(config["true_rig"])
-    elif hasattr(rig, "true_rig_config"):
+        return build_judge(config["true_rig"], rig)
+    if hasattr(rig, "true_rig_config"):
         true_rig = build(rig.true_rig_config, only=OURS)
     else:
         true_rig = rig

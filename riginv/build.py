@@ -1,7 +1,8 @@
 """From configs to objects, without letting a config name what it should not.
 
 A config names a class (`_target_`) and gives its arguments. Configs that a user types may name any class; configs that came
-with a bundle may only name classes of riginv and rigs, and what the user allows by name.
+with a bundle may only name classes of riginv and rigs, and what the user allows by name; what they say for arguments that a
+class keeps to users (`only_by_hand`, such as the path of a program to run) is ignored.
 """
 
 import importlib
@@ -27,6 +28,8 @@ def build(config: Mapping[str, Any], *given: Any, only: tuple[str, ...] | None =
         InputError: the class does not exist, may not be named, or does not take the arguments.
     """
     found, arguments = class_of(config.get("_target_"), only), _arguments(config, given, only)
+    if only is not None:
+        arguments = {key: value for key, value in arguments.items() if key not in getattr(found, "only_by_hand", ())}
     try:
         inspect.signature(found).bind(*given, **arguments)
     except TypeError as error:

@@ -13,7 +13,7 @@ from riginv.data.test_sets import random_poses
 from riginv.errors import InputError
 from riginv.evaluation import judge_model, load_model, write_results
 from riginv.inverse import Inverse
-from riginv.judge import Judgement, check_same_controls, judge_rig
+from riginv.judge import Judgement, build_judge, judge_rig
 from riginv.rig import RigBackend
 
 
@@ -47,8 +47,8 @@ def compare_rigs(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     """
     if not (config["rig"]["_target_"] and config["true_rig"]["_target_"]):
         raise InputError("nothing to judge: name a bundle with bundle=DIR, or two rigs with rig=NAME true_rig=NAME")
-    rig, true_rig = build(config["rig"]), build(config["true_rig"])
-    check_same_controls(rig, true_rig)
+    rig = build(config["rig"])
+    true_rig = build_judge(config["true_rig"], rig)
     controls = random_poses(true_rig, config["poses"]).controls
     return f"rig {rig.name} against {true_rig.name}", true_rig, [judge_rig(rig, PosedRig("rig_agreement", true_rig, controls))]
 

@@ -1,11 +1,14 @@
 """Judging by the true rig: errors are measured on what it makes of the controls, never on a network's own surrogate."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from inspect import signature
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from riginv.build import OURS, build, class_of
 from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
 from riginv.metrics import VertexError, roughness
@@ -77,6 +80,20 @@ def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor]
         values["roughness"] = roughness(controls)
     metrics = {f"{meshes.name}/{key}": value for key, value in values.items()}
     return Judgement(metrics, torch.cat(errors), meshes, rig, controls)
+
+
+def build_judge(config: Mapping[str, Any], rig: RigBackend) -> RigBackend:
+    """The rig of a config that is to judge `rig`; a class that can stand for another rig (`twin_of`) is told which.
+
+    Raises:
+        InputError: it cannot be built, or has other controls or vertices than the rig.
+    """
+    given = {}
+    if "twin_of" in signature(class_of(config.get("_target_"))).parameters:
+        given["twin_of"] = build(rig.true_rig_config, only=OURS) if hasattr(rig, "true_rig_config") else rig
+    judge = build({**config, **given})
+    check_same_controls(rig, judge)
+    return judge
 
 
 def check_same_controls(rig: RigBackend, true_rig: RigBackend) -> None:

@@ -11,6 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from rich.console import Console
+from rich.markup import escape
 
 from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.quiet import hush
@@ -92,7 +93,7 @@ class _Job:
             self.failed.append(folder.name)
             folder.mkdir(parents=True, exist_ok=True)
             (folder / FAILURE).write_text(message + "\n", encoding="utf-8")
-            Console(stderr=True).print(f"[bold red]this job failed:[/] {message}", highlight=False)
+            Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(message)}", highlight=False)
 
 
 def run_directory() -> Path:
@@ -104,5 +105,5 @@ def _stop(error: Exception, config_name: str) -> None:
     message = explain(error, config_name)
     if message is None:
         raise error
-    Console(stderr=True).print("[bold red]error:[/]", message, highlight=False, soft_wrap=True)
+    Console(stderr=True).print("[bold red]error:[/]", escape(message), highlight=False, soft_wrap=True)
     sys.exit(1)

@@ -1,0 +1,41 @@
+"""Which program runs the scripts of `in_blender/`: a Python that has bpy, or Blender itself."""
+
+import importlib.util
+import os
+import shutil
+import sys
+from pathlib import Path
+
+from riginv.errors import InputError
+
+VARIABLE = "RIGINV_BLENDER"
+SCRIPTS = Path(__file__).parent / "in_blender"
+
+
+def find_interpreter(given: str | None = None) -> str:
+    """The program given, or that of `$RIGINV_BLENDER`, or this Python where it has bpy.
+
+    Raises:
+        InputError: there is none.
+    """
+    named = given or os.environ.get(VARIABLE)
+    if named:
+        found = shutil.which(named)
+        if found is None:
+            source = "rig.interpreter" if given else VARIABLE
+            raise InputError(f"{source}={named}: there is no such program; name a Python that has bpy, or Blender itself")
+        return found
+    if importlib.util.find_spec("bpy") is None:
+        raise InputError(
+            "no Blender here: pip install 'riginv[blender]' (Python 3.11), or name a Python that has bpy, or Blender itself, "
+            f"with rig.interpreter=PATH or the environment variable {VARIABLE}"
+        )
+    return sys.executable
+
+
+def script_command(interpreter: str, script: str, *arguments: str) -> list[str]:
+    """The command line that runs a script of `in_blender/`; a program named blender is taken for Blender itself."""
+    path = str(SCRIPTS / script)
+    if Path(interpreter).name.lower().startswith("blender"):
+        return [interpreter, "--background", "--factory-startup", "--python-exit-code", "1", "--python", path, "--", *arguments]
+    return [interpreter, path, *arguments]

@@ -1,0 +1,117 @@
+"""A .blend file as a rig: a black box that Blender evaluates."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.rig import Control, Motion, RigBackend
+from rigs.blender.interpreter import find_interpreter, script_command
+from rigs.blender.pool import PoseLostError, WorkerPool
+from rigs.blender.process import WorkerRefusedError
+from rigs.blender.selection import Selection, select
+from rigs.blender.twin import twin_file
+
+BEGINNINGS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")  # of a .blend: plain, and compressed by newer and older Blenders
+
+
+class BlenderRig(RigBackend):
+    """A mesh of a .blend, evaluated by Blender with all its modifiers: world space, mm, y up.
+
+    Args:
+        file: the .blend; None: that of `twin_of`.
+        mesh: the name of the mesh object; None: the only one.
+        include, exclude, rename, bounds: of the controls that were found, see `Selection`.
+        workers: processes at most; None: one for each CPU core, up to 8.
+        interpreter: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
+        timeout_s: after which a worker is taken for hung.
+        scripts: whether the file's own Python may run.
+        twin_of: a rig to be exported to Blender, and judged there.
+
+    Raises:
+        InputError: no Blender, no such file or mesh, or nothing that moves it.
+    """
+
+    differentiable = False
+    only_by_hand: ClassVar[tuple[str, ...]] = ("interpreter", "scripts")  # never from a bundle: they run programs
+
+    def __init__(
+        self,
+        file: str | None = None,
+        mesh: str | None = None,
+        include: Sequence[str] = (),
+        exclude: Sequence[str] = (),
+        rename: Mapping[str, str] | None = None,
+        bounds: Mapping[str, Sequence[float]] | None = None,
+        workers: int | None = None,
+        interpreter: str | None = None,
+        timeout_s: float = 120.0,
+        scripts: bool = False,
+        twin_of: RigBackend | None = None,
+    ) -> None:
+        if workers is not None and workers < 1:
+            raise InputError(f"rig.workers is {workers}, expected at least 1")
+        if not timeout_s > 0:
+            raise InputError(f"rig.timeout_s is {timeout_s}, expected seconds above 0")
+        program = find_interpreter(interpreter)
+        if file is None and twin_of is None:
+            raise InputError("rig.file must be given: the .blend that holds the rig")
+        path = twin_file(twin_of, program) if file is None else _checked(file)
+        load = {"file": str(path), "mesh": mesh, "scripts": scripts}
+        pool = WorkerPool(script_command(program, "worker.py"), load, workers or min(os.cpu_count() or 1, 8), timeout_s)
+        try:
+            header, arrays = pool.describe()
+        except (WorkerRefusedError, PoseLostError) as error:
+            pool.close()
+            raise InputError(str(error) if isinstance(error, WorkerRefusedError) else f"{path}: {error}") from None
+        found = [Control(**control) for control in header["controls"]]
+        self.found_names, controls = select(found, Selection(include, exclude, rename, bounds), str(path))
+        name = path.stem if file is not None else f"{twin_of.name} in Blender"
+        super().__init__(name, controls, *(torch.from_numpy(arrays[key].copy()) for key in ("rest_vertices", "faces")))
+        self.pool = pool
+        self._twin_of = (twin_of,) if file is None else ()  # in a tuple: no part of this module
+
+    @torch.no_grad()
+    def forward(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, control)` to vertices `(batch, vertex, 3)`, mm.
+
+        Raises:
+            InputError: Blender cannot evaluate a pose, or it ends or hangs on it time after time.
+        """
+        values = controls.detach().to("cpu", torch.float32)
+        try:
+            vertices = self.pool.evaluate(self.found_names, values.numpy())
+        except WorkerRefusedError as error:
+            raise InputError(str(error)) from None
+        except PoseLostError as error:
+            moved = (values[error.row] != self.neutral_controls.cpu()).nonzero()[:, 0].tolist() if len(values) else []
+            pose = ", ".join(f"{self.control_names[control]} {float(values[error.row, control]):g}" for control in moved[:8])
+            raise InputError(f"{self.name}: {error}; what it moves: {pose}{', ...' if len(moved) > 8 else ''}") from None
+        return torch.from_numpy(np.ascontiguousarray(vertices)).to(controls)
+
+    def arkit_deltas(self) -> dict[str, Tensor]:
+        return {name: deltas for rig in self._twin_of for name, deltas in rig.arkit_deltas().items()}
+
+    def expressions(self) -> dict[str, dict[str, float]]:
+        return {name: pose for rig in self._twin_of for name, pose in rig.expressions().items()}
+
+    def motion(self) -> Motion | None:
+        return next((rig.motion() for rig in self._twin_of), None)
+
+    def vertex_colors(self) -> Tensor | None:
+        return next((rig.vertex_colors() for rig in self._twin_of), None)
+
+
+def _checked(file: str) -> Path:
+    path = Path(file).expanduser().absolute()
+    if not path.is_file():
+        raise InputError(f"{file}: no such file; rig.file names a .blend")
+    with path.open("rb") as opened:
+        if not opened.read(16).startswith(BEGINNINGS):
+            raise InputError(f"{file}: this is no .blend file")
+    return path

@@ -1,0 +1,77 @@
+"""python -m rigs.blender.sample: poses of a rig as a table of pairs, controls and vertices, to train on without the rig.
+
+The table is an .npz, or a folder of .npy files, with the arrays controls `(pose, control)` and vertices `(pose, vertex, 3)`,
+mm, float32; rest_vertices `(vertex, 3)`; faces `(face, 3)`; control_names, lower, upper, neutral `(control,)`.
+"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.progress import track
+
+from riginv.build import build
+from riginv.cli.command import command
+from riginv.cli.run_folder import plain_config
+from riginv.cli.validation import validate
+from riginv.errors import InputError
+from riginv.files import written_beside
+from riginv.rig import RigBackend
+from riginv.sampling.controls import sparse_controls
+from riginv.sampling.seeds import generator_at
+
+PIECE = 128  # poses at a time
+
+
+def sample(config: DictConfig) -> None:
+    """Draw poses of `config.rig` and write them to `config.out`."""
+    plain = plain_config(config)
+    validate(plain)
+    out = Path(plain["out"])
+    if out.suffix not in ("", ".npz"):
+        raise InputError(f"out={out}: expected a name that ends in .npz, or without an ending for a folder of .npy files")
+    if out.exists():
+        raise InputError(f"out={out}: it is there already; give another name")
+    rig = build(plain["rig"])
+    most = len(rig.controls) if plain["most"] is None else plain["most"]
+    if not (isinstance(most, int) and 1 <= most <= len(rig.controls)):
+        raise InputError(f"most is {most}, expected 1 to {len(rig.controls)}, the number of controls of '{rig.name}'")
+    generator = generator_at(plain["seed"], "pairs")
+    controls = sparse_controls(rig.lower, rig.upper, rig.neutral_controls, most, plain["poses"], generator)
+    write_pairs(rig, controls, out)
+    Console().print(f"{out}: {len(controls)} poses of rig '{rig.name}', up to {most} controls at a time", highlight=False)
+
+
+@torch.no_grad()
+def write_pairs(rig: RigBackend, controls: torch.Tensor, out: Path) -> None:
+    """Write the poses of controls `(pose, control)` as a table of pairs, whole or not at all."""
+    arrays = {
+        "controls": controls.numpy().astype(np.float32),
+        "rest_vertices": rig.rest_vertices.numpy(),
+        "faces": rig.faces.numpy(),
+        "control_names": np.array(rig.control_names),
+        "lower": rig.lower.numpy(),
+        "upper": rig.upper.numpy(),
+        "neutral": rig.neutral_controls.numpy(),
+    }
+    shape = (len(controls), *rig.rest_vertices.shape)
+    with written_beside(out) as beside, tempfile.TemporaryDirectory(dir=beside.parent, prefix=".riginv-pairs-") as temporary:
+        folder = Path(temporary) if out.suffix else beside
+        folder.mkdir(exist_ok=True)
+        vertices = np.lib.format.open_memmap(folder / "vertices.npy", "w+", np.float32, shape)
+        for start in track(range(0, len(controls), PIECE), "poses", transient=True):
+            vertices[start : start + PIECE] = rig(controls[start : start + PIECE]).numpy()
+        vertices.flush()
+        if not out.suffix:
+            for name, array in arrays.items():
+                np.save(folder / f"{name}.npy", array)
+            return
+        with beside.open("wb") as file:
+            np.savez(file, vertices=vertices, **arrays)
+
+
+if __name__ == "__main__":
+    command("sample_blender")(sample)()

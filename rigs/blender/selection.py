@@ -1,0 +1,92 @@
+"""Which of the controls that were found become the rig's, under which names and limits; all by glob."""
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import zip_longest
+
+from riginv.errors import InputError
+from riginv.rig import Control
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What a config says about controls; globs of `include`, `exclude` and `rename` fit the names that were found.
+
+    Attributes:
+        include: only these; empty: all.
+        exclude: but not these.
+        rename: glob -> new name; each `*` of the new name becomes what the same `*` of the glob stood for.
+        bounds: glob of the new names -> (lower, upper).
+    """
+
+    include: Sequence[str] = ()
+    exclude: Sequence[str] = ()
+    rename: Mapping[str, str] | None = None
+    bounds: Mapping[str, Sequence[float]] | None = None
+
+
+def select(found: Sequence[Control], selection: Selection, source: str) -> tuple[list[str], list[Control]]:
+    """The names that were found, and the controls that they become.
+
+    Args:
+        source: what messages call the rig.
+
+    Raises:
+        InputError: a glob fits nothing, a bound is no pair of ascending numbers, or nothing is left.
+    """
+    names = [control.name for control in found]
+    for key in ("include", "exclude"):
+        if isinstance(getattr(selection, key), str):
+            raise InputError(
+                f"rig.{key} is '{getattr(selection, key)}', expected a list: rig.{key}=[{getattr(selection, key)}]"
+            )
+    for key in ("include", "exclude", "rename"):
+        for pattern in getattr(selection, key) or ():
+            _must_fit(pattern, names, f"rig.{key}", source)
+    chosen = [control for control in found if _fits(control.name, selection.include or ["*"])]
+    chosen = [control for control in chosen if not _fits(control.name, selection.exclude)]
+    if not chosen:
+        raise InputError(f"{source}: rig.include and rig.exclude leave none of its {len(found)} controls")
+    renamed = [_renamed(control.name, selection.rename or {}) for control in chosen]
+    for pattern in selection.bounds or ():
+        _must_fit(pattern, renamed, "rig.bounds", source)
+    return [control.name for control in chosen], [_bounded(*pair, selection) for pair in zip(chosen, renamed)]
+
+
+def _fits(name: str, patterns: Sequence[str] | Mapping) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def _must_fit(pattern: str, names: list[str], key: str, source: str) -> None:
+    if not any(fnmatchcase(name, pattern) for name in names):
+        near = difflib.get_close_matches(pattern, names, n=3, cutoff=0.5) or names[:3]
+        raise InputError(f"{key}: '{pattern}' fits none of the {len(names)} controls of {source}, such as {', '.join(near)}")
+
+
+def _renamed(name: str, rename: Mapping[str, str]) -> str:
+    for pattern, new in rename.items():
+        match = re.fullmatch("".join(_as_regex(part) for part in re.split(r"([*?])", pattern)), name)
+        if match:
+            pieces = re.split(r"[*?]", new)
+            return pieces[0] + "".join(
+                a + b for a, b in zip_longest(match.groups()[: len(pieces) - 1], pieces[1:], fillvalue="")
+            )
+    return name
+
+
+def _as_regex(part: str) -> str:
+    return {"*": "(.*)", "?": "(.)"}.get(part, re.escape(part))
+
+
+def _bounded(control: Control, name: str, selection: Selection) -> Control:
+    lower, upper = control.lower, control.upper
+    for pattern, bounds in (selection.bounds or {}).items():
+        if not fnmatchcase(name, pattern):
+            continue
+        if not (isinstance(bounds, Sequence) and len(bounds) == 2 and all(isinstance(value, int | float) for value in bounds)):
+            raise InputError(f"rig.bounds: '{pattern}' is {bounds!r}, expected [lower, upper]")
+        lower, upper = map(float, bounds)
+    return Control(name, lower, upper, control.neutral, control.unit)

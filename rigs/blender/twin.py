@@ -1,0 +1,80 @@
+"""The Blender twin of a rig: the rig exported once, kept as a .blend, and loaded from then on."""
+
+import atexit
+import contextlib
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from riginv.cache import cache_folder
+from riginv.errors import InputError
+from riginv.files import written_beside
+from riginv.rig import RigBackend
+from rigs.blender.blueprint import Blueprint
+from rigs.blender.body import body_blueprint
+from rigs.blender.face import face_blueprint
+from rigs.blender.interpreter import SCRIPTS, script_command
+from rigs.body import BodyRig
+from rigs.face import FaceRig
+
+BUILDER = "build_blend.py"
+LONGEST_S = 900.0
+
+
+def blueprint_of(rig: RigBackend) -> Blueprint:
+    """The blueprint of one of the default rigs.
+
+    Raises:
+        InputError: there is none.
+    """
+    if isinstance(rig, FaceRig):
+        return face_blueprint(rig)
+    if isinstance(rig, BodyRig):
+        return body_blueprint(rig)
+    raise InputError(
+        f"rig '{rig.name}' cannot be rebuilt in Blender: only rig=face and rig=body can; name a .blend with rig.file="
+    )
+
+
+def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
+    """Build a .blend from a blueprint, whole or not at all.
+
+    Raises:
+        InputError: Blender did not manage to.
+    """
+    with tempfile.TemporaryDirectory(prefix="riginv-blend-") as folder, written_beside(out) as beside:
+        saved, built = Path(folder) / "blueprint.npz", Path(folder) / "built.blend"
+        blueprint.save(saved)
+        command = script_command(interpreter, BUILDER, str(saved), str(built))
+        environment = {**os.environ, "TMPDIR": folder}  # what Blender leaves there goes with it
+        try:
+            done = subprocess.run(
+                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LONGEST_S
+            )
+        except (subprocess.TimeoutExpired, OSError) as error:
+            raise InputError(f"{interpreter} could not build {out}: {error}") from None
+        if done.returncode or not built.is_file():
+            said = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()]
+            raise InputError(f"{interpreter} could not build {out}: {said[-1] if said else 'it says nothing'}")
+        shutil.copyfile(built, beside)
+
+
+def twin_file(rig: RigBackend, interpreter: str) -> Path:
+    """The .blend of a rig's twin, from the cache where this code has built it before."""
+    blueprint = blueprint_of(rig)
+    code = b"".join((SCRIPTS / name).read_bytes() for name in (BUILDER, "drivers.py"))
+    key = hashlib.sha256(blueprint.content_hash().encode() + code).hexdigest()[:16]
+    name = f"blender/{blueprint.name}-{key}.blend"
+    kept = cache_folder() / name
+    if not kept.is_file():
+        with contextlib.suppress(OSError):
+            write_blend(blueprint, kept, interpreter)
+    if kept.is_file():
+        return kept
+    folder = tempfile.mkdtemp(prefix="riginv-twin-")  # the cache cannot be written
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    write_blend(blueprint, Path(folder) / kept.name, interpreter)
+    return Path(folder) / kept.name

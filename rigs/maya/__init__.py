@@ -1,0 +1,1 @@
+"""Scripts for Maya's Python."""
