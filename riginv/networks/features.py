@@ -13,6 +13,7 @@ from riginv.sampling.seeds import generator_at
 
 NOISE_MM = 0.1  # that the estimate reckons with in each mesh coordinate: what a coefficient hardly moves is not taken from it
 POSES = 512  # of the rig, from which it learns how far each coefficient goes
+SMALLEST = 0.1  # of the typical size of a feature: one that the rig's poses never move must not shout when a capture does
 GUESS_POSES, RIDGE = 4096, 1e-6  # for the first guess
 
 
@@ -53,7 +54,8 @@ class RigFeatures(nn.Module):
         """Set the scale of each feature by a sample of mesh coordinates `(batch, coordinate)`, and fit the first guess."""
         self.scale.fill_(1.0)
         sizes = self.forward(coordinates).square().mean(dim=0).sqrt()
-        self.scale.copy_(sizes.clamp_min(1e-6 * sizes.amax().clamp_min(1e-12)))
+        typical = sizes.square().mean().sqrt()
+        self.scale.copy_(sizes.clamp_min(SMALLEST * typical.clamp_min(1e-12)))
         backend = self.rig[0]
         limits = backend.lower, backend.upper, backend.neutral_controls
         generator = generator_at(0, "first guess", device=coordinates.device)
