@@ -167,7 +167,8 @@ def test_an_untrained_inverse_is_near_and_judged_by_the_mesh_at_half_turn_and_gi
     found = network(wanted)
     assert torch.isfinite(found).all() and (found >= body.lower).all() and (found <= body.upper).all()
     errors = ((body_in_space(found) - wanted).square().sum(dim=1) / 13380).sqrt()
-    assert errors.max() < 30 and errors.median() < 15
+    assert errors[8:12].max() < 15  # at the half turn
+    assert errors.max() < 120 and errors.median() < 30  # of 600 mm and more for neutral
     assert (network(torch.zeros(1, 912)) == 0).all()
 
 

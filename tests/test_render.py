@@ -58,6 +58,18 @@ def test_nothing_in_sight_is_an_empty_picture():
     assert is_background(np.asarray(camera.picture(toy.rest_vertices + 1000, toy.faces))).all()
 
 
+def test_a_camera_follows_only_what_leaves_its_picture():
+    toy = ToyRig()
+    camera = Camera(toy.rest_vertices, size=(60, 60))
+    assert camera.following(toy.rest_vertices * 1.05) is camera
+    away = toy.rest_vertices + torch.tensor([0.0, 1000.0, 0.0])
+    assert not is_background(np.asarray(camera.following(away).picture(away, toy.faces))).all()
+    both = camera.following(away, toy.rest_vertices)
+    assert both.half_height > 500
+    rows = [np.nonzero(~is_background(np.asarray(both.picture(mesh, toy.faces))))[0] for mesh in (away, toy.rest_vertices)]
+    assert rows[0].max() < 30 < rows[1].min()
+
+
 def test_heat_rises_from_blue_to_red():
     colors = heat_colors(torch.tensor([0.0, 1.0, 2.0, 5.0]), top=2.0)
     assert colors[0, 2] > colors[0, 0] and colors[2, 0] > colors[2, 2]

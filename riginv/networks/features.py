@@ -13,14 +13,17 @@ from riginv.sampling.seeds import generator_at
 
 NOISE_MM = 0.1  # that the estimate reckons with in each mesh coordinate: what a coefficient hardly moves is not taken from it
 POSES = 512  # of the rig, from which it learns how far each coefficient goes
-GUESS_POSES, RIDGE = 4096, 1e-6  # for the first guess
+SMALLEST = 0.1  # of the typical size of a feature: one that the rig's poses never move must not shout when a capture does
+GUESS_POSES = 4096  # of the rig, which the first guess is fitted to
+LEAST_VARIANCE = 1e-2  # of scaled features: a direction in which poses of the rig hardly differ says nothing about controls
 
 
 class RigFeatures(nn.Module):
     """The rig's own features of a mesh: its coefficients are estimated from mesh coordinates, then seen as the rig sees them.
 
     The estimate is linear: the likeliest coefficients of a pose of the rig, given the mesh and a little noise. From the
-    features a first guess at the controls is linear, too: a ridge regression on random poses of the rig.
+    features a first guess at the controls is linear, too: a regression on random poses of the rig, along the directions in
+    which these differ; others, which only a capture may hold, do not disturb it.
     """
 
     scale: Tensor
@@ -53,17 +56,18 @@ class RigFeatures(nn.Module):
         """Set the scale of each feature by a sample of mesh coordinates `(batch, coordinate)`, and fit the first guess."""
         self.scale.fill_(1.0)
         sizes = self.forward(coordinates).square().mean(dim=0).sqrt()
-        self.scale.copy_(sizes.clamp_min(1e-6 * sizes.amax().clamp_min(1e-12)))
+        typical = sizes.square().mean().sqrt()
+        self.scale.copy_(sizes.clamp_min(SMALLEST * typical.clamp_min(1e-12)))
         backend = self.rig[0]
         limits = backend.lower, backend.upper, backend.neutral_controls
         generator = generator_at(0, "first guess", device=coordinates.device)
         controls = sparse_controls(*limits, len(backend.controls), GUESS_POSES, generator)
         seen = torch.cat([self.forward(rig(piece)) for piece in controls.split(POSES)]).double()
         changes = ((controls - backend.neutral_controls) / (backend.upper - backend.lower)).double()
-        gram = seen.T @ seen / len(seen)
-        gram.diagonal().add_(RIDGE)
-        slope = torch.linalg.solve(gram, seen.T @ changes / len(seen)) * (backend.upper - backend.lower)
-        self.slope.copy_(slope)
+        variances, directions = torch.linalg.eigh(seen.T @ seen / len(seen))
+        inverse = torch.where(variances > LEAST_VARIANCE, 1 / variances.clamp_min(LEAST_VARIANCE), 0.0)
+        slope = (directions * inverse) @ directions.T @ (seen.T @ changes) / len(seen)
+        self.slope.copy_(slope * (backend.upper - backend.lower))
 
     def guess(self, features: Tensor) -> Tensor:
         """A first guess at the controls `(batch, control)` from features `(batch, feature)`; it may exceed the limits."""
