@@ -1,0 +1,35 @@
+"""A trained inverse among the methods."""
+
+import torch
+from torch import Tensor
+
+from riginv.data.mesh_sets import MeshSet
+from riginv.errors import InputError
+from riginv.inverse import Inverse, load_inverse
+from riginv.mesh_space import RigInMeshSpace
+from riginv.methods.base import Method
+
+PIECE = 512
+
+
+class Network(Method):
+    """The network of a bundle, trained beforehand by `python -m riginv.train`; its training time is the bundle's.
+
+    Args:
+        bundle: the bundle of an inverse, or the run that holds it.
+
+    Raises:
+        InputError: the bundle is missing, damaged, or made for another rig.
+    """
+
+    source = "Rig inversion by training a differentiable rig function (SIGGRAPH Asia 2022), and riginv's staged network"
+
+    def __init__(self, rig: RigInMeshSpace, bundle: str) -> None:
+        super().__init__(rig)
+        self.inverse: Inverse = load_inverse(bundle)
+        if self.inverse.rig.control_names != rig.rig.control_names:
+            raise InputError(f"{bundle}: the network was trained on rig '{self.inverse.rig.name}', not on '{rig.rig.name}'")
+
+    def invert(self, meshes: MeshSet) -> Tensor:
+        pieces = [self.inverse(vertices) for _, vertices in meshes.pieces(PIECE)]
+        return torch.cat(pieces) if pieces else self.rig.rig.lower.new_zeros(0, len(self.rig.rig.controls))
