@@ -55,9 +55,14 @@ def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, mesh
     return _judge(true_rig, meshes, lambda start, vertices: invert(vertices))
 
 
+def judge_controls(true_rig: RigBackend, meshes: MeshSet, controls: Tensor) -> Judgement:
+    """How well controls `(mesh, control)` that were found for the meshes of a set bring these back."""
+    return _judge(true_rig, meshes, lambda start, vertices: controls[start : start + len(vertices)])
+
+
 def judge_rig(rig: RigBackend, poses: MeshSet) -> Judgement:
     """How far a rig, such as a surrogate, lies from poses of the true rig, given the controls that made them."""
-    return _judge(rig, poses, lambda start, vertices: poses.controls[start : start + len(vertices)])
+    return judge_controls(rig, poses, poses.controls)
 
 
 @torch.no_grad()

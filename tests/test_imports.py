@@ -15,15 +15,15 @@ FLOORS = [
     {"geometry"},
     {"rig"},
     {"mesh_space"},
-    {"sampling", "networks", "losses", "metrics", "render"},
+    {"sampling", "networks", "losses", "metrics", "render", "solvers"},
     {"pictures", "cli"},
     {"rig_contract", "bundle", "pairs", "fitted_rig"},
     {"data"},
     {"clips", "judge", "inverse", "modules", "recorded_rig"},
-    {"evaluation"},
+    {"evaluation", "methods"},
     {"callbacks"},
     {"assemble"},
-    {"train", "evaluate", "check", "contact_sheet"},
+    {"train", "evaluate", "check", "contact_sheet", "compare"},
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 SOURCES = [path for folder in ("riginv", "rigs") for path in sorted((ROOT / folder).rglob("*.py"))]

@@ -20,6 +20,7 @@ class Method(ABC):
 
     Attributes:
         rig: the same.
+        seed: of whatever is drawn; set by `prepare`.
         source: what is implemented: the paper, and what was changed and why.
     """
 
@@ -27,12 +28,14 @@ class Method(ABC):
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         self.rig = rig
+        self.seed = 0
 
     def prepare(self, seed: int) -> None:
         """Train, fit or tabulate whatever the method needs before its first mesh; `compare` times it as `training_seconds`.
 
-        Called once, before `invert`; equal seeds must give equal results. Most methods need nothing.
+        Called once, before `invert`; equal seeds must give equal results. Most methods only keep the seed.
         """
+        self.seed = seed
 
     @abstractmethod
     def invert(self, meshes: MeshSet) -> Tensor:

@@ -19,8 +19,8 @@ class Direct(Method):
 
     source = (
         "Rig inversion by training a differentiable rig function (SIGGRAPH Asia 2022), 'direct optimisation': gradient descent "
-        "through the rig on each frame's controls, from the frame before. Changed: the loss is taken in mesh coordinates, where "
-        "it is the same but for a constant; controls are clamped to their limits after each step; the paper leaves steps and "
+        "through the rig on each frame's controls, from the frame before. Changed: the loss is taken in mesh coordinates, "
+        "where it is the same but for a constant; controls are clamped to their limits after each step; the paper leaves steps and "
         "rate open."
     )
 
