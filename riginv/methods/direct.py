@@ -20,8 +20,8 @@ class Direct(Method):
     source = (
         "Rig inversion by training a differentiable rig function (SIGGRAPH Asia 2022), 'direct optimisation': gradient descent "
         "through the rig on each frame's controls, from the frame before. Changed: the loss is taken in mesh coordinates, "
-        "where it is the same but for a constant; controls are clamped to their limits after each step; the paper leaves steps and "
-        "rate open."
+        "where it is the same but for a constant; controls are clamped to their limits after each step; the paper leaves "
+        "steps and rate open."
     )
 
     def __init__(self, rig: RigInMeshSpace, steps: int = 30, first_steps: int = 300, lr: float = 0.02) -> None:
