@@ -1,0 +1,85 @@
+"""What is minimised: the squared distance to a mesh, in mesh coordinates, of controls that run from 0 to 1.
+
+Half the squared vertex distances, in mm^2 (constant aside), plus `prior` times half the squared distance from neutral, in
+ranges: many rigs have several controls for one motion, and a faint prior says which to prefer.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from riginv.mesh_space import RigInMeshSpace
+
+PRIOR = 1e-2  # mm^2 for one control that leaves neutral by its whole range, of a mesh of thousands of vertices
+
+
+class Linearised(NamedTuple):
+    """The objective near some controls.
+
+    Attributes:
+        cost: `(mesh,)`.
+        gradient: `(mesh, control)`.
+        hessian: the Gauss-Newton one, `(mesh, control, control)`.
+    """
+
+    cost: Tensor
+    gradient: Tensor
+    hessian: Tensor
+
+
+class Objective:
+    """Controls `(mesh, control)` in units of their ranges, 0 at the lower limit and 1 at the upper.
+
+    With the residual e = R (f(r) - f(neutral)) - z and the rig's Jacobian J, the Gauss-Newton Hessian is J^T (R^T R) J: no
+    vertex, and no Jacobian of vertices, is ever made.
+    """
+
+    def __init__(self, rig: RigInMeshSpace, prior: float = PRIOR, dtype: torch.dtype | None = None) -> None:
+        self.rig, self.prior = rig, prior
+        dtype = dtype or rig.linear_map.dtype
+        self.map = rig.linear_map.to(dtype)
+        self.metric = self.map @ self.map.T
+        self.rest = rig.neutral_coefficients.to(dtype)
+        self.lower = rig.rig.lower.to(dtype)
+        self.span = rig.rig.upper.to(dtype) - self.lower
+        self.neutral = self.units(rig.rig.neutral_controls.to(dtype))
+
+    @property
+    def controls(self) -> int:
+        return len(self.span)
+
+    def units(self, controls: Tensor) -> Tensor:
+        """Controls in their own units as shares of their ranges."""
+        return (controls.to(self.map) - self.lower) / self.span
+
+    def own_units(self, units: Tensor) -> Tensor:
+        """The reverse, exactly within the limits of the rig."""
+        rig = self.rig.rig
+        return (self.lower + self.span * units).to(rig.dtype).clamp(rig.lower, rig.upper)
+
+    @torch.no_grad()
+    def cost(self, units: Tensor, coordinates: Tensor) -> Tensor:
+        """The objective `(mesh,)`, of which no less than 0 can remain."""
+        found = self.rig.rig.coefficients(self.lower + self.span * units)
+        residual = (found - self.rest) @ self.map - coordinates
+        return 0.5 * residual.square().sum(dim=1) + 0.5 * self.prior * (units - self.neutral).square().sum(dim=1)
+
+    @torch.no_grad()
+    def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
+        """The gradient `(mesh, control)` of the objective, for the price of a Jacobian."""
+        found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
+        residual = (found - self.rest) @ self.map - coordinates
+        return self.span * jacobian.pull(residual @ self.map.T) + self.prior * (units - self.neutral)
+
+    @torch.no_grad()
+    def linearise(self, units: Tensor, coordinates: Tensor) -> Linearised:
+        """The objective with its gradient and Gauss-Newton Hessian."""
+        found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
+        residual = (found - self.rest) @ self.map - coordinates
+        away = units - self.neutral
+        gradient = self.span * jacobian.pull(residual @ self.map.T) + self.prior * away
+        hessian = jacobian.gram(self.metric) * self.span * self.span[:, None]
+        hessian.diagonal(dim1=1, dim2=2).add_(self.prior)
+        cost = 0.5 * residual.square().sum(dim=1) + 0.5 * self.prior * away.square().sum(dim=1)
+        return Linearised(cost, gradient, hessian)
