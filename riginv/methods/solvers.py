@@ -68,7 +68,7 @@ class Clip(LevenbergMarquardt):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        smoothness: float = 3000.0,
+        smoothness: float = 0.4,
         clip_steps: int = 4,
         blur: float = 3.0,
         bundle: str | None = None,

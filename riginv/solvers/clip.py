@@ -27,13 +27,13 @@ def solve_clip(
     """Minimise the objective of all frames plus half of `smoothness` times the squared second differences of the controls.
 
     Long clips are solved window by window, so that memory stays bounded. A window goes on from the last two frames that the
-    one before has kept, and looks beyond its own end; what it finds there is where the next one starts. The influence of a frame
-    fades within the look-ahead, so the result is that of one solve without windows.
+    one before has kept, and looks beyond its own end; what it finds there is where the next one starts. The influence of a
+    frame fades within the look-ahead, so the result is that of one solve without windows.
 
     Args:
         coordinates: `(frame, coordinate)`; frames with NaN or infinite values only follow their neighbours.
         start: `(frame, control)` in shares of their ranges.
-        smoothness: mm^2 for one control with a second difference of its whole range.
+        smoothness: mm^2, as the mean squared vertex distance, for one control with a second difference of its whole range.
         steps: Gauss-Newton steps, at most.
         window, lookahead: frames.
         tolerance: a window is done once a step lowers its objective by less than this share.
@@ -46,7 +46,9 @@ def solve_clip(
         stop = min(first + window + lookahead, len(found))
         if len(found) - stop <= lookahead:
             stop = len(found)  # no window is left with less than its own look-ahead
-        part = _Window(objective, coordinates[first:stop], found[max(first - 2, 0) : first], smoothness)
+        part = _Window(
+            objective, coordinates[first:stop], found[max(first - 2, 0) : first], smoothness * objective.rig.space.vertex_count
+        )
         found[first:stop] = part.solve(found[first:stop], steps, tolerance)
         if stop == len(found):
             break

@@ -1,8 +1,8 @@
 """What is minimised: the squared distance to a mesh, in mesh coordinates, of controls that run from 0 to 1.
 
-Half the squared vertex distances, in mm^2 (constant aside), plus `prior` times half the squared distance from neutral, in
+Half the mean squared vertex distance, in mm^2 (constant aside), plus `prior` times half the squared distance from neutral, in
 ranges: many rigs have several controls for one motion, and a faint prior says which to prefer. `sparsity` times the distance
-itself leaves fewer controls in use.
+itself leaves fewer controls in use. All of it is taken times the number of vertices.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from riginv.mesh_space import RigInMeshSpace
 
-PRIOR = 1e-2  # mm^2 for one control that leaves neutral by its whole range, of a mesh of thousands of vertices
+PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
 CORNER = 1e-3  # of a range: how round the corner of the distance from neutral is
 
 
@@ -46,7 +46,8 @@ class Objective:
     def __init__(
         self, rig: RigInMeshSpace, prior: float = PRIOR, sparsity: float = 0.0, dtype: torch.dtype | None = None
     ) -> None:
-        self.rig, self.prior, self.sparsity = rig, prior, sparsity
+        self.rig = rig
+        self.prior, self.sparsity = prior * rig.space.vertex_count, sparsity * rig.space.vertex_count
         dtype = dtype or rig.linear_map.dtype
         self.map = rig.linear_map.to(dtype)
         self.metric = self.map @ self.map.T
