@@ -17,7 +17,7 @@ class LevenbergMarquardt(Method):
     """The least error of each mesh for itself; in a clip, neighbouring frames are where it starts.
 
     Args:
-        starts: near neutral, for meshes that are no clip.
+        starts: near neutral, for meshes that are no clip, and for every eighth frame of one.
         steps: linearisations from each start.
         more_steps: for frames that start from a neighbour's answer.
         prior, sparsity: as in `Objective`.
@@ -33,7 +33,7 @@ class LevenbergMarquardt(Method):
         rig: RigInMeshSpace,
         starts: int = 3,
         steps: int = 20,
-        more_steps: int = 8,
+        more_steps: int = 5,
         prior: float = PRIOR,
         sparsity: float = 0.0,
     ) -> None:
@@ -44,7 +44,7 @@ class LevenbergMarquardt(Method):
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)
         if meshes.fps:
-            found = solve_frames(self.objective, coordinates, self.steps, self.more_steps)
+            found = solve_frames(self.objective, coordinates, self.starts, self.steps, self.more_steps)
         else:
             found = solve_meshes(self.objective, coordinates, self.starts, self.steps)
         return self.objective.own_units(found.units)
@@ -68,7 +68,7 @@ class Clip(LevenbergMarquardt):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        smoothness: float = 0.4,
+        smoothness: float = 1.5,
         clip_steps: int = 4,
         blur: float = 3.0,
         bundle: str | None = None,
@@ -85,7 +85,9 @@ class Clip(LevenbergMarquardt):
         if self.network is not None:
             start = self.objective.units(self.network.controls(coordinates))
         else:
-            start = smoothed(solve_frames(self.objective, coordinates, self.steps, self.more_steps, rounds=0), self.blur)
+            start = smoothed(
+                solve_frames(self.objective, coordinates, self.starts, self.steps, self.more_steps, rounds=0), self.blur
+            )
         found = solve_clip(self.objective, coordinates, start, self.smoothness, self.clip_steps)
         return self.objective.own_units(found)
 

@@ -45,7 +45,9 @@ def refine_meshes(objective: Objective, coordinates: Tensor, start: Tensor, step
     return _in_pieces(objective, len(coordinates), solve)
 
 
-def solve_frames(objective: Objective, coordinates: Tensor, steps: int = 20, more_steps: int = 8, rounds: int = 3) -> Solution:
+def solve_frames(
+    objective: Objective, coordinates: Tensor, starts: int = 3, steps: int = 20, more_steps: int = 5, rounds: int = 3
+) -> Solution:
     """Solve each frame of a clip for itself, at a fraction of what many starts cost: neighbours know good ones.
 
     Some frames are solved from scratch, those between them from the mean of the answers on either side, and then frames take
@@ -53,14 +55,14 @@ def solve_frames(objective: Objective, coordinates: Tensor, steps: int = 20, mor
 
     Args:
         coordinates: `(frame, coordinate)`.
-        steps: for frames that start from scratch.
+        starts, steps: for frames that start from scratch, as in `solve_meshes`.
         more_steps: for frames that start from a neighbour's answer.
         rounds: how many times frames may take over, from ever nearer neighbours; 0: for a clip that is smoothed afterwards.
     """
     count, distance = len(coordinates), KEY_DISTANCE
     found = Solution.at_neutral(objective, count)
     keys = torch.arange(count)[::distance]
-    found.put(keys, solve_meshes(objective, coordinates[keys], 1, steps))
+    found.put(keys, solve_meshes(objective, coordinates[keys], starts, steps))
     while distance > 1:
         new = torch.arange(count)[distance // 2 :: distance]
         before, after = new - distance // 2, (new + distance // 2).clamp(max=(count - 1) // distance * distance)
