@@ -31,9 +31,9 @@ class LevenbergMarquardt(Method):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        starts: int = 3,
-        steps: int = 20,
-        more_steps: int = 5,
+        starts: int = 2,
+        steps: int = 30,
+        more_steps: int = 4,
         prior: float = PRIOR,
         sparsity: float = 0.0,
     ) -> None:

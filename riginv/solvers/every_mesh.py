@@ -46,16 +46,16 @@ def refine_meshes(objective: Objective, coordinates: Tensor, start: Tensor, step
 
 
 def solve_frames(
-    objective: Objective, coordinates: Tensor, starts: int = 3, steps: int = 20, more_steps: int = 5, rounds: int = 3
+    objective: Objective, coordinates: Tensor, starts: int = 2, steps: int = 30, more_steps: int = 4, rounds: int = 3
 ) -> Solution:
     """Solve each frame of a clip for itself, at a fraction of what many starts cost: neighbours know good ones.
 
     Some frames are solved from scratch, those between them from the mean of the answers on either side, and then frames take
-    over from a neighbour whose answer serves them well.
+    over from a neighbour whose answer serves them well. At last those that have not converged go on until they do.
 
     Args:
         coordinates: `(frame, coordinate)`.
-        starts, steps: for frames that start from scratch, as in `solve_meshes`.
+        starts, steps: for frames that start from scratch, as in `solve_meshes`; the last frames to finish take as many.
         more_steps: for frames that start from a neighbour's answer.
         rounds: how many times frames may take over, from ever nearer neighbours; 0: for a clip that is smoothed afterwards.
     """
@@ -73,12 +73,16 @@ def solve_frames(
     for reach in (2**number for number in reversed(range(rounds))):
         for shift in (reach, -reach):
             _take_over(objective, coordinates, found, shift, more_steps)
+    if rounds:
+        unfinished = (~found.converged & ~found.skipped).nonzero()[:, 0]
+        more = refine_meshes(objective, coordinates[unfinished], found.units[unfinished], steps)
+        found.take_better(unfinished, more)
     return found
 
 
 def _take_over(objective: Objective, coordinates: Tensor, found: Solution, shift: int, steps: int) -> None:
     """Let frames go on from the answer of the frame `shift` before them, where that is promising."""
-    rows = torch.arange(len(coordinates))[max(shift, 0) : len(coordinates) + min(shift, 0)]
+    rows = torch.arange(max(len(coordinates) - abs(shift), 0)) + max(shift, 0)
     if not len(rows):
         return
     pieces = zip(found.units[rows - shift].split(PIECE), coordinates[rows].split(PIECE))

@@ -12,6 +12,8 @@ def smoothed(solution: Solution, blur: float) -> Tensor:
     Args:
         blur: standard deviation of the Gaussian, frames; 0: none.
     """
+    if not len(solution.units):
+        return solution.units
     reach = max(1, round(3 * blur))
     place = torch.arange(-reach, reach + 1, dtype=solution.units.dtype)
     kernel = torch.exp(-0.5 * (place / max(blur, 1e-3)) ** 2)
