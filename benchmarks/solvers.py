@@ -2,9 +2,9 @@
 
     python benchmarks/solvers.py [--frames 96] [--clip take.csv]
 
-Without a clip a simulated performance is solved. The coordinate descent is that of Rackovic et al., on the weights of the same
-basis: as published, where every update passes over all coordinates of all vertices, and in Gram form, where K = B B^T carries
-everything. Both take the same steps; that they agree is checked.
+Without a clip a simulated performance is solved. The coordinate descent is the linear core of that of Rackovic
+et al., on the weights of the same basis: as published, where every update passes over all coordinates of all vertices, and in
+Gram form, where K = B B^T carries everything. Both take the same steps; how far they differ is printed.
 """
 
 import argparse

@@ -31,7 +31,7 @@ class LevenbergMarquardt(Method):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        starts: int = 2,
+        starts: int = 3,
         steps: int = 30,
         more_steps: int = 4,
         prior: float = PRIOR,

@@ -46,7 +46,7 @@ def refine_meshes(objective: Objective, coordinates: Tensor, start: Tensor, step
 
 
 def solve_frames(
-    objective: Objective, coordinates: Tensor, starts: int = 2, steps: int = 30, more_steps: int = 4, rounds: int = 3
+    objective: Objective, coordinates: Tensor, starts: int = 3, steps: int = 30, more_steps: int = 4, rounds: int = 4
 ) -> Solution:
     """Solve each frame of a clip for itself, at a fraction of what many starts cost: neighbours know good ones.
 
