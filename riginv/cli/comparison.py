@@ -102,10 +102,12 @@ def _plot(rows: Rows) -> Figure:
     figure = Figure(figsize=(8, 5.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    for row in shown:
-        axes.scatter(row[key], row["mean_vertex_error_mm"], s=45)
+    for number, row in enumerate(sorted(shown, key=lambda row: (row["mean_vertex_error_mm"], row[key]))):
         place = (row[key], row["mean_vertex_error_mm"])
-        axes.annotate(row["method"].replace("_", " "), place, xytext=(6, 4), textcoords="offset points", fontsize=9)
+        axes.scatter(*place, s=45)
+        offset = (6, 5) if number % 2 else (6, -12)  # of two that lie side by side, one above and one below
+        axes.annotate(row["method"].replace("_", " "), place, xytext=offset, textcoords="offset points", fontsize=9)
+    axes.margins(x=0.15, y=0.1)
     axes.set_xscale("symlog" if any(row[key] <= 0 for row in shown) else "log", **_linear_below(shown, key))
     axes.set_yscale("log")
     axes.set_xlabel("roughness (mean squared second difference of the controls)" if clip else "ms per frame")

@@ -10,6 +10,7 @@ from riginv.solvers.objective import Linearised, Objective
 
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
 TOLERANCE = 1e-4  # a mesh has converged once steps lower its objective by less than this share
+IDLE = 3  # such steps in a row; a step that fails raises the damping and is one of them
 TRIES = 3  # of more and more damping on one linearisation, before the step counts as failed
 
 
@@ -20,7 +21,7 @@ class Solution:
     Attributes:
         units: the controls `(mesh, control)` in shares of their ranges; neutral for meshes that were skipped.
         cost: the objective `(mesh,)`; NaN for meshes that were skipped.
-        converged: `(mesh,)`, whether a step gained less than the tolerance, or none could be found that gains at all.
+        converged: `(mesh,)`, whether steps gained less than the tolerance, several times in a row.
         steps: linearisations `(mesh,)`.
         skipped: `(mesh,)`, whether the mesh holds NaN or infinite values.
     """
@@ -61,7 +62,7 @@ def levenberg_marquardt(
         coordinates: the meshes in mesh space, `(mesh, coordinate)`; those with NaN or infinite values are skipped.
         start: `(mesh, control)` in shares of their ranges.
         steps: linearisations, at most.
-        tolerance: a mesh has converged once a step lowers its objective by less than this share, twice in a row.
+        tolerance: a mesh has converged once a step lowers its objective by less than this share, three times in a row.
     """
     coordinates = coordinates.to(start)
     skipped = ~torch.isfinite(coordinates).all(dim=1)
@@ -81,7 +82,7 @@ def levenberg_marquardt(
         taken[active] += 1
         small = gained <= tolerance * near.cost
         idle[active] = torch.where(small, idle[active] + 1, 0)
-        converged[active] = (idle[active] >= 2) | (small & (chosen >= MOST_DAMPING)) | (gained == 0)
+        converged[active] = (idle[active] >= IDLE) | (small & (chosen >= MOST_DAMPING))
         active = active[~converged[active]]
     if len(unknown := (torch.isnan(cost) & ~skipped).nonzero()[:, 0]):  # no step was asked for
         cost[unknown] = objective.cost(best[unknown], coordinates[unknown])
