@@ -154,7 +154,11 @@ class StagedInverse(InverseNetwork):
         return raw, Answer(controls, self.rig(controls))
 
     def forward(self, coordinates: Tensor) -> Tensor:
-        controls = super().forward(coordinates)
+        """The best of the answers for each mesh: what a correction leaves can be seen, so that one that fails is not taken."""
+        answers = self.answers(coordinates)
+        errors = torch.stack([(answer.coordinates - coordinates).square().sum(dim=1) for answer in answers])
+        best = errors.argmin(dim=0)
+        controls = torch.stack([answer.controls for answer in answers])[best, torch.arange(len(best), device=best.device)]
         return controls if torch.is_grad_enabled() else controls.detach()
 
     def _look(self, coordinates: Tensor) -> Tensor:
