@@ -21,7 +21,7 @@ FLOORS = [
     {"data"},
     {"clips", "judge", "inverse", "modules", "recorded_rig"},
     {"evaluation", "methods"},
-    {"callbacks"},
+    {"callbacks", "baselines"},
     {"assemble"},
     {"train", "evaluate", "check", "contact_sheet", "compare"},
 ]

@@ -50,15 +50,18 @@ class BlendshapeWeights(Method):
     """
 
     source = (
-        "What capture tools do that know the shapes but not the rig (linear blendshape solvers with non-negative least squares or a "
-        "ridge). No paper: the correctives are ignored, as such tools must; both bounds hold, not only the lower; the lookup "
-        "inverts the curve of the one control that drives a shape and the fewest others, and knows no macros beside it."
+        "What capture tools do that know the shapes but not the rig (linear blendshape solvers with non-negative least "
+        "squares or a ridge). No paper: the correctives are ignored, as such tools must; both bounds hold, not only the "
+        "lower; the lookup inverts the curve of the one control that drives a shape and the fewest others, and knows no "
+        "macros beside it."
     )
 
     def __init__(self, rig: RigInMeshSpace, ridge: float = 1.0, bounded: bool = True) -> None:
         super().__init__(rig)
         if not rig.rig.has_blendshapes:
-            raise InputError(f"rig '{rig.rig.name}' has no blendshapes: leave blendshape_nnls and blendshape_ridge out of methods")
+            raise InputError(
+                f"rig '{rig.rig.name}' has no blendshapes: leave blendshape_nnls and blendshape_ridge out of methods"
+            )
         if not ridge > 0:
             raise InputError(f"blendshape weights: ridge is {ridge}, expected above 0")
         self.ridge, self.bounded = ridge, bounded

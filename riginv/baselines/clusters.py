@@ -42,8 +42,8 @@ def control_reach(rig: RigInMeshSpace) -> Tensor:
 def find_clusters(reach: Tensor, count: int, seed: int) -> list[Cluster]:
     """K-means over the vertices by which controls reach them; each cluster takes the controls that reach it much.
 
-    In each cluster the controls are split in two by their mean reach, by k-means too, and the upper part belongs to it. A control
-    that no cluster took goes to the one that it reaches most; one that moves nothing belongs to none.
+    In each cluster the controls are split in two by their mean reach, by k-means too, and the upper part belongs to it. A
+    control that no cluster took goes to the one that it reaches most; one that moves nothing belongs to none.
 
     Args:
         reach: `(vertex, control)`, as from `control_reach`.

@@ -29,8 +29,8 @@ class Entry(NamedTuple):
 class ControlLookup:
     """Which shape tells which control, and by which curve; measured from the rig, one control at a time.
 
-    Each shape tells the side that drives it and drives the fewest shapes beside it; a control that is told by several takes their
-    mean, one that is told by none stays at neutral, and of two sides the greater wins.
+    Each shape tells the side that drives it and drives the fewest shapes beside it; a control that is told by several takes
+    their mean, one that is told by none stays at neutral, and of two sides the greater wins.
 
     Args:
         rig: one with blendshapes.

@@ -83,11 +83,11 @@ class CoordinateDescent(Method):
     """
 
     source = (
-        "Rackovic, Soares, Jakovetic, Desnica: High-fidelity interpretable inverse rig: an accurate and sparse solution optimizing "
-        "the quartic blendshape model (arXiv 2302.04820). Changed: Gram form, equal to the published steps and some hundred times "
-        "as fast; the products are measured from the rig, for not every rig is a quartic one; of a two-sided control only one side "
-        "may be active, the better one; 50 iterations and a penalty of 0.5 where the scripts have 7 and 5, which stop early; it starts "
-        "at neutral, not at a clipped pseudo-inverse, which is no better after two iterations."
+        "Rackovic, Soares, Jakovetic, Desnica: High-fidelity interpretable inverse rig: an accurate and sparse solution "
+        "optimizing the quartic blendshape model (arXiv 2302.04820). Changed: Gram form, equal to the published steps and "
+        "some hundred times as fast; the products are measured from the rig, for not every rig is a quartic one; of a "
+        "two-sided control only one side may be active, the better one; 50 iterations and a penalty of 0.5 where the "
+        "scripts have 7 and 5, which stop early; it starts at neutral where theirs starts at a clipped pseudo-inverse."
     )
 
     def __init__(

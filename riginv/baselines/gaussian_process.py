@@ -10,9 +10,9 @@ NOISES = (1e-4, 1e-2, 1e-1)  # variance of the noise, as shares of the kernel's 
 class GaussianProcess:
     """From inputs `(sample, input)` to outputs `(sample, output)`, all with the same multiquadric kernel.
 
-    The multiquadric is no covariance, only a conditional one (its negative is positive definite for weights that add up to 0), so a
-    constant is fitted along, under that condition: universal kriging. Width and noise are those of a small grid
-    that predict each sample best from all the others, which the inverse gives in closed form.
+    The multiquadric is no covariance, only a conditional one: its negative is positive definite for weights that add up to 0.
+    So a constant is fitted along, under that condition: universal kriging. Width and noise are those of a small grid that
+    predict each sample best from all the others, which the inverse gives in closed form.
 
     Attributes:
         left_out: the root mean square error of the outputs when each sample is predicted from the others.

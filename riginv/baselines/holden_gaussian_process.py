@@ -24,11 +24,11 @@ class HoldenGaussianProcess(Method):
     """
 
     source = (
-        "Holden, Saito, Komura: Learning an inverse rig mapping for character animation (SCA 2015): Gaussian-process regression with a "
-        "multiquadric kernel on a subsample of far-apart poses. Changed: the input is the principal components of the mesh, in mesh "
-        "coordinates, where theirs is joints; a constant mean is fitted along, without which the multiquadric is no covariance; "
-        "width and noise by leave-one-out error over a grid, which the paper leaves open; poses are random, not an animator's; "
-        "answers are clamped to the limits."
+        "Holden, Saito, Komura: Learning an inverse rig mapping for character animation (SCA 2015): Gaussian-process "
+        "regression with a multiquadric kernel on a subsample of far-apart poses. Changed: the input is the principal "
+        "components of the mesh, in mesh coordinates, where theirs is joints; a constant mean is fitted along, without "
+        "which the multiquadric is no covariance; width and noise by leave-one-out error over a grid, our choice; poses "
+        "are random, not an animator's; answers are clamped to the limits."
     )
 
     def __init__(

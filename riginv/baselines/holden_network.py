@@ -35,10 +35,11 @@ class HoldenNetwork(Method):
     """
 
     source = (
-        "Holden, Saito, Komura: Learning an inverse rig mapping for character animation (SCA 2015) and Learning inverse rig mappings "
-        "by nonlinear regression (TVCG 2016), as the paper compares with: its own network, trained on pairs sampled from the rig, "
-        "with the loss on the controls. Changed: meshes come in mesh coordinates; the network starts at neutral, as "
-        "ours does, which is owed to a baseline; random poses of ours, and far fewer steps than the paper's."
+        "Holden, Saito, Komura: Learning an inverse rig mapping for character animation (SCA 2015) and Learning inverse "
+        "rig mappings by nonlinear regression (TVCG 2016), as the paper compares with: its own network, trained on pairs "
+        "sampled from the rig, with the loss on the controls. Changed: meshes come in mesh coordinates; the network "
+        "starts at neutral, as ours does, which is owed to a baseline; random poses of ours, and far fewer steps than the "
+        "paper's."
     )
 
     def __init__(

@@ -21,9 +21,9 @@ class Majoriser:
 
         |e + J v + q(v)|^2 - |e|^2  <=  2 e^T J v + 2 e^T q(v) + 2 |J v|^2 + 2 |q(v)|^2,
 
-    and each of the last three is bounded by sums over single weights: e^T q(v) through 2 v_s v_t <= v_s^2 + v_t^2, |J v|^2 through
-    the row sums of |J^T J|, |q(v)|^2 through the greatest eigenvalue of the products' Gram matrix, once and for all. What
-    remains is a convex polynomial a v + b v^2 + c v^4 for each weight, with a closed-form minimum.
+    and each of the last three is bounded by sums over single weights: e^T q(v) through 2 v_s v_t <= v_s^2 + v_t^2, |J v|^2
+        through the row sums of |J^T J|, |q(v)|^2 through the greatest eigenvalue of the products' Gram matrix, once and for
+        all. What remains is a convex polynomial a v + b v^2 + c v^4 for each weight, with a closed-form minimum.
 
     Args:
         model: of second order: ramps, squares of them and products of two.
@@ -81,7 +81,7 @@ class Majoriser:
 
 def _least(first: Tensor, second: Tensor, fourth: Tensor) -> Tensor:
     """Where a v + b v^2 + c v^4 is least, for b, c >= 0: the one root of a + 2 b v + 4 c v^3; 0 where b and c vanish."""
-    tiny = torch.finfo(first.dtype).tiny**0.5
+    tiny = torch.finfo(first.dtype).tiny ** 0.5
     straight = torch.where(second > tiny, -first / (2 * second).clamp_min(tiny), 0.0)
     p, q = second / (2 * fourth.clamp_min(tiny)), first / (4 * fourth.clamp_min(tiny))
     root = (p / 3).sqrt()
@@ -100,11 +100,12 @@ class MajorisationMinimisation(Method):
     """
 
     source = (
-        "Rackovic, Soares, Jakovetic, Desnica: A majorization-minimization-based method for nonconvex inverse rig problems in facial "
-        "animation (arXiv 2205.04289; LMMM). Changed: bounds taken in mesh coordinates and per weight, where the published ones are "
-        "per vertex coordinate and shared by all weights, so that steps are longer and no hour of eigenvalues is needed; the Jacobian "
-        "has both halves of the product rule, no row is left out, and the tolerance is relative, so that it is passed; squares of "
-        "single controls; the published strides of 5 to 50 are kept, and 2 is added."
+        "Rackovic, Soares, Jakovetic, Desnica: A majorization-minimization-based method for nonconvex inverse rig "
+        "problems in facial animation (arXiv 2205.04289; LMMM). Changed: bounds taken in mesh coordinates and per weight, "
+        "where the published ones are per vertex coordinate and shared by all weights, so that steps are longer and no "
+        "hour of eigenvalues is needed; the Jacobian has both halves of the product rule, no row is left out, and the "
+        "tolerance is relative, so that it is passed; squares of single controls; the published strides of 5 to 50 are "
+        "kept, and 2 is added."
     )
 
     def __init__(

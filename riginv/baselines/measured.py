@@ -57,8 +57,8 @@ def tables(rig: RigInMeshSpace, pieces: int) -> ProductModel:
 def with_products(rig: RigInMeshSpace, model: ProductModel, counts: Sequence[int]) -> ProductModel:
     """Add what sides do together: the strongest pairs, then triples all of whose pairs are there, and so on.
 
-    The deltas of a product are what the model misses where just its sides are at full weight. The last activations of the model,
-    one for each side, are what is multiplied.
+    The deltas of a product are what the model misses where just its sides are at full weight. The last activations of the
+    model, one for each side, are what is multiplied.
 
     Args:
         counts: how many products of two sides, of three, ... are kept at most.

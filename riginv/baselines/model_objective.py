@@ -1,6 +1,5 @@
 """The squared distance of an approximate rig from a mesh, as the solvers of `riginv.solvers` want it."""
 
-import torch
 from torch import Tensor
 
 from riginv.baselines.product_model import ProductModel

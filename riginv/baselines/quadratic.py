@@ -25,11 +25,11 @@ class QuadraticLevenbergMarquardt(Method):
     """
 
     source = (
-        "Rackovic, Soares, Jakovetic, Desnica: An iterative approach to the inverse rig with quadratic corrective terms (2021, "
-        "arXiv 2109.08356), as the paper cites it: second-order polynomial and Levenberg-Marquardt. Changed: the coefficients are "
-        "measured from the rig (each control alone at half and full, each pair at full) where theirs came with the rig; a square "
-        "for each control, since a single control of ours bends its path; limits by an active set in each step; residuals in "
-        "mesh coordinates, which is exact."
+        "Rackovic, Soares, Jakovetic, Desnica: An iterative approach to the inverse rig with quadratic corrective terms "
+        "(2021, arXiv 2109.08356), as the paper cites it: second-order polynomial and Levenberg-Marquardt. Changed: the "
+        "coefficients are measured from the rig (each control alone at half and full, each pair at full) where theirs "
+        "came with the rig; a square for each control, since a single control of ours bends its path; limits by an active "
+        "set in each step; residuals in mesh coordinates, which is exact."
     )
 
     def __init__(self, rig: RigInMeshSpace, pairs: int = 1000, steps: int = 30, prior: float = PRIOR) -> None:

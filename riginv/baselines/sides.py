@@ -20,10 +20,7 @@ class Sides:
         self.span, self.dtype, self.limits = self.upper - self.lower, rig.dtype, (rig.lower, rig.upper)
         up, down = self.upper - self.neutral, self.lower - self.neutral
         found = [
-            (control, reach)
-            for control, both in enumerate(zip(up.tolist(), down.tolist()))
-            for reach in both
-            if reach != 0
+            (control, reach) for control, both in enumerate(zip(up.tolist(), down.tolist())) for reach in both if reach != 0
         ]
         self.control = torch.tensor([control for control, _ in found])
         self.reach = torch.tensor([reach for _, reach in found], dtype=torch.float64)

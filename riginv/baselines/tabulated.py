@@ -31,11 +31,12 @@ class TabulatedGaussNewton(Method):
     """
 
     source = (
-        "Gustafson, Lo, Kanyuk: Analytically learning an inverse rig mapping (SIGGRAPH Talks 2020): an approximation of the rig is "
-        "derived offline, and inverted by an iterative least-squares solver with its analytic Jacobian. A talk of two pages: the "
-        "form of the approximation is our choice (tabulated paths and products of tabulated curves, in mesh coordinates), for "
-        "theirs is made for joints and ours must serve any rig. Changed besides: limits by an active set, a faint prior, and "
-        "steps that do not help are halved; every frame starts at neutral, so that frames can be solved together."
+        "Gustafson, Lo, Kanyuk: Analytically learning an inverse rig mapping (SIGGRAPH Talks 2020): an approximation of "
+        "the rig is derived offline, and inverted by an iterative least-squares solver with its analytic Jacobian. A talk "
+        "of two pages: the form of the approximation is our choice (tabulated paths and products of tabulated curves, in "
+        "mesh coordinates), for theirs is made for joints and ours must serve any rig. Changed besides: limits by an "
+        "active set, a faint prior, and steps that do not help are halved; every frame starts at neutral, so that frames "
+        "can be solved together."
     )
 
     def __init__(
