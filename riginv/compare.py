@@ -15,6 +15,7 @@ from riginv.data.test_sets import random_sets
 from riginv.errors import InputError
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.methods.judging import judged_row
+from riginv.optimum import find_optima
 
 
 def compare(config: DictConfig) -> None:
@@ -36,7 +37,7 @@ def compare(config: DictConfig) -> None:
     clip = build_clip(plain, true_rig)
     sets = [*random_sets(true_rig, plain["poses"]), *([clip] if clip else [])]
     folder.begin()
-    rows = []
+    optima, rows = find_optima(true_rig, sets), []
     for name, method in methods.items():
         found = kept_rows(folder.path, name, configs[name])
         if found is None:
@@ -44,7 +45,7 @@ def compare(config: DictConfig) -> None:
             began = time.perf_counter()
             method.prepare(plain["seed"])
             seconds = time.perf_counter() - began
-            found = [judged_row(name, method, true_rig, meshes, seconds).as_dict() for meshes in sets]
+            found = [judged_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name)).as_dict() for meshes in sets]
             keep_rows(folder.path, name, configs[name], found)
         rows += found
     write_tables(folder.path, rows, {name: method.source for name, method in methods.items()})

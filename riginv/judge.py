@@ -22,7 +22,7 @@ class Judgement:
 
     Attributes:
         metrics: by `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (what predicting neutral would cost),
-            and for a clip `roughness`.
+            and for a clip `roughness`; who knows more about the set may add to them.
         errors_mm: the mean vertex error of each mesh, `(mesh,)`.
         meshes: the set.
         rig: what made the results: the true rig, or a surrogate that was itself on trial.

@@ -19,13 +19,13 @@ CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "meth
 HEADINGS = {
     "method": "method",
     "set": "judged on",
-    "mean_vertex_error_mm": "mean error\nmm",
+    "mean_vertex_error_mm": "mean\nmm",
     "max_vertex_error_mm": "worst\nmm",
-    "roughness": "roughness",
+    "roughness": "rough-\nness",
     "nonzero_controls": "controls\nin use",
     "ms_per_frame": "ms a\nframe",
-    "training_seconds": "training\nseconds",
-    "optimum_ratio": "times the\noptimum",
+    "training_seconds": "train-\ning s",
+    "optimum_ratio": "times\noptimum",
 }
 Rows = list[dict[str, Any]]
 
@@ -60,13 +60,15 @@ def show(rows: Rows, folder: Path) -> None:
     """Show the rows in the terminal, one table for each set."""
     console = Console()
     for name in dict.fromkeys(row["set"] for row in rows):
-        table = Table(title=name.replace("_", " "), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+        table = Table(
+            title=name.replace("_", " "), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+        )
         for key, heading in HEADINGS.items():
             if key != "set":
-                table.add_column(heading, justify="left" if key == "method" else "right", no_wrap=True)
+                table.add_column(heading, justify="left" if key == "method" else "right", overflow="fold")
         for row in rows:
             if row["set"] == name:
-                table.add_row(*(_shown(row[key]) for key in HEADINGS if key != "set"))
+                table.add_row(*(_shown(row, key) for key in HEADINGS if key != "set"))
         console.print(table)
     console.print(
         "  Judged by the true rig, which was given the controls. Times the optimum: the error over that of many-start"
@@ -76,14 +78,19 @@ def show(rows: Rows, folder: Path) -> None:
         console.print(f"  {what}: {folder / file}", soft_wrap=True, highlight=False)
 
 
-def _shown(value: Any) -> str:
-    return value if isinstance(value, str) else "-" if value is None else f"{value:.3g}"
+def _shown(row: dict[str, Any], key: str) -> str:
+    value = row[key]
+    if value is None or isinstance(value, str):
+        return value or "-"
+    if key == "roughness":
+        return f"{value:.1e}"
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else "0"
 
 
 def _markdown(rows: Rows, sources: Mapping[str, str]) -> str:
     heads = [heading.replace("\n", " ") for heading in HEADINGS.values()]
     lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "---:|" * (len(heads) - 2)]
-    lines += ["| " + " | ".join(_shown(row[key]) for key in HEADINGS) + " |" for row in rows]
+    lines += ["| " + " | ".join(_shown(row, key) for key in HEADINGS) + " |" for row in rows]
     return "\n".join([*lines, "", *(f"- **{name}**: {source}" for name, source in sources.items()), ""])
 
 

@@ -23,6 +23,7 @@ BOOLEAN: Check = ("true or false", lambda value: isinstance(value, bool))
 RULES: dict[str, Check] = {
     "seed": AT_LEAST_0,
     "resume": BOOLEAN,
+    "refine": AT_LEAST_0,
     "poses": AT_LEAST_1,
     "stop_below_lr": POSITIVE,
     "data.*": AT_LEAST_1,

@@ -11,6 +11,7 @@ from riginv.errors import InputError
 from riginv.judge import judge_controls
 from riginv.methods.base import Method
 from riginv.metrics import nonzero_controls
+from riginv.optimum import Optimum
 from riginv.rig import RigBackend
 
 
@@ -49,8 +50,18 @@ class Clocked(MeshSet):
         return result
 
 
-def judged_row(name: str, method: Method, true_rig: RigBackend, meshes: MeshSet, training_seconds: float) -> Row:
+def judged_row(
+    name: str,
+    method: Method,
+    true_rig: RigBackend,
+    meshes: MeshSet,
+    training_seconds: float,
+    optimum: Optimum | None = None,
+) -> Row:
     """Let a method invert a set, and let the true rig judge what it found.
+
+    Args:
+        optimum: the best possible on some of the meshes, where it is known.
 
     Raises:
         InputError: the method gives controls that are not numbers, of another shape, or outside the rig's limits.
@@ -71,7 +82,7 @@ def judged_row(name: str, method: Method, true_rig: RigBackend, meshes: MeshSet,
         nonzero_controls=nonzero_controls(controls, true_rig),
         ms_per_frame=1e3 * seconds / len(meshes),
         training_seconds=training_seconds,
-        optimum_ratio=None,
+        optimum_ratio=optimum.ratio(judgement) if optimum else None,
     )
 
 

@@ -30,6 +30,16 @@ class Network(Method):
         if self.inverse.rig.control_names != rig.rig.control_names:
             raise InputError(f"{bundle}: the network was trained on rig '{self.inverse.rig.name}', not on '{rig.rig.name}'")
 
-    def invert(self, meshes: MeshSet) -> Tensor:
-        pieces = [self.inverse(vertices) for _, vertices in meshes.pieces(PIECE)]
+    @torch.no_grad()
+    def controls(self, coordinates: Tensor) -> Tensor:
+        """Controls `(mesh, control)` from mesh coordinates `(mesh, coordinate)`."""
+        pieces = [self.inverse.network(piece) for piece in coordinates.split(PIECE) if len(piece)]
         return torch.cat(pieces) if pieces else self.rig.rig.lower.new_zeros(0, len(self.rig.rig.controls))
+
+    def invert(self, meshes: MeshSet) -> Tensor:
+        return self.controls(self.coordinates(meshes))
+
+    def coordinates(self, meshes: MeshSet) -> Tensor:
+        """In the mesh space of the network, which it was trained in."""
+        pieces = [self.inverse.network.rig.space.encode(vertices) for _, vertices in meshes.pieces()]
+        return torch.cat(pieces) if pieces else self.rig.linear_map.new_zeros(0, self.rig.space.size)

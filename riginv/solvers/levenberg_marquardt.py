@@ -1,14 +1,15 @@
 """Levenberg-Marquardt on many meshes at once, each with damping, acceptance and convergence of its own."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
 from riginv.solvers.box_step import box_step, damped
-from riginv.solvers.objective import Objective
+from riginv.solvers.objective import Linearised, Objective
 
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
+TOLERANCE = 1e-4  # a mesh has converged once steps lower its objective by less than this share
 TRIES = 3  # of more and more damping on one linearisation, before the step counts as failed
 
 
@@ -30,9 +31,29 @@ class Solution:
     steps: Tensor
     skipped: Tensor
 
+    @classmethod
+    def at_neutral(cls, objective: Objective, count: int) -> "Solution":
+        """Meshes that nothing has been done for yet."""
+        units = objective.neutral.expand(count, -1).clone()
+        no, zero = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.long)
+        return cls(units, torch.full_like(units[:, 0], torch.nan), no, zero, no.clone())
+
+    def put(self, rows: Tensor, other: "Solution") -> None:
+        """Let `other` stand for some of the meshes."""
+        for field in fields(self):
+            getattr(self, field.name)[rows] = getattr(other, field.name)
+
+    def take_better(self, rows: Tensor | slice, other: "Solution") -> None:
+        """Take over from `other`, for some of the meshes, what costs less; steps add up."""
+        better = other.cost < self.cost[rows]
+        for name in ("units", "cost", "converged"):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            mine[rows] = torch.where(better[:, None] if theirs.ndim == 2 else better, theirs, mine[rows])
+        self.steps[rows] += other.steps
+
 
 def levenberg_marquardt(
-    objective: Objective, coordinates: Tensor, start: Tensor, steps: int, tolerance: float = 1e-4
+    objective: Objective, coordinates: Tensor, start: Tensor, steps: int, tolerance: float = TOLERANCE
 ) -> Solution:
     """Improve controls, mesh by mesh, each within the limits; meshes that have converged cost no more time.
 
@@ -42,6 +63,7 @@ def levenberg_marquardt(
         steps: linearisations, at most.
         tolerance: a mesh has converged once a step lowers its objective by less than this share, twice in a row.
     """
+    coordinates = coordinates.to(start)
     skipped = ~torch.isfinite(coordinates).all(dim=1)
     best = torch.where(skipped[:, None], objective.neutral, start.clamp(0, 1))
     cost = torch.full_like(best[:, 0], torch.nan)
@@ -66,7 +88,9 @@ def levenberg_marquardt(
     return Solution(best, cost, converged, taken, skipped)
 
 
-def _improve(objective: Objective, near, at: Tensor, target: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _improve(
+    objective: Objective, near: Linearised, at: Tensor, target: Tensor, damping: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """Try a step, and with more damping again where it does not help: controls, costs, and dampings to go on with."""
     moved, cost, damping = at.clone(), near.cost.clone(), damping.clone()
     trying = torch.arange(len(at), device=at.device)

@@ -1,7 +1,8 @@
 """What is minimised: the squared distance to a mesh, in mesh coordinates, of controls that run from 0 to 1.
 
-Half the squared vertex distances, in mm^2 (constant aside), plus `prior` times half the squared distance from neutral, in
-ranges: many rigs have several controls for one motion, and a faint prior says which to prefer.
+Half the mean squared vertex distance, in mm^2 (constant aside), plus `prior` times half the squared distance from neutral, in
+ranges: many rigs have several controls for one motion, and a faint prior says which to prefer. `sparsity` times the distance
+itself leaves fewer controls in use. All of it is taken times the number of vertices.
 """
 
 from typing import NamedTuple
@@ -11,7 +12,8 @@ from torch import Tensor
 
 from riginv.mesh_space import RigInMeshSpace
 
-PRIOR = 1e-2  # mm^2 for one control that leaves neutral by its whole range, of a mesh of thousands of vertices
+PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
+CORNER = 1e-3  # of a range: how round the corner of the distance from neutral is
 
 
 class Linearised(NamedTuple):
@@ -33,10 +35,19 @@ class Objective:
 
     With the residual e = R (f(r) - f(neutral)) - z and the rig's Jacobian J, the Gauss-Newton Hessian is J^T (R^T R) J: no
     vertex, and no Jacobian of vertices, is ever made.
+
+    Args:
+        rig: the rig in its mesh space.
+        prior: mm^2 for one control that leaves neutral by its whole range.
+        sparsity: the same, in proportion to the way.
+        dtype: to compute in; that of the rig unless given.
     """
 
-    def __init__(self, rig: RigInMeshSpace, prior: float = PRIOR, dtype: torch.dtype | None = None) -> None:
-        self.rig, self.prior = rig, prior
+    def __init__(
+        self, rig: RigInMeshSpace, prior: float = PRIOR, sparsity: float = 0.0, dtype: torch.dtype | None = None
+    ) -> None:
+        self.rig = rig
+        self.prior, self.sparsity = prior * rig.space.vertex_count, sparsity * rig.space.vertex_count
         dtype = dtype or rig.linear_map.dtype
         self.map = rig.linear_map.to(dtype)
         self.metric = self.map @ self.map.T
@@ -62,24 +73,42 @@ class Objective:
     def cost(self, units: Tensor, coordinates: Tensor) -> Tensor:
         """The objective `(mesh,)`, of which no less than 0 can remain."""
         found = self.rig.rig.coefficients(self.lower + self.span * units)
-        residual = (found - self.rest) @ self.map - coordinates
-        return 0.5 * residual.square().sum(dim=1) + 0.5 * self.prior * (units - self.neutral).square().sum(dim=1)
+        return 0.5 * self._residual(found, coordinates).square().sum(dim=1) + self._preference(units)[0]
 
     @torch.no_grad()
     def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
         """The gradient `(mesh, control)` of the objective, for the price of a Jacobian."""
         found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
-        residual = (found - self.rest) @ self.map - coordinates
-        return self.span * jacobian.pull(residual @ self.map.T) + self.prior * (units - self.neutral)
+        return self.span * jacobian.pull(self._residual(found, coordinates) @ self.map.T) + self._preference(units)[1]
 
     @torch.no_grad()
     def linearise(self, units: Tensor, coordinates: Tensor) -> Linearised:
         """The objective with its gradient and Gauss-Newton Hessian."""
         found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
-        residual = (found - self.rest) @ self.map - coordinates
-        away = units - self.neutral
-        gradient = self.span * jacobian.pull(residual @ self.map.T) + self.prior * away
+        residual = self._residual(found, coordinates)
+        cost, gradient, curvature = self._preference(units)
         hessian = jacobian.gram(self.metric) * self.span * self.span[:, None]
-        hessian.diagonal(dim1=1, dim2=2).add_(self.prior)
-        cost = 0.5 * residual.square().sum(dim=1) + 0.5 * self.prior * away.square().sum(dim=1)
-        return Linearised(cost, gradient, hessian)
+        hessian.diagonal(dim1=1, dim2=2).add_(curvature)
+        gradient = gradient + self.span * jacobian.pull(residual @ self.map.T)
+        return Linearised(cost + 0.5 * residual.square().sum(dim=1), gradient, hessian)
+
+    def _residual(self, coefficients: Tensor, coordinates: Tensor) -> Tensor:
+        return (coefficients - self.rest) @ self.map - coordinates
+
+    def _preference(self, units: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Prior and sparsity: their cost `(mesh,)`, gradient and curvature, both `(mesh, control)`.
+
+        A control that is neutral at a limit pays in proportion to its way from there; one that is neutral inside its range by
+        a rounded corner, whose curvature is that of the parabola through it which lies nowhere below.
+        """
+        away = units - self.neutral
+        cost, gradient = 0.5 * self.prior * away.square().sum(dim=1), self.prior * away
+        curvature = torch.full_like(away, self.prior)
+        if self.sparsity:
+            rounded = (away.square() + CORNER**2).sqrt()
+            inside = (self.neutral > 0) & (self.neutral < 1)
+            cost = cost + self.sparsity * torch.where(inside, rounded - CORNER, away.abs()).sum(dim=1)
+            direction = torch.where(self.neutral <= 0, 1.0, -1.0)
+            gradient = gradient + self.sparsity * torch.where(inside, away / rounded, direction)
+            curvature = curvature + self.sparsity * torch.where(inside, 1 / rounded, 0.0)
+        return cost, gradient, curvature
