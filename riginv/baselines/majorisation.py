@@ -103,7 +103,7 @@ class MajorisationMinimisation(Method):
         "Rackovic, Soares, Jakovetic, Desnica: A majorization-minimization-based method for nonconvex inverse rig "
         "problems in facial animation (arXiv 2205.04289; LMMM). Changed: bounds taken in mesh coordinates and per weight, "
         "where the published ones are per vertex coordinate and shared by all weights, so that steps are longer and no "
-        "hour of eigenvalues is needed; the Jacobian has both halves of the product rule, no row is left out, and the "
+        "minute of eigenvalues goes before; the Jacobian has both halves of the product rule, no row is left out, and the "
         "tolerance is relative, so that it is passed; squares of single controls; the published strides of 5 to 50 are "
         "kept, and 2 is added."
     )

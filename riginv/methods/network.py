@@ -26,7 +26,7 @@ class Network(Method):
 
     def __init__(self, rig: RigInMeshSpace, bundle: str) -> None:
         super().__init__(rig)
-        self.inverse: Inverse = load_inverse(bundle)
+        self.inverse: Inverse = load_inverse(bundle, rig.rig)
         if self.inverse.rig.control_names != rig.rig.control_names:
             raise InputError(f"{bundle}: the network was trained on rig '{self.inverse.rig.name}', not on '{rig.rig.name}'")
 
