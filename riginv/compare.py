@@ -26,7 +26,7 @@ def compare(config: DictConfig) -> None:
     """
     plain = plain_config(config)
     validate(plain)
-    configs = plain.pop("methods") or {}
+    configs = plain.pop("methods", None)
     if not configs:
         raise InputError("methods names nothing to compare: methods=[NAME,NAME,...]")
     folder = find_run_folder(run_directory(), plain, config.resume)

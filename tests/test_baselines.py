@@ -33,11 +33,11 @@ BASELINES = {
     "gaussian_process": (lambda rig: HoldenGaussianProcess(rig, sparse_poses(rig), drawn=1000, poses=300), 15),
     "clustered_processes": (lambda rig: ClusteredGaussianProcesses(rig, sparse_poses(rig), 6, 1000, 150), 7),
     "quadratic": (lambda rig: QuadraticLevenbergMarquardt(rig, pairs=50), 7),
-    "coordinate_descent": (lambda rig: CoordinateDescent(rig, 50, 20, 5, sparsity=0.01), 7),
-    "majorisation": (lambda rig: MajorisationMinimisation(rig, pairs=50, sparsity=0.01), 12),
+    "coordinate_descent": (lambda rig: CoordinateDescent(rig, 50, 20, 5, sparsity=1e-4), 7),
+    "majorisation": (lambda rig: MajorisationMinimisation(rig, pairs=50, sparsity=1e-4), 12),
     "tabulated": (lambda rig: TabulatedGaussNewton(rig, pairs=50, triples=20), 10),
-    "blendshape_nnls": (lambda rig: BlendshapeWeights(rig, ridge=0.1), 8),
-    "blendshape_ridge": (lambda rig: BlendshapeWeights(rig, ridge=0.1, bounded=False), 8),
+    "blendshape_nnls": (lambda rig: BlendshapeWeights(rig, ridge=1e-3), 8),
+    "blendshape_ridge": (lambda rig: BlendshapeWeights(rig, ridge=1e-3, bounded=False), 8),
 }
 every_baseline = pytest.mark.parametrize("name", list(BASELINES))
 

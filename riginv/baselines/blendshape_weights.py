@@ -42,7 +42,7 @@ class BlendshapeWeights(Method):
     """Solve for the weights of the primary shapes alone, and look the controls up.
 
     Args:
-        ridge: penalty on the squared weights, mm^2 for a weight of 1.
+        ridge: penalty on the squared weights, mm^2 of mean squared error for a weight of 1.
         bounded: whether the weights stay in [0, 1] while they are solved for; else they are cut off afterwards.
 
     Raises:
@@ -56,7 +56,7 @@ class BlendshapeWeights(Method):
         "macros beside it."
     )
 
-    def __init__(self, rig: RigInMeshSpace, ridge: float = 1.0, bounded: bool = True) -> None:
+    def __init__(self, rig: RigInMeshSpace, ridge: float = 1e-4, bounded: bool = True) -> None:
         super().__init__(rig)
         if not rig.rig.has_blendshapes:
             raise InputError(
@@ -64,7 +64,7 @@ class BlendshapeWeights(Method):
             )
         if not ridge > 0:
             raise InputError(f"blendshape weights: ridge is {ridge}, expected above 0")
-        self.ridge, self.bounded = ridge, bounded
+        self.ridge, self.bounded = ridge * rig.space.vertex_count, bounded
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)

@@ -79,15 +79,15 @@ class CoordinateDescent(Method):
     Args:
         pairs, triples, quadruples: products of two, three and four controls that are kept, the strongest.
         iterations: visits to every control.
-        sparsity: penalty on the sum of the weights, mm^2 for a weight of 1.
+        sparsity: penalty on the sum of the weights, mm^2 of mean squared error for a weight of 1.
     """
 
     source = (
         "Rackovic, Soares, Jakovetic, Desnica: High-fidelity interpretable inverse rig: an accurate and sparse solution "
         "optimizing the quartic blendshape model (arXiv 2302.04820). Changed: Gram form, equal to the published steps and "
         "some hundred times as fast; the products are measured from the rig, for not every rig is a quartic one; of a "
-        "two-sided control only one side may be active, the better one; 50 iterations and a penalty of 0.5 where the "
-        "scripts have 7 and 5, which stop early; it starts at neutral where theirs starts at a clipped pseudo-inverse."
+        "two-sided control only one side may be active, the better one; 50 iterations and a faint penalty where the "
+        "scripts have 7 and a strong one; it starts at neutral where theirs starts at a clipped pseudo-inverse."
     )
 
     def __init__(
@@ -97,10 +97,11 @@ class CoordinateDescent(Method):
         triples: int = 300,
         quadruples: int = 50,
         iterations: int = 50,
-        sparsity: float = 0.5,
+        sparsity: float = 1e-4,
     ) -> None:
         super().__init__(rig)
-        self.products, self.iterations, self.sparsity = [pairs, triples, quadruples], iterations, sparsity
+        self.products, self.iterations = [pairs, triples, quadruples], iterations
+        self.sparsity = 0.5 * sparsity * rig.space.vertex_count  # of half the squared distance
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)

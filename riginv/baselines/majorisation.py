@@ -95,7 +95,7 @@ class MajorisationMinimisation(Method):
     Args:
         pairs: products of two controls that are kept, the strongest.
         iterations: steps, at most.
-        sparsity: penalty on the sum of the weights, mm^2 for a weight of 1.
+        sparsity: penalty on the sum of the weights, mm^2 of mean squared error for a weight of 1.
         tolerance: steps end once no mesh of a batch gains more than this share of its objective in one.
     """
 
@@ -113,11 +113,12 @@ class MajorisationMinimisation(Method):
         rig: RigInMeshSpace,
         pairs: int = 1000,
         iterations: int = 150,
-        sparsity: float = 1.0,
+        sparsity: float = 1e-4,
         tolerance: float = 1e-4,
     ) -> None:
         super().__init__(rig)
-        self.pairs, self.iterations, self.sparsity, self.tolerance = pairs, iterations, sparsity, tolerance
+        self.pairs, self.iterations, self.tolerance = pairs, iterations, tolerance
+        self.sparsity = sparsity * rig.space.vertex_count
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)

@@ -10,7 +10,7 @@ class ModelObjective:
     """Controls are shares of their ranges, 0 at the lower limit and 1 at the upper, in float64.
 
     Args:
-        prior: mm^2 for one control that leaves neutral by its whole range, as in `riginv.solvers.objective`: it settles which
+        prior: mm^2, over all vertices, for one control that leaves neutral by its whole range: it settles which
             of several controls for one motion is taken, and keeps one that does nothing at neutral.
     """
 

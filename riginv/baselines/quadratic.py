@@ -21,7 +21,7 @@ class QuadraticLevenbergMarquardt(Method):
     Args:
         pairs: products of two controls that are kept, the strongest.
         steps: of Levenberg-Marquardt, at most.
-        prior: pull to neutral, mm^2.
+        prior: pull to neutral, mm^2 of mean squared error for one control by its whole range.
     """
 
     source = (
@@ -34,7 +34,7 @@ class QuadraticLevenbergMarquardt(Method):
 
     def __init__(self, rig: RigInMeshSpace, pairs: int = 1000, steps: int = 30, prior: float = PRIOR) -> None:
         super().__init__(rig)
-        self.pairs, self.steps, self.prior = pairs, steps, prior
+        self.pairs, self.steps, self.prior = pairs, steps, prior * rig.space.vertex_count
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)

@@ -26,8 +26,8 @@ class TabulatedGaussNewton(Method):
     Args:
         knots: pieces of each table.
         pairs, triples: products of two and of three controls that are kept, the strongest.
-        steps: of Gauss-Newton; a clip's frames start where the frame before ended only if `chained`.
-        prior: pull to neutral, mm^2.
+        steps: of Gauss-Newton, for every mesh from neutral.
+        prior: pull to neutral, mm^2 of mean squared error for one control by its whole range.
     """
 
     source = (
@@ -49,7 +49,8 @@ class TabulatedGaussNewton(Method):
         prior: float = PRIOR,
     ) -> None:
         super().__init__(rig)
-        self.knots, self.products, self.steps, self.prior = knots, [pairs, triples], steps, prior
+        self.knots, self.products, self.steps = knots, [pairs, triples], steps
+        self.prior = prior * rig.space.vertex_count
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)

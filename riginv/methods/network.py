@@ -4,7 +4,6 @@ import torch
 from torch import Tensor
 
 from riginv.data.mesh_sets import MeshSet
-from riginv.errors import InputError
 from riginv.inverse import Inverse, load_inverse
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
@@ -27,8 +26,6 @@ class Network(Method):
     def __init__(self, rig: RigInMeshSpace, bundle: str) -> None:
         super().__init__(rig)
         self.inverse: Inverse = load_inverse(bundle, rig.rig)
-        if self.inverse.rig.control_names != rig.rig.control_names:
-            raise InputError(f"{bundle}: the network was trained on rig '{self.inverse.rig.name}', not on '{rig.rig.name}'")
 
     @torch.no_grad()
     def controls(self, coordinates: Tensor) -> Tensor:

@@ -59,10 +59,10 @@ def solve_frames(objective: Objective, coordinates: Tensor, steps: int = 20, mor
     """
     count, distance = len(coordinates), KEY_DISTANCE
     found = Solution.at_neutral(objective, count)
-    keys = torch.arange(0, count, distance)
+    keys = torch.arange(count)[::distance]
     found.put(keys, solve_meshes(objective, coordinates[keys], 1, steps))
     while distance > 1:
-        new = torch.arange(distance // 2, count, distance)
+        new = torch.arange(count)[distance // 2 :: distance]
         before, after = new - distance // 2, (new + distance // 2).clamp(max=(count - 1) // distance * distance)
         before, after = (torch.where(found.skipped[one], other, one) for one, other in ((before, after), (after, before)))
         start = (found.units[before] + found.units[after]) / 2
@@ -76,7 +76,7 @@ def solve_frames(objective: Objective, coordinates: Tensor, steps: int = 20, mor
 
 def _take_over(objective: Objective, coordinates: Tensor, found: Solution, shift: int, steps: int) -> None:
     """Let frames go on from the answer of the frame `shift` before them, where that is promising."""
-    rows = torch.arange(max(shift, 0), len(coordinates) + min(shift, 0))
+    rows = torch.arange(len(coordinates))[max(shift, 0) : len(coordinates) + min(shift, 0)]
     if not len(rows):
         return
     pieces = zip(found.units[rows - shift].split(PIECE), coordinates[rows].split(PIECE))
