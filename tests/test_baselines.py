@@ -20,6 +20,7 @@ from riginv.rig_contract import check_rig
 from riginv.sampling.controls import PlausibleControls, SparseControls
 from riginv.sampling.meshes import RandomCombinations, RigPoses
 from riginv.sampling.seeds import generator_at
+from tests.conftest import ROOT
 from tests.toys import ToyRig
 
 
@@ -175,8 +176,6 @@ def test_every_baseline_is_a_config(run):
 
 
 def toy_configs() -> list[str]:
-    from tests.conftest import ROOT
-
     return [f"--config-dir={ROOT / 'tests/conf'}"]
 
 

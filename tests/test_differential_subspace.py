@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.geometry.differential import differential_coordinates, spread_vertices
+from riginv.geometry.differential import differential_coordinates
+from riginv.geometry.spread import spread_points
 from riginv.losses import SquaredVertexLoss
 from riginv.modules.forward import ForwardModule
 from riginv.networks.differential_subspace import DifferentialSubspace, reconstruction
@@ -38,7 +39,7 @@ def test_differential_coordinates_are_the_graph_laplacian(toy):
 
 def test_the_reconstruction_is_least_squares_within_the_rigs_span(toy):
     rig, weight = toy.rig, 0.3
-    anchors = spread_vertices(rig.rest_vertices, 4)
+    anchors = spread_points(rig.rest_vertices, 4)
     assert len(set(anchors.tolist())) == 4
     maps = reconstruction(rig, anchors, weight)
     generator = generator_at(0, "components")

@@ -8,8 +8,9 @@ from scipy.optimize import lsq_linear
 from riginv.baselines.blendshape_weights import BlendshapeWeights, bounded_least_squares
 from riginv.baselines.clusters import _threshold, control_reach, find_clusters
 from riginv.baselines.control_lookup import ControlLookup
-from riginv.baselines.gaussian_process import GaussianProcess, PrincipalComponents, far_apart
+from riginv.baselines.gaussian_process import GaussianProcess, PrincipalComponents
 from riginv.baselines.sides import Sides
+from riginv.geometry.spread import spread_points
 from riginv.sampling.seeds import generator_at
 
 
@@ -63,7 +64,7 @@ def test_principal_components_keep_distances(toy):
 
 def test_samples_far_apart_are_chosen_first():
     line = torch.tensor([0.0, 0.1, 0.2, 5.0, 5.1, 10.0])[:, None]
-    assert far_apart(line, 3).tolist() == [0, 5, 3] and len(far_apart(line, 99)) == 6
+    assert spread_points(line, 3).tolist() == [3, 0, 5] and len(spread_points(line, 99)) == 6
 
 
 def test_clusters_find_vertices_that_move_together():

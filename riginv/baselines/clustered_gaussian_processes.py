@@ -4,10 +4,11 @@ import torch
 from torch import Tensor
 
 from riginv.baselines.clusters import Cluster, control_reach, find_clusters
-from riginv.baselines.gaussian_process import GaussianProcess, PrincipalComponents, far_apart
+from riginv.baselines.gaussian_process import GaussianProcess, PrincipalComponents
 from riginv.baselines.pieces import in_pieces
 from riginv.baselines.training_poses import as_controls, training_poses
 from riginv.data.mesh_sets import MeshSet
+from riginv.geometry.spread import spread_points
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
 from riginv.sampling.meshes import MeshSampler
@@ -53,7 +54,7 @@ class ClusteredGaussianProcesses(Method):
         for cluster in find_clusters(control_reach(self.rig), self.clusters, seed):
             components = PrincipalComponents(coordinates, self.variance, self._view(cluster))
             inputs = components(coordinates)
-            kept = far_apart(inputs, self.poses)
+            kept = spread_points(inputs, self.poses)
             process = GaussianProcess(inputs[kept], away[kept][:, cluster.controls])
             self.parts.append((cluster, components, process))
 

@@ -68,13 +68,3 @@ class PrincipalComponents:
     def __call__(self, coordinates: Tensor) -> Tensor:
         """Mesh coordinates `(mesh, coordinate)` as `(mesh, component)`."""
         return coordinates.double() @ self.map - self.offset
-
-
-def far_apart(inputs: Tensor, count: int) -> Tensor:
-    """Rows `(count,)` of inputs `(sample, input)` that are far from each other: each the farthest from all before it."""
-    chosen = [int(inputs.norm(dim=1).argmin())]
-    distance = (inputs - inputs[chosen[0]]).norm(dim=1)
-    while len(chosen) < min(count, len(inputs)):
-        chosen.append(int(distance.argmax()))
-        distance = torch.minimum(distance, (inputs - inputs[chosen[-1]]).norm(dim=1))
-    return torch.tensor(chosen)

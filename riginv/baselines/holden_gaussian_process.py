@@ -2,10 +2,11 @@
 
 from torch import Tensor
 
-from riginv.baselines.gaussian_process import GaussianProcess, PrincipalComponents, far_apart
+from riginv.baselines.gaussian_process import GaussianProcess, PrincipalComponents
 from riginv.baselines.pieces import in_pieces
 from riginv.baselines.training_poses import as_controls, training_poses
 from riginv.data.mesh_sets import MeshSet
+from riginv.geometry.spread import spread_points
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
 from riginv.sampling.meshes import MeshSampler
@@ -42,7 +43,7 @@ class HoldenGaussianProcess(Method):
         coordinates, away = training_poses(self.rig, self.sampler, self.drawn, seed)
         self.components = PrincipalComponents(coordinates, self.variance)
         inputs = self.components(coordinates)
-        kept = far_apart(inputs, self.poses)
+        kept = spread_points(inputs, self.poses)
         self.process = GaussianProcess(inputs[kept], away[kept])
 
     def invert(self, meshes: MeshSet) -> Tensor:

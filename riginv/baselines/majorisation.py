@@ -32,7 +32,7 @@ class Majoriser:
 
     def __init__(self, model: ProductModel, sparsity: float) -> None:
         self.model, self.sparsity = model, sparsity
-        second = (model.members != NONE).sum(dim=1) == 2 if model.members.shape[1] > 1 else torch.zeros(0, dtype=torch.bool)
+        second = (model.members != NONE).sum(dim=1) == 2
         self.products = second.nonzero()[:, 0]
         self.pair = model.in_slot[self.products][:, :2]
         deltas = model.deltas[self.products]

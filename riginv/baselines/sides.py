@@ -13,6 +13,7 @@ class Sides:
         control: whose side it is, `(side,)`.
         reach: how far the control goes that way, in its own unit, `(side,)`; negative for the way down.
         groups: for each control its one or two sides.
+        alone: whether a side is the only one of its control, `(side,)`.
     """
 
     def __init__(self, rig: RigBackend) -> None:
@@ -25,6 +26,7 @@ class Sides:
         self.control = torch.tensor([control for control, _ in found])
         self.reach = torch.tensor([reach for _, reach in found], dtype=torch.float64)
         self.groups = [(self.control == control).nonzero()[:, 0].tolist() for control in range(len(self.neutral))]
+        self.alone = torch.tensor([len(self.groups[control]) == 1 for control in self.control.tolist()])
 
     def __len__(self) -> int:
         return len(self.control)
@@ -51,7 +53,6 @@ class Sides:
         """
         away = (self.lower + self.span * units - self.neutral)[:, self.control]
         weights = away / self.reach
-        alone = torch.tensor([len(self.groups[control]) == 1 for control in self.control.tolist()])
-        active = torch.where(self.reach > 0, away >= 0, away < 0) | alone
+        active = torch.where(self.reach > 0, away >= 0, away < 0) | self.alone
         slopes = torch.where(active, self.span[self.control] / self.reach, 0.0)
         return weights.clamp(0, 1), slopes

@@ -20,13 +20,3 @@ def differential_coordinates(meshes: Tensor, faces: Tensor) -> Tensor:
     total = torch.zeros_like(meshes).index_add_(1, edges[:, 0], meshes[:, edges[:, 1]])
     apart = meshes - total / degree.clamp_min(1)[:, None]
     return torch.where(degree[:, None] > 0, apart, 0.0)
-
-
-def spread_vertices(vertices: Tensor, count: int) -> Tensor:
-    """Indices `(count,)` of vertices `(vertex, 3)` spread evenly over a mesh: each the farthest from all before it."""
-    chosen = [int((vertices - vertices.mean(dim=0)).norm(dim=1).argmax())]
-    distance = (vertices - vertices[chosen[0]]).norm(dim=1)
-    while len(chosen) < min(count, len(vertices)):
-        chosen.append(int(distance.argmax()))
-        distance = torch.minimum(distance, (vertices - vertices[chosen[-1]]).norm(dim=1))
-    return torch.tensor(chosen, device=vertices.device)

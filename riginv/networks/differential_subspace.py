@@ -18,7 +18,8 @@ import torch
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.geometry.differential import differential_coordinates, spread_vertices
+from riginv.geometry.differential import differential_coordinates
+from riginv.geometry.spread import spread_points
 from riginv.mesh_space import MeshSpace
 from riginv.networks.mlp import mlp
 from riginv.networks.surrogate import SurrogateNetwork
@@ -106,7 +107,7 @@ class DifferentialSubspace(SurrogateNetwork):
         if not anchor_weight > 0:
             raise InputError(f"network: anchor_weight is {anchor_weight}, expected above 0")
         self.weights = False  # coefficients follow from a mesh, not from a sigmoid
-        maps = reconstruction(rig, spread_vertices(rig.rest_vertices, anchors), anchor_weight, components)
+        maps = reconstruction(rig, spread_points(rig.rest_vertices, anchors), anchor_weight, components)
         # Kept with the weights: another machine may find the same components with other signs.
         self.register_buffer("from_differential", maps.from_differential)
         self.register_buffer("from_anchors", maps.from_anchors)
