@@ -44,13 +44,16 @@ def by_hand(model, weights: np.ndarray) -> np.ndarray:
     return total
 
 
-def test_sides_and_controls_are_the_same_thing_twice(toy):
+def test_sides_lead_from_neutral_to_the_limits(toy):
     sides = Sides(toy.rig)
     assert len(sides) == 8 and sorted(map(len, sides.groups)) == [1] * 6 + [2]
     controls = SparseControls(toy).sample(30, generator_at(0, "sides"))
-    torch.testing.assert_close(sides.controls(sides.weights(controls)), controls)
-    through_units, _ = sides.of_units(sides.units(controls))
-    torch.testing.assert_close(through_units, sides.weights(controls))
+    weights = torch.stack(
+        [(controls[:, control] * sign).clamp_min(0) for control, sign in zip(sides.control, sides.reach)], dim=1
+    )
+    torch.testing.assert_close(sides.controls(weights), controls)
+    assert torch.equal(sides.controls(torch.zeros(1, 8))[0], toy.rig.neutral_controls)
+    assert sides.controls(9 * torch.ones(1, 8)).tolist() == [[1, 1, 1, 1, 1, 0, 1]]  # both sides of one control cancel
 
 
 def test_a_model_is_the_sum_of_its_terms(model):
@@ -85,16 +88,16 @@ def test_measured_poses_are_met_exactly(toy):
             assert apart.abs().max() < 1e-2, found  # terms fainter than measured.LEAST_MM are left out
 
 
-def test_the_objective_is_that_of_controls(toy):
+def test_the_objectives_gradient_is_its_slope(toy):
     objective = ModelObjective(MODELS["tables"](toy), prior=0.3)
-    units = 0.02 + 0.93 * torch.rand(4, 7, generator=generator_at(0, "units"), dtype=torch.float64)
-    target = torch.randn(4, toy.space.size, generator=generator_at(1, "units"), dtype=torch.float64) * 20
-    near, step = objective.linearise(units, target), 1e-7
-    torch.testing.assert_close(near.cost, objective.cost(units, target))
-    for control in range(7):
-        move = step * torch.eye(7, dtype=torch.float64)[control]
-        slope = (objective.cost(units + move, target) - objective.cost(units - move, target)) / (2 * step)
-        torch.testing.assert_close(near.gradient[:, control], slope, atol=1e-3, rtol=1e-4)
+    weights = 0.02 + 0.93 * some_weights(objective.model, 4)
+    target = torch.randn(4, toy.space.size, generator=generator_at(1, "weights"), dtype=torch.float64) * 20
+    near, step = objective.linearise(weights, target), 1e-7
+    torch.testing.assert_close(near.cost, objective.cost(weights, target))
+    for side in range(8):
+        move = step * torch.eye(8, dtype=torch.float64)[side]
+        slope = (objective.cost(weights + move, target) - objective.cost(weights - move, target)) / (2 * step)
+        torch.testing.assert_close(near.gradient[:, side], slope, atol=1e-3, rtol=1e-4)
 
 
 def published_visit(model, weights: np.ndarray, target: np.ndarray, sparsity: float) -> None:

@@ -29,7 +29,8 @@ class QuadraticLevenbergMarquardt(Method):
         "(2021, arXiv 2109.08356), as the paper cites it: second-order polynomial and Levenberg-Marquardt. Changed: the "
         "coefficients are measured from the rig (each control alone at half and full, each pair at full) where theirs "
         "came with the rig; a square for each control, since a single control of ours bends its path; limits by an active "
-        "set in each step; residuals in mesh coordinates, which is exact."
+        "set in each step; each way out of neutral has a weight of its own; residuals in mesh coordinates, which is "
+        "exact."
     )
 
     def __init__(self, rig: RigInMeshSpace, pairs: int = 1000, steps: int = 30, prior: float = PRIOR) -> None:
@@ -48,4 +49,4 @@ class QuadraticLevenbergMarquardt(Method):
     def _solve(self, coordinates: Tensor) -> Tensor:
         start = self.objective.neutral.expand(len(coordinates), -1)
         found = levenberg_marquardt(self.objective, coordinates.double(), start, self.steps)
-        return self.objective.controls(found.units)
+        return self.objective.model.sides.controls(found.units)

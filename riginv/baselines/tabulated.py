@@ -34,9 +34,9 @@ class TabulatedGaussNewton(Method):
         "Gustafson, Lo, Kanyuk: Analytically learning an inverse rig mapping (SIGGRAPH Talks 2020): an approximation of "
         "the rig is derived offline, and inverted by an iterative least-squares solver with its analytic Jacobian. A talk "
         "of two pages: the form of the approximation is our choice (tabulated paths and products of tabulated curves, in "
-        "mesh coordinates), for theirs is made for joints and ours must serve any rig. Changed besides: limits by an "
-        "active set, a faint prior, and steps that do not help are halved; every frame starts at neutral, so that frames "
-        "can be solved together."
+        "mesh coordinates), for theirs is made for joints and ours must serve any rig. Changed besides: a weight for each "
+        "way out of neutral, limits by an active set, a faint prior, and steps that do not help are halved; every frame "
+        "starts at neutral, so that frames can be solved together."
     )
 
     def __init__(
@@ -74,4 +74,4 @@ class TabulatedGaussNewton(Method):
                 if not bool(waiting.any()):
                     break
                 step = step / 2
-        return self.objective.controls(at.clamp(0, 1))
+        return self.objective.model.sides.controls(at.clamp(0, 1))
