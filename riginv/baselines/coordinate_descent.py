@@ -31,6 +31,9 @@ class GramDescent:
         strength = model.deltas[: len(model.sides)].norm(dim=1).tolist()
         order = sorted(model.sides.groups, key=lambda group: -max(strength[side] for side in group))
         self.groups = groups if groups is not None else order
+        self.rows = [self.gram[terms] for terms in model.terms_of_side]
+        self.blocks = [rows[:, terms] for rows, terms in zip(self.rows, model.terms_of_side)]
+        self.members = [model.members[terms] for terms in model.terms_of_side]
         self.least = torch.finfo(torch.float64).eps * self.gram.diagonal().max().clamp_min(1e-30)
 
     def cost(self, weights: Tensor, coordinates: Tensor) -> Tensor:
@@ -44,33 +47,51 @@ class GramDescent:
         for _ in range(iterations):
             misfit = self.model.features(weights) @ self.gram - target  # anew each time, so that rounding does not pile up
             for group in self.groups:
-                self._visit(group, weights, misfit)
+                if len(group) == 1:
+                    self._visit(group[0], weights, misfit)
+                else:
+                    self._visit_rivals(group, weights, misfit)
         return weights
 
-    def _visit(self, group: list[int], weights: Tensor, misfit: Tensor) -> None:
-        terms = [self.model.terms_of_side[side] for side in group]
+    def _visit(self, side: int, weights: Tensor, misfit: Tensor) -> None:
+        """Put one weight at its minimum."""
+        others = self._others(side, weights)
+        slope, bend = self._slope(side, others, misfit), self._bend(side, others)
+        before = weights[:, side].clone()
+        weights[:, side] = self._least(slope - bend * before, bend)
+        change = (weights[:, side] - before)[:, None] * others
+        misfit.addmm_(change, self.rows[side])
+
+    def _visit_rivals(self, group: list[int], weights: Tensor, misfit: Tensor) -> None:
+        """Put that one of a few weights at its minimum that gains the most, and the others at 0."""
         others = [self._others(side, weights) for side in group]
-        rows = [other @ self.gram[chosen] for other, chosen in zip(others, terms)]
-        without = misfit - sum(weights[:, side, None] * row for side, row in zip(group, rows))
+        for side, other in zip(group, others):
+            misfit.addmm_(-weights[:, side, None] * other, self.rows[side])
         values, gains = [], []
-        for other, chosen, row in zip(others, terms, rows):
-            slope = self.sparsity + (without[:, chosen] * other).sum(dim=1)
-            bend = (row[:, chosen] * other).sum(dim=1)
-            value = torch.where(bend > self.least, (-slope / bend.clamp_min(self.least)).clamp(0, 1), 0.0)
-            values.append(value)
-            gains.append(-slope * value - 0.5 * bend * value**2)
+        for side, other in zip(group, others):
+            slope, bend = self._slope(side, other, misfit), self._bend(side, other)
+            values.append(self._least(slope, bend))
+            gains.append(-slope * values[-1] - 0.5 * bend * values[-1] ** 2)
         best = torch.stack(gains).argmax(dim=0)
-        misfit.copy_(without)
-        for number, (side, value, row) in enumerate(zip(group, values, rows)):
+        for number, (side, other, value) in enumerate(zip(group, others, values)):
             weights[:, side] = torch.where(best == number, value, 0.0)
-            misfit.addcmul_(weights[:, side, None], row)
+            misfit.addmm_(weights[:, side, None] * other, self.rows[side])
+
+    def _slope(self, side: int, others: Tensor, misfit: Tensor) -> Tensor:
+        return self.sparsity + (misfit[:, self.model.terms_of_side[side]] * others).sum(dim=1)
+
+    def _bend(self, side: int, others: Tensor) -> Tensor:
+        return ((others @ self.blocks[side]) * others).sum(dim=1)
+
+    def _least(self, slope: Tensor, bend: Tensor) -> Tensor:
+        """Where slope w + bend w^2 / 2 is least within [0, 1]; 0 for a weight that does nothing."""
+        return torch.where(bend > self.least, (-slope / bend.clamp_min(self.least)).clamp(0, 1), 0.0)
 
     def _others(self, side: int, weights: Tensor) -> Tensor:
         """The terms of a side `(mesh, term)` at weight 1 of it, the others being where they are."""
-        members = self.model.members[self.model.terms_of_side[side]]
         padded = torch.cat([weights, weights.new_ones(len(weights), 1)], dim=1)
         padded[:, side] = 1.0
-        return padded[:, members].prod(dim=2)
+        return padded[:, self.members[side]].prod(dim=2)
 
 
 class CoordinateDescent(Method):
