@@ -96,7 +96,7 @@ class DifferentialSubspace(SurrogateNetwork):
         hidden: Sequence[int] = (1024, 1024),
         subspace_hidden: Sequence[int] = (256, 256),
         anchors: int = 64,
-        anchor_weight: float = 0.01,
+        anchor_weight: float = 1.0,
         components: int | None = None,
         activation: str = "leaky_relu",
     ) -> None:
