@@ -23,7 +23,7 @@ FLOORS = [
     {"clips", "judge", "inverse", "modules", "recorded_rig"},
     {"optimum"},
     {"evaluation", "methods"},
-    {"callbacks"},
+    {"callbacks", "baselines"},
     {"assemble"},
     {"train", "evaluate", "check", "contact_sheet", "compare"},
 ]
