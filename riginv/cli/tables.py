@@ -68,7 +68,8 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
     console.print(f"  {judge}", highlight=False, soft_wrap=True)
     console.print(
         "  Neutral's error: what predicting the neutral mesh would cost; share left: of that. "
-        "Worst vertex: on average over the meshes, and of all. Times best: the error over the least that a solver found from many starts, on a few of the meshes. "
+        "Worst vertex: on average over the meshes, and of all. "
+        "Times best: the error over the least that a solver found from many starts, on a few of the meshes. "
         "Roughness: mean squared second difference of the curves.",
         highlight=False,
         soft_wrap=True,
