@@ -154,8 +154,8 @@ class StagedInverse(InverseNetwork):
         return raw, Answer(controls, self.rig(controls))
 
     def forward(self, coordinates: Tensor) -> Tensor:
-        """The best of the answers for each mesh: what a correction leaves can be seen, so that one that fails is not taken."""
-        answers = self.answers(coordinates)
+        """The last answer; after a guess from features the best one of each mesh, for there a correction may fail."""
+        answers = self.answers(coordinates)[0 if self.features else -1 :]
         errors = torch.stack([(answer.coordinates - coordinates).square().sum(dim=1) for answer in answers])
         best = errors.argmin(dim=0)
         controls = torch.stack([answer.controls for answer in answers])[best, torch.arange(len(best), device=best.device)]
