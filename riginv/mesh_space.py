@@ -128,7 +128,11 @@ class RigInMeshSpace(nn.Module):
 
     def forward(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to mesh coordinates `(batch, coordinate)`; 0 at the neutral controls."""
-        return (self.rig.coefficients(controls) - self.neutral_coefficients) @ self.linear_map
+        return self.coordinates_of(self.rig.coefficients(controls))
+
+    def coordinates_of(self, coefficients: Tensor) -> Tensor:
+        """Coefficients `(batch, coefficient)` to mesh coordinates `(batch, coordinate)`."""
+        return (coefficients - self.neutral_coefficients) @ self.linear_map
 
 
 def _orthonormal(rows: Tensor) -> tuple[Tensor, Tensor]:

@@ -129,9 +129,12 @@ class LinearRig(RigBackend):
         coefficient_names: one for each coefficient.
         primary_count: of a blendshape rig, whose coefficients are weights in [0, 1], 0 at rest: how many shapes, counted from
             the first, are driven directly; those after them correct these (in-betweens, combinations). Else 0.
+        loose_parts: `(part,)`: how far each part of the rig may go on its own, where no control moves it like that, as a
+            standard deviation: the turns of joints. Empty where a rig has none.
     """
 
     basis: Tensor
+    loose_parts: Tensor
 
     def __init__(
         self,
@@ -149,6 +152,7 @@ class LinearRig(RigBackend):
                 f"rig '{name}': the basis has shape {tuple(basis.shape)}, expected (coefficient, *{tuple(rest_vertices.shape)})"
             )
         self.register_buffer("basis", basis, persistent=False)
+        self.register_buffer("loose_parts", rest_vertices.new_zeros(0), persistent=False)
         self.coefficient_names = tuple(coefficient_names or (f"coefficient_{i}" for i in range(len(basis))))
         self.primary_count = primary_count
 
@@ -190,6 +194,10 @@ class LinearRig(RigBackend):
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
         """How features `(batch, feature)` changed; a rig with angles among them takes the shorter way round."""
         return after - before
+
+    def loose_coefficients(self, controls: Tensor, parts: Tensor) -> Tensor:
+        """Coefficients `(batch, coefficient)` near a pose: each part has gone on its own by `parts` `(batch, part)`."""
+        return self.coefficients(controls)
 
     def forward(self, controls: Tensor) -> Tensor:
         change = self.coefficients(controls) - self.neutral_coefficients().to(controls)

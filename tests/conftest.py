@@ -14,6 +14,7 @@ from hydra.core.global_hydra import GlobalHydra
 from riginv import check, compare, evaluate, train
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from rigs.body import BodyRig
 from rigs.face import FaceRig
 from tests.toys import ToyRig
 
@@ -56,6 +57,16 @@ def face() -> FaceRig:
 @pytest.fixture(scope="session")
 def face_in_space(face: FaceRig) -> RigInMeshSpace:
     return RigInMeshSpace(face, MeshSpace.from_rig(face))
+
+
+@pytest.fixture(scope="session")
+def body() -> BodyRig:
+    return BodyRig()
+
+
+@pytest.fixture(scope="session")
+def body_in_space(body: BodyRig) -> RigInMeshSpace:
+    return RigInMeshSpace(body, MeshSpace.from_rig(body))
 
 
 @pytest.fixture(scope="session")

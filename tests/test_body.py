@@ -8,7 +8,6 @@ import roma
 import torch
 
 from riginv.geometry.skinning import skin
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.networks.inverse import StagedInverse
 from riginv.rig_contract import contract
 from riginv.sampling.controls import SparseControls
@@ -21,16 +20,6 @@ from rigs.body.walk import two_bones
 
 FLIPPED = re.compile(r"root_(move_x|turn|roll)|(spine\d?|neck|head)_(side|twist)|jaw_side")
 SLOW_CLAUSES = "gradients equal"  # on all vertices: half a minute; test_gradients looks at the coefficients instead
-
-
-@pytest.fixture(scope="session")
-def body() -> BodyRig:
-    return BodyRig()
-
-
-@pytest.fixture(scope="session")
-def body_in_space(body) -> RigInMeshSpace:
-    return RigInMeshSpace(body, MeshSpace.from_rig(body))
 
 
 def posed(body: BodyRig, **controls: float) -> torch.Tensor:

@@ -155,11 +155,14 @@ class StagedInverse(InverseNetwork):
 
     def forward(self, coordinates: Tensor) -> Tensor:
         """The last answer; after a guess from features the best one of each mesh, for there a correction may fail."""
-        answers = self.answers(coordinates)[0 if self.features else -1 :]
+        answers = self.answers(coordinates)
+        controls = self._best(answers, coordinates) if self.features else answers[-1].controls
+        return controls if torch.is_grad_enabled() else controls.detach()
+
+    def _best(self, answers: list[Answer], coordinates: Tensor) -> Tensor:
         errors = torch.stack([(answer.coordinates - coordinates).square().sum(dim=1) for answer in answers])
         best = errors.argmin(dim=0)
-        controls = torch.stack([answer.controls for answer in answers])[best, torch.arange(len(best), device=best.device)]
-        return controls if torch.is_grad_enabled() else controls.detach()
+        return torch.stack([answer.controls for answer in answers])[best, torch.arange(len(best), device=best.device)]
 
     def _look(self, coordinates: Tensor) -> Tensor:
         """What the perceptrons see of a mesh, `(batch, number)`."""

@@ -2,14 +2,13 @@
 
 import atexit
 import contextlib
-import hashlib
 import os
 import shutil
 import subprocess
 import tempfile
 from pathlib import Path
 
-from riginv.cache import cache_folder
+from riginv.cache import cache_folder, code_key
 from riginv.errors import InputError
 from riginv.files import written_beside
 from riginv.rig import RigBackend
@@ -65,9 +64,8 @@ def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
 def twin_file(rig: RigBackend, interpreter: str) -> Path:
     """The .blend of a rig's twin, from the cache where this code has built it before."""
     blueprint = blueprint_of(rig)
-    code = b"".join((SCRIPTS / name).read_bytes() for name in (BUILDER, "drivers.py"))
-    key = hashlib.sha256(blueprint.content_hash().encode() + code).hexdigest()[:16]
-    name = f"blender/{blueprint.name}-{key}.blend"
+    code = code_key([SCRIPTS / BUILDER, SCRIPTS / "drivers.py"])
+    name = f"blender/{blueprint.name}-{blueprint.content_hash()[:16]}-{code}.blend"
     kept = cache_folder() / name
     if not kept.is_file():
         with contextlib.suppress(OSError):

@@ -1,18 +1,18 @@
 """The body's geometry as tensors: read from the files in a second or two, then cached."""
 
-import hashlib
-import importlib.metadata
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.cache import cached_tensors
+from riginv.cache import cached_tensors, code_key
 from rigs.body.axes import joint_frames
 from rigs.body.skeleton import Skeleton, read_skeleton, read_weights
 from rigs.face.assets import BaseMesh, read_base_mesh
 from rigs.face.mesh import triangulate
+
+HERE = Path(__file__).parent
 
 
 def body_geometry() -> dict[str, Tensor]:
@@ -22,9 +22,7 @@ def body_geometry() -> dict[str, Tensor]:
         rest_vertices `(vertex, 3)`, mm; faces `(face, 3)`; weights `(vertex, joint)`; parents `(joint,)`; heads and tails
         `(joint, 3)`, mm; rolls `(joint,)`; frames `(joint, 3, 3)`, as `rigs.body.axes.joint_frames` has them.
     """
-    code = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
-    version = importlib.metadata.version("anny")
-    return cached_tensors("body", hashlib.sha256(code + version.encode()).hexdigest()[:16], build_geometry)
+    return cached_tensors("body", code_key([HERE, HERE.parent / "face", HERE.parent / "arkit.py"], ["anny"]), build_geometry)
 
 
 def build_geometry() -> dict[str, Tensor]:

@@ -8,6 +8,7 @@ from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels, turns_against
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig import LinearRig, Motion
+from rigs.body.axes import LAST
 from rigs.body.build import body_geometry, skeleton_of
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
@@ -17,6 +18,7 @@ from rigs.body.walk import FPS, walk
 ORDER = "XZY"  # of a joint's turns in its frame: about its last axis first, then the middle one, then the first (axes.py)
 
 LOCKED = 0.01  # the cosine of the middle angle below which first and last cannot be told apart
+LOOSE_TWIST, LOOSE_BEND = 12.0, 4.0  # degrees: how far joints turn about their bones, and across, without any control
 PLACE_AND_TURN = 12  # numbers of the root's place and turn, the first of the features
 
 
@@ -64,6 +66,10 @@ class BodyRig(LinearRig):
         feature_frames[self.pelvis] = geometry["frames"][joint["root"]]
         self.register_buffer("feature_frames", feature_frames.to(self.dtype), persistent=False)
         self.register_buffer("root_to_pelvis", heads[joint["pelvis.L"]] - heads[joint["root"]], persistent=False)
+        loose = torch.full((len(KEPT), 3), LOOSE_BEND)
+        loose[:, LAST] = LOOSE_TWIST
+        loose[joint["root"]] = 0.0  # its controls reach everything
+        self.loose_parts = torch.deg2rad(loose).flatten().to(self.dtype)
         self.levels = tree_levels(self.parents, self.joint_names)
 
     def expressions(self) -> dict[str, dict[str, float]]:
@@ -79,9 +85,15 @@ class BodyRig(LinearRig):
 
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the 12 numbers of each skinned joint's matrix, `(batch, 12 * joint)`."""
-        angles = (controls @ self.angles.to(controls)).unflatten(1, (-1, 3))
+        return self._coefficients(controls @ self.angles.to(controls), controls)
+
+    def loose_coefficients(self, controls: Tensor, parts: Tensor) -> Tensor:
+        """As `coefficients`, where each joint has also turned on its own by `parts` `(batch, 3 * joint)`, radians."""
+        return self._coefficients(controls @ self.angles.to(controls) + parts, controls)
+
+    def _coefficients(self, angles: Tensor, controls: Tensor) -> Tensor:
         frames = self.frames.to(controls)
-        rotations = frames @ roma.euler_to_rotmat(ORDER, angles) @ frames.mT
+        rotations = frames @ roma.euler_to_rotmat(ORDER, angles.unflatten(1, (-1, 3))) @ frames.mT
         return self.coefficients_of(rotations, controls[:, self.moves])
 
     def features(self, coefficients: Tensor) -> Tensor:

@@ -1,7 +1,5 @@
 """The face's geometry as tensors: built from the base mesh in a few seconds, then cached."""
 
-import hashlib
-import importlib.metadata
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +7,7 @@ import torch
 import trimesh
 from torch import Tensor
 
-from riginv.cache import cached_tensors
+from riginv.cache import cached_tensors, code_key
 from rigs.arkit import ARKIT_NAMES
 from rigs.face.assets import read_base_mesh
 from rigs.face.combinations import build_combinations
@@ -19,6 +17,7 @@ from rigs.face.limits import CEILINGS
 from rigs.face.mesh import build_face_mesh
 from rigs.face.shapes import build_primaries
 
+HERE = Path(__file__).parent
 PARTS = ("skin", "mouth", "left_eye", "right_eye", "upper_teeth", "lower_teeth", "tongue")
 
 
@@ -29,9 +28,7 @@ def face_geometry() -> dict[str, Tensor]:
         rest_vertices `(vertex, 3)` and basis `(coefficient, vertex, 3)`, mm; faces `(face, 3)`; part `(vertex,)`, indices into
         `PARTS`; inbetween_shape and inbetween_place, `(in-between,)`; combination_members `(combination, 3)`, -1 for none.
     """
-    code = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
-    version = importlib.metadata.version("anny")
-    return cached_tensors("face", hashlib.sha256(code + version.encode()).hexdigest()[:16], build_geometry)
+    return cached_tensors("face", code_key([HERE, HERE.parent / "arkit.py"], ["anny"]), build_geometry)
 
 
 def build_geometry() -> dict[str, Tensor]:
