@@ -89,7 +89,7 @@ def test_measured_poses_are_met_exactly(toy):
 
 
 def test_the_objectives_gradient_is_its_slope(toy):
-    objective = ModelObjective(MODELS["tables"](toy), prior=0.3, sparsity=2.0)
+    objective = ModelObjective(MODELS["tables"](toy), vertex_count=1, prior=0.3, sparsity=2.0)
     weights = 0.02 + 0.93 * some_weights(objective.model, 4)
     target = torch.randn(4, toy.space.size, generator=generator_at(1, "weights"), dtype=torch.float64) * 20
     near, step = objective.linearise(weights, target), 1e-7

@@ -14,13 +14,15 @@ class ModelObjective:
     other way, and a solver that starts at neutral would not find it. With a weight for each way the limit at 0 decides.
 
     Args:
-        prior: mm^2, over all vertices, for a weight of 1: it settles which of several controls for one motion is taken, and
-            keeps one that does nothing at neutral.
+        vertex_count: of the mesh.
+        prior: mm^2, as the mean over the vertices, for a weight of 1: it settles which of several controls for one motion is
+            taken, and keeps one that does nothing at neutral.
         sparsity: the same, in proportion to the weight: a weight is not negative, so the penalty has no corner inside.
     """
 
-    def __init__(self, model: ProductModel, prior: float, sparsity: float = 0.0) -> None:
-        self.model, self.prior, self.sparsity = model, prior, sparsity
+    def __init__(self, model: ProductModel, vertex_count: int, prior: float, sparsity: float = 0.0) -> None:
+        self.model, self.vertex_count = model, vertex_count
+        self.prior, self.sparsity = prior * vertex_count, sparsity * vertex_count
         self.neutral = torch.zeros(len(model.sides), dtype=torch.float64)
 
     def cost(self, weights: Tensor, coordinates: Tensor) -> Tensor:

@@ -36,13 +36,12 @@ class QuadraticLevenbergMarquardt(Method):
     def __init__(self, rig: RigInMeshSpace, pairs: int = 1000, steps: int = 30, sparsity: float = 1e-4) -> None:
         super().__init__(rig)
         self.pairs, self.steps = pairs, steps
-        self.prior = PRIOR * rig.space.vertex_count
-        self.sparsity = 0.5 * sparsity * rig.space.vertex_count  # of half the squared distance
+        self.sparsity = 0.5 * sparsity  # of half the squared distance
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)
         model = with_products(self.rig, ramps(self.rig, squares=True), [self.pairs])
-        self.objective = ModelObjective(model, self.prior, self.sparsity)
+        self.objective = ModelObjective(model, self.rig.space.vertex_count, PRIOR, self.sparsity)
 
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)

@@ -50,11 +50,12 @@ class TabulatedGaussNewton(Method):
     ) -> None:
         super().__init__(rig)
         self.knots, self.products, self.steps = knots, [pairs, triples], steps
-        self.prior = prior * rig.space.vertex_count
+        self.prior = prior
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)
-        self.objective = ModelObjective(with_products(self.rig, tables(self.rig, self.knots), self.products), self.prior)
+        model = with_products(self.rig, tables(self.rig, self.knots), self.products)
+        self.objective = ModelObjective(model, self.rig.space.vertex_count, self.prior)
 
     def invert(self, meshes: MeshSet) -> Tensor:
         return in_pieces(self.coordinates(meshes), PIECE, self._solve, len(self.rig.rig.controls))

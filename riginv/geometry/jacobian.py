@@ -73,11 +73,20 @@ class Jacobian:
         return (gradient[:, None] @ self.inner)[:, 0]
 
     def gram(self, metric: Tensor) -> Tensor:
-        """J^T G J `(batch, control, control)` with a symmetric metric G `(coefficient, coefficient)`."""
+        """J^T G J `(batch, control, control)` with a symmetric metric G `(coefficient, coefficient)`, dense or sparse."""
         if self.pattern is None:
-            return self.inner.transpose(1, 2) @ (metric @ self.inner)
+            return self.inner.transpose(1, 2) @ _times(metric, self.inner)
         coefficients, shapes = self.pattern.shape
         half = (self.pattern.transposed(self.values, apart=False) @ metric).view(-1, shapes, coefficients)
         half = half.transpose(1, 2).reshape(-1, shapes)
         middle = (self.pattern.transposed(self.values, apart=True) @ half).view(-1, shapes, shapes)
         return self.inner.transpose(1, 2) @ (middle @ self.inner)
+
+
+def _times(metric: Tensor, columns: Tensor) -> Tensor:
+    """A metric, which may be sparse, times `(batch, coefficient, column)`."""
+    if not metric.is_sparse_csr:
+        return metric @ columns
+    batch, coefficients, count = columns.shape
+    together = columns.permute(1, 2, 0).reshape(coefficients, -1)
+    return (metric @ together).view(coefficients, count, batch).permute(2, 0, 1)

@@ -6,6 +6,8 @@ from torch import Tensor
 from riginv.data.mesh_sets import MeshSet
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
+from riginv.solvers.objective import Objective
+from riginv.solvers.starts import first_start
 
 
 class Direct(Method):
@@ -21,7 +23,8 @@ class Direct(Method):
         "Rig inversion by training a differentiable rig function (SIGGRAPH Asia 2022), 'direct optimisation': gradient descent "
         "through the rig on each frame's controls, from the frame before. Changed: the loss is taken in mesh coordinates, "
         "where it is the same but for a constant; controls are clamped to their limits after each step; the paper leaves "
-        "steps and rate open."
+        "steps and rate open. The first frame starts a little away from neutral, on the side of each control that helps the "
+        "mesh more: at neutral itself rigs have a kink that a descent may never leave."
     )
 
     def __init__(self, rig: RigInMeshSpace, steps: int = 30, first_steps: int = 300, lr: float = 0.02) -> None:
@@ -29,14 +32,14 @@ class Direct(Method):
         self.steps, self.first_steps, self.lr = steps, first_steps, lr
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        coordinates, start = self.coordinates(meshes), self.rig.rig.neutral_controls
-        if not meshes.fps:
-            return self._descend(start.expand(len(meshes), -1), coordinates, self.first_steps)
-        found = [start[None]]
-        for frame in range(len(coordinates)):
-            steps = self.steps if frame else self.first_steps
-            found.append(self._descend(found[-1], coordinates[frame : frame + 1], steps))
-        return torch.cat(found[1:]) if len(found) > 1 else start.new_zeros(0, len(start))
+        coordinates = self.coordinates(meshes)
+        alone = coordinates[:1] if meshes.fps else coordinates  # those that no frame comes before
+        objective = Objective(self.rig)
+        start = objective.own_units(first_start(objective, alone))
+        found = [self._descend(start, alone, self.first_steps)]
+        for frame in range(len(alone), len(coordinates)):
+            found.append(self._descend(found[-1], coordinates[frame : frame + 1], self.steps))
+        return torch.cat(found)
 
     def _descend(self, start: Tensor, coordinates: Tensor, steps: int) -> Tensor:
         """The best controls `(mesh, control)` met on the way."""

@@ -106,7 +106,6 @@ class DifferentialSubspace(SurrogateNetwork):
                 raise InputError(f"network: {name} is {value}, expected at least 1")
         if not anchor_weight > 0:
             raise InputError(f"network: anchor_weight is {anchor_weight}, expected above 0")
-        self.weights = False  # coefficients follow from a mesh, not from a sigmoid
         maps = reconstruction(rig, spread_points(rig.rest_vertices, anchors), anchor_weight, components)
         # Kept with the weights: another machine may find the same components with other signs.
         self.register_buffer("from_differential", maps.from_differential)
@@ -115,6 +114,13 @@ class DifferentialSubspace(SurrogateNetwork):
         self.register_buffer("span", rig.upper - rig.lower, persistent=False)
         self.differential = mlp(len(rig.controls), hidden, len(self.from_differential), activation)
         self.subspace = mlp(len(rig.controls), subspace_hidden, len(self.from_anchors), activation)
+
+    def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
+        """Nothing: components come out in the measure of their spread as they are."""
+
+    def forward(self, controls: Tensor) -> Tensor:
+        """Coefficients follow from a mesh: no sigmoid keeps them in a range."""
+        return self.raw(controls)
 
     def raw(self, controls: Tensor) -> Tensor:
         away = (controls - self.neutral) / self.span

@@ -47,7 +47,7 @@ def solve_clip(
         if len(found) - stop <= lookahead:
             stop = len(found)  # no window is left with less than its own look-ahead
         part = _Window(
-            objective, coordinates[first:stop], found[max(first - 2, 0) : first], smoothness * objective.rig.space.vertex_count
+            objective, coordinates[first:stop], found[max(first - 2, 0) : first], smoothness * objective.vertex_count
         )
         found[first:stop] = part.solve(found[first:stop], steps, tolerance)
         if stop == len(found):

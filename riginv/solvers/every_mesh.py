@@ -7,30 +7,35 @@ from torch import Tensor
 
 from riginv.solvers.levenberg_marquardt import TOLERANCE, Solution, levenberg_marquardt
 from riginv.solvers.objective import Objective
-from riginv.solvers.starts import start_at_random, start_by_slope
+from riginv.solvers.starts import first_start, start_at_random
 
 PIECE = 128  # meshes at a time: what bounds the memory
 KEY_DISTANCE = 8  # frames between two that are solved from scratch
+EXACT = 1e-5  # mm^2 of half the mean squared distance, 0.005 mm: no other start is tried for a mesh that is hit like that
 PROMISING = 1.05  # a neighbour's answer is worth following up where it costs at most so many times what a frame's own does
 
 
 def solve_meshes(
     objective: Objective, coordinates: Tensor, starts: int = 3, steps: int = 60, tolerance: float = TOLERANCE
 ) -> Solution:
-    """Solve from several starts near neutral, and keep the best of each mesh.
+    """Solve from several starts, and keep the best of each mesh; one that is hit exactly is not tried again.
 
     Args:
         coordinates: `(mesh, coordinate)`.
-        starts: the first goes by the slope at neutral, the others are strewn around neutral.
+        starts: the first goes by the rig's features or by the slope at neutral, the others are strewn around.
         steps, tolerance: as in `levenberg_marquardt`.
     """
 
     def solve(rows: Tensor) -> Solution:
         target = coordinates[rows]
-        best = levenberg_marquardt(objective, target, start_by_slope(objective, target), steps, tolerance)
+        first = first_start(objective, target)
+        best = levenberg_marquardt(objective, target, first, steps, tolerance)
         for number in range(1, starts):
-            start = start_at_random(objective, len(target), number)
-            best.take_better(slice(None), levenberg_marquardt(objective, target, start, steps, tolerance))
+            open_rows = (best.cost > EXACT * objective.vertex_count).nonzero()[:, 0]
+            if not len(open_rows):
+                break
+            start = start_at_random(objective, first, number)[open_rows]
+            best.take_better(open_rows, levenberg_marquardt(objective, target[open_rows], start, steps, tolerance))
         return best
 
     return _in_pieces(objective, len(coordinates), solve)

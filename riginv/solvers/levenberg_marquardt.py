@@ -11,6 +11,7 @@ from riginv.solvers.objective import Linearised, Objective
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
 TOLERANCE = 1e-4  # a mesh has converged once steps lower its objective by less than this share
 IDLE = 3  # such steps in a row; a step that fails raises the damping and is one of them
+LEAST_GAIN = 5e-7  # mm^2 of half the mean squared distance: a step that gains less is the last one, 0.001 mm from the end
 TRIES = 3  # of more and more damping on one linearisation, before the step counts as failed
 
 
@@ -62,7 +63,8 @@ def levenberg_marquardt(
         coordinates: the meshes in mesh space, `(mesh, coordinate)`; those with NaN or infinite values are skipped.
         start: `(mesh, control)` in shares of their ranges.
         steps: linearisations, at most.
-        tolerance: a mesh has converged once a step lowers its objective by less than this share, three times in a row.
+        tolerance: a mesh has converged once a step lowers its objective by less than this share, three times in a row, or by
+            next to nothing.
     """
     coordinates = coordinates.to(start)
     skipped = ~torch.isfinite(coordinates).all(dim=1)
@@ -82,7 +84,8 @@ def levenberg_marquardt(
         taken[active] += 1
         small = gained <= tolerance * near.cost
         idle[active] = torch.where(small, idle[active] + 1, 0)
-        converged[active] = (idle[active] >= IDLE) | (small & (chosen >= MOST_DAMPING))
+        last = (gained > 0) & (gained <= LEAST_GAIN * objective.vertex_count)
+        converged[active] = last | (idle[active] >= IDLE) | (small & (chosen >= MOST_DAMPING))
         active = active[~converged[active]]
     if len(unknown := (torch.isnan(cost) & ~skipped).nonzero()[:, 0]):  # no step was asked for
         cost[unknown] = objective.cost(best[unknown], coordinates[unknown])

@@ -5,14 +5,17 @@ ranges: many rigs have several controls for one motion, and a faint prior says w
 itself leaves fewer controls in use. All of it is taken times the number of vertices.
 """
 
+import functools
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from riginv.mesh_space import RigInMeshSpace
+from riginv.networks.features import RigFeatures
 
 PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
+SPARSE = 0.1  # the share of entries below which a metric is kept as a sparse matrix
 CORNER = 1e-3  # of a range: how round the corner of the distance from neutral is
 
 
@@ -47,10 +50,11 @@ class Objective:
         self, rig: RigInMeshSpace, prior: float = PRIOR, sparsity: float = 0.0, dtype: torch.dtype | None = None
     ) -> None:
         self.rig = rig
-        self.prior, self.sparsity = prior * rig.space.vertex_count, sparsity * rig.space.vertex_count
+        self.vertex_count = rig.space.vertex_count
+        self.prior, self.sparsity = prior * self.vertex_count, sparsity * self.vertex_count
         dtype = dtype or rig.linear_map.dtype
         self.map = rig.linear_map.to(dtype)
-        self.metric = self.map @ self.map.T
+        self.metric = _metric(rig, self.map)
         self.rest = rig.neutral_coefficients.to(dtype)
         self.lower = rig.rig.lower.to(dtype)
         self.span = rig.rig.upper.to(dtype) - self.lower
@@ -59,6 +63,12 @@ class Objective:
     @property
     def controls(self) -> int:
         return len(self.span)
+
+    @functools.cached_property
+    def features(self) -> RigFeatures | None:
+        """What the rig can tell of its controls without any search, or None where it offers nothing (`LinearRig.features`)."""
+        offers_features = self.rig.rig.features(self.rig.neutral_coefficients) is not None
+        return RigFeatures.fitted(self.rig) if offers_features else None
 
     def units(self, controls: Tensor) -> Tensor:
         """Controls in their own units as shares of their ranges."""
@@ -112,3 +122,11 @@ class Objective:
             gradient = gradient + self.sparsity * torch.where(inside, away / rounded, direction)
             curvature = curvature + self.sparsity * torch.where(inside, 1 / rounded, 0.0)
         return cost, gradient, curvature
+
+
+def _metric(rig: RigInMeshSpace, linear_map: Tensor) -> Tensor:
+    """R^T R `(coefficient, coefficient)`, sparse where few coefficients move vertices in common, as in skinning."""
+    moves = rig.rig.basis.abs().flatten(1)
+    together = (moves @ moves.T) > 0
+    metric = torch.where(together, linear_map @ linear_map.T, 0.0)
+    return metric.to_sparse_csr() if together.double().mean() < SPARSE else metric
