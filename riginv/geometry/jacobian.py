@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+PIECE = 16  # Jacobians at a time: what a processor's cache holds
+
 # PyTorch says so of every sparse matrix, once; multiplying one with a dense matrix is all that is asked of them here.
 warnings.filterwarnings("ignore", message=".*Sparse CSR tensor support is in beta state.*")
 
@@ -76,11 +78,15 @@ class Jacobian:
         """J^T G J `(batch, control, control)` with a symmetric metric G `(coefficient, coefficient)`, dense or sparse."""
         if self.pattern is None:
             return self.inner.transpose(1, 2) @ _times(metric, self.inner)
+        pieces = zip(self.values.split(PIECE), self.inner.split(PIECE))
+        return torch.cat([self._gram(metric, *piece) for piece in pieces])
+
+    def _gram(self, metric: Tensor, values: Tensor, inner: Tensor) -> Tensor:
         coefficients, shapes = self.pattern.shape
-        half = (self.pattern.transposed(self.values, apart=False) @ metric).view(-1, shapes, coefficients)
+        half = (self.pattern.transposed(values, apart=False) @ metric).view(-1, shapes, coefficients)
         half = half.transpose(1, 2).reshape(-1, shapes)
-        middle = (self.pattern.transposed(self.values, apart=True) @ half).view(-1, shapes, shapes)
-        return self.inner.transpose(1, 2) @ (middle @ self.inner)
+        middle = (self.pattern.transposed(values, apart=True) @ half).view(-1, shapes, shapes)
+        return inner.transpose(1, 2) @ (middle @ inner)
 
 
 def _times(metric: Tensor, columns: Tensor) -> Tensor:
