@@ -18,6 +18,7 @@ from riginv.solvers.objective import Objective
 
 MESHES = 40  # of each set, evenly spread
 STARTS, STEPS, TOLERANCE = 4, 60, 1e-5
+DESCENT_STEPS = 300
 LEAST_MM = 1e-3  # an optimum below this counts as this: no result is many times worse than nothing
 SEED = 20221206
 
@@ -78,7 +79,7 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]
 def _errors(objective: Objective, vertices: Tensor) -> Tensor:
     rig = objective.rig.rig
     coordinates = objective.rig.space.encode(vertices)
-    controls = objective.own_units(solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE).units)
+    controls = objective.own_units(solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS).units)
     errors = [(rig(one[None])[0] - mesh).norm(dim=1).mean() for one, mesh in zip(controls, vertices)]
     return torch.stack(errors)
 
@@ -88,7 +89,7 @@ def _fingerprint(rig: LinearRig) -> bytes:
     """What a rig does, in a few bytes: its basis, its limits, and its coefficients in some poses."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)
-    facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([STARTS, STEPS, TOLERANCE]))
+    facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([STARTS, STEPS, TOLERANCE, DESCENT_STEPS]))
     digest = hashlib.sha256()
     for fact in facts:
         digest.update(fact.detach().cpu().contiguous().numpy().tobytes())

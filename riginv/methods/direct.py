@@ -6,6 +6,7 @@ from torch import Tensor
 from riginv.data.mesh_sets import MeshSet
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
+from riginv.solvers.descent import descend
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import first_start
 
@@ -36,26 +37,7 @@ class Direct(Method):
         alone = coordinates[:1] if meshes.fps else coordinates  # those that no frame comes before
         objective = Objective(self.rig)
         start = objective.own_units(first_start(objective, alone))
-        found = [self._descend(start, alone, self.first_steps)]
+        found = [descend(self.rig, start, alone, self.first_steps, self.lr)]
         for frame in range(len(alone), len(coordinates)):
-            found.append(self._descend(found[-1], coordinates[frame : frame + 1], self.steps))
+            found.append(descend(self.rig, found[-1], coordinates[frame : frame + 1], self.steps, self.lr))
         return torch.cat(found)
-
-    def _descend(self, start: Tensor, coordinates: Tensor, steps: int) -> Tensor:
-        """The best controls `(mesh, control)` met on the way."""
-        rig = self.rig.rig
-        span = rig.upper - rig.lower
-        unit = ((start - rig.lower) / span).detach().clone().requires_grad_()  # every control runs from 0 to 1: one rate fits
-        optimizer = torch.optim.Adam([unit], lr=self.lr)
-        best, least = start.clone(), torch.full((len(start),), torch.inf, dtype=start.dtype)
-        for _ in range(steps):
-            errors = (self.rig(rig.lower + span * unit) - coordinates).square().sum(dim=1)
-            better = errors.detach() < least
-            best = torch.where(better[:, None], (rig.lower + span * unit).detach(), best)
-            least = torch.where(better, errors.detach(), least)
-            optimizer.zero_grad()
-            (errors.sum() / self.rig.space.vertex_count).backward()
-            optimizer.step()
-            with torch.no_grad():
-                unit.clamp_(0, 1)
-        return best.clamp(rig.lower, rig.upper)

@@ -20,6 +20,7 @@ class LevenbergMarquardt(Method):
         starts: near neutral, for meshes that are no clip, and for every eighth frame of one.
         steps: linearisations from each start.
         more_steps: for frames that start from a neighbour's answer.
+        descent_steps: of gradient descent, to the second start of meshes that are no clip.
         prior, sparsity: as in `Objective`.
     """
 
@@ -34,11 +35,12 @@ class LevenbergMarquardt(Method):
         starts: int = 3,
         steps: int = 30,
         more_steps: int = 4,
+        descent_steps: int = 150,
         prior: float = PRIOR,
         sparsity: float = 0.0,
     ) -> None:
         super().__init__(rig)
-        self.starts, self.steps, self.more_steps = starts, steps, more_steps
+        self.starts, self.steps, self.more_steps, self.descent_steps = starts, steps, more_steps, descent_steps
         self.objective = Objective(rig, prior, sparsity)
 
     def invert(self, meshes: MeshSet) -> Tensor:
@@ -46,7 +48,8 @@ class LevenbergMarquardt(Method):
         if meshes.fps:
             found = solve_frames(self.objective, coordinates, self.starts, self.steps, self.more_steps)
         else:
-            found = solve_meshes(self.objective, coordinates, self.starts, self.steps)
+            descent_steps = self.descent_steps if self.rig.rig.differentiable else 0
+            found = solve_meshes(self.objective, coordinates, self.starts, self.steps, descent_steps=descent_steps)
         return self.objective.own_units(found.units)
 
 

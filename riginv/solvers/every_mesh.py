@@ -5,6 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from riginv.solvers.descent import descend
 from riginv.solvers.levenberg_marquardt import TOLERANCE, Solution, levenberg_marquardt
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import first_start, start_at_random
@@ -12,11 +13,17 @@ from riginv.solvers.starts import first_start, start_at_random
 PIECE = 128  # meshes at a time: what bounds the memory
 KEY_DISTANCE = 8  # frames between two that are solved from scratch
 EXACT = 1e-5  # mm^2 of half the mean squared distance, 0.005 mm: no other start is tried for a mesh that is hit like that
+DESCENT_RATE = 0.03  # of a control's range
 PROMISING = 1.05  # a neighbour's answer is worth following up where it costs at most so many times what a frame's own does
 
 
 def solve_meshes(
-    objective: Objective, coordinates: Tensor, starts: int = 3, steps: int = 60, tolerance: float = TOLERANCE
+    objective: Objective,
+    coordinates: Tensor,
+    starts: int = 3,
+    steps: int = 60,
+    tolerance: float = TOLERANCE,
+    descent_steps: int = 0,
 ) -> Solution:
     """Solve from several starts, and keep the best of each mesh; one that is hit exactly is not tried again.
 
@@ -24,7 +31,9 @@ def solve_meshes(
         coordinates: `(mesh, coordinate)`.
         starts: the first goes by the rig's features or by the slope at neutral, the others are strewn around.
         steps, tolerance: as in `levenberg_marquardt`.
+        descent_steps: where above 0, the second start is where so many steps of gradient descent lead from the first one.
     """
+    rig = objective.rig
 
     def solve(rows: Tensor) -> Solution:
         target = coordinates[rows]
@@ -34,7 +43,11 @@ def solve_meshes(
             open_rows = (best.cost > EXACT * objective.vertex_count).nonzero()[:, 0]
             if not len(open_rows):
                 break
-            start = start_at_random(objective, first, number)[open_rows]
+            if number == 1 and descent_steps:
+                given = objective.own_units(first[open_rows])
+                start = objective.units(descend(rig, given, target[open_rows], descent_steps, DESCENT_RATE))
+            else:
+                start = start_at_random(objective, first, number)[open_rows]
             best.take_better(open_rows, levenberg_marquardt(objective, target[open_rows], start, steps, tolerance))
         return best
 

@@ -12,6 +12,7 @@ START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
 TOLERANCE = 1e-4  # a mesh has converged once steps lower its objective by less than this share
 IDLE = 3  # such steps in a row; a step that fails raises the damping and is one of them
 LEAST_GAIN = 5e-7  # mm^2 of half the mean squared distance: a step that gains less is the last one, 0.001 mm from the end
+REACH = 0.1  # of a control's range, at most in one step: longer ones land in a rig's saturations
 TRIES = 3  # of more and more damping on one linearisation, before the step counts as failed
 
 
@@ -101,7 +102,7 @@ def _improve(
     raise_by = 4.0
     for _ in range(TRIES):
         gradient, hessian = near.gradient[trying], near.hessian[trying]
-        step = box_step(damped(hessian, damping[trying]), gradient, at[trying])
+        step = box_step(damped(hessian, damping[trying]), gradient, at[trying]).clamp(-REACH, REACH)
         found = objective.cost(at[trying] + step, target[trying])
         foreseen = -(gradient * step).sum(dim=1) - 0.5 * (step * (hessian @ step[..., None])[..., 0]).sum(dim=1)
         better = found < cost[trying]
