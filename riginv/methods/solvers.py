@@ -9,6 +9,7 @@ from riginv.methods.base import Method
 from riginv.methods.network import Network
 from riginv.solvers.clip import solve_clip
 from riginv.solvers.every_mesh import refine_meshes, solve_frames, solve_meshes
+from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.objective import PRIOR, Objective
 from riginv.solvers.smoothing import smoothed
 
@@ -17,10 +18,11 @@ class LevenbergMarquardt(Method):
     """The least error of each mesh for itself; in a clip, neighbouring frames are where it starts.
 
     Args:
-        starts: near neutral, for meshes that are no clip, and for every eighth frame of one.
+        starts: of meshes that are no clip.
+        key_starts: of every fourth frame of a clip.
         steps: linearisations from each start.
         more_steps: for frames that start from a neighbour's answer.
-        descent_steps: of gradient descent, to the second start of meshes that are no clip.
+        descent_steps: of gradient descent, to the second start.
         prior, sparsity: as in `Objective`.
     """
 
@@ -33,24 +35,31 @@ class LevenbergMarquardt(Method):
         self,
         rig: RigInMeshSpace,
         starts: int = 3,
+        key_starts: int = 2,
         steps: int = 30,
-        more_steps: int = 4,
-        descent_steps: int = 150,
+        more_steps: int = 3,
+        descent_steps: int = 60,
         prior: float = PRIOR,
         sparsity: float = 0.0,
     ) -> None:
         super().__init__(rig)
-        self.starts, self.steps, self.more_steps, self.descent_steps = starts, steps, more_steps, descent_steps
+        self.starts, self.key_starts, self.steps, self.more_steps = starts, key_starts, steps, more_steps
+        self.descent_steps = descent_steps if rig.rig.differentiable else 0
         self.objective = Objective(rig, prior, sparsity)
 
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)
         if meshes.fps:
-            found = solve_frames(self.objective, coordinates, self.starts, self.steps, self.more_steps)
+            found = self.frames(coordinates)
         else:
-            descent_steps = self.descent_steps if self.rig.rig.differentiable else 0
-            found = solve_meshes(self.objective, coordinates, self.starts, self.steps, descent_steps=descent_steps)
+            found = solve_meshes(self.objective, coordinates, self.starts, self.steps, descent_steps=self.descent_steps)
         return self.objective.own_units(found.units)
+
+    def frames(self, coordinates: Tensor, rounds: int = 3) -> Solution:
+        """The frames of a clip, each for itself; `rounds` as in `solve_frames`."""
+        return solve_frames(
+            self.objective, coordinates, self.key_starts, self.steps, self.more_steps, rounds, self.descent_steps
+        )
 
 
 class Clip(LevenbergMarquardt):
@@ -88,9 +97,7 @@ class Clip(LevenbergMarquardt):
         if self.network is not None:
             start = self.objective.units(self.network.controls(coordinates))
         else:
-            start = smoothed(
-                solve_frames(self.objective, coordinates, self.starts, self.steps, self.more_steps, rounds=0), self.blur
-            )
+            start = smoothed(self.frames(coordinates, rounds=0), self.blur)
         found = solve_clip(self.objective, coordinates, start, self.smoothness, self.clip_steps)
         return self.objective.own_units(found)
 

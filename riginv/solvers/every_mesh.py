@@ -11,7 +11,7 @@ from riginv.solvers.objective import Objective
 from riginv.solvers.starts import first_start, start_at_random
 
 PIECE = 128  # meshes at a time: what bounds the memory
-KEY_DISTANCE = 8  # frames between two that are solved from scratch
+KEY_DISTANCE = 4  # frames between two that are solved from scratch
 EXACT = 1e-5  # mm^2 of half the mean squared distance, 0.005 mm: no other start is tried for a mesh that is hit like that
 DESCENT_RATE = 0.03  # of a control's range
 PROMISING = 1.05  # a neighbour's answer is worth following up where it costs at most so many times what a frame's own does
@@ -64,7 +64,13 @@ def refine_meshes(objective: Objective, coordinates: Tensor, start: Tensor, step
 
 
 def solve_frames(
-    objective: Objective, coordinates: Tensor, starts: int = 3, steps: int = 30, more_steps: int = 4, rounds: int = 4
+    objective: Objective,
+    coordinates: Tensor,
+    starts: int = 2,
+    steps: int = 30,
+    more_steps: int = 3,
+    rounds: int = 3,
+    descent_steps: int = 0,
 ) -> Solution:
     """Solve each frame of a clip for itself, at a fraction of what many starts cost: neighbours know good ones.
 
@@ -73,14 +79,15 @@ def solve_frames(
 
     Args:
         coordinates: `(frame, coordinate)`.
-        starts, steps: for frames that start from scratch, as in `solve_meshes`; the last frames to finish take as many.
+        starts, steps, descent_steps: for frames that start from scratch, as in `solve_meshes`; those that are still not done
+            at the end take as many steps.
         more_steps: for frames that start from a neighbour's answer.
         rounds: how many times frames may take over, from ever nearer neighbours; 0: for a clip that is smoothed afterwards.
     """
     count, distance = len(coordinates), KEY_DISTANCE
     found = Solution.at_neutral(objective, count)
     keys = torch.arange(count)[::distance]
-    found.put(keys, solve_meshes(objective, coordinates[keys], starts, steps))
+    found.put(keys, solve_meshes(objective, coordinates[keys], starts, steps, descent_steps=descent_steps))
     while distance > 1:
         new = torch.arange(count)[distance // 2 :: distance]
         before, after = new - distance // 2, (new + distance // 2).clamp(max=(count - 1) // distance * distance)
