@@ -17,7 +17,7 @@ from riginv.solvers.every_mesh import solve_meshes
 from riginv.solvers.objective import Objective
 
 MESHES = 40  # of each set, evenly spread
-STARTS, STEPS, TOLERANCE = 4, 60, 1e-5
+STARTS, STEPS, TOLERANCE = 6, 60, 1e-5
 DESCENT_STEPS = 300
 LEAST_MM = 1e-3  # an optimum below this counts as this: no result is many times worse than nothing
 SEED = 20221206
