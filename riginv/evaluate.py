@@ -32,11 +32,12 @@ def evaluate(config: DictConfig) -> None:
 def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     """Judge the model of `config["bundle"]`: a title, the judge and what came of it."""
     rig = build(config["rig"]) if config["rig"]["_target_"] else None
-    model = load_model(config["bundle"], rig)
+    model = load_model(config["bundle"], rig, config["refine"])
     is_inverse = isinstance(model, Inverse)
     true_rig = build_true_rig(config, rig or (model.rig if is_inverse else model))
     clip = build_clip(config, true_rig) if is_inverse else None
-    return f"{config['bundle']}", true_rig, judge_model(model, true_rig, config["poses"], clip)
+    title = f"{config['bundle']}" + (f" + {config['refine']} steps" if config["refine"] else "")
+    return title, true_rig, judge_model(model, true_rig, config["poses"], clip)
 
 
 def compare_rigs(config: Config) -> tuple[str, RigBackend, list[Judgement]]:

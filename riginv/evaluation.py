@@ -9,9 +9,11 @@ from riginv.cli.run_folder import METRICS, POSES
 from riginv.cli.tables import NO_RIG
 from riginv.data.mesh_sets import MeshSet
 from riginv.data.test_sets import random_poses, random_sets
+from riginv.errors import InputError
 from riginv.files import write_json, written_beside
 from riginv.inverse import Inverse, load_inverse
 from riginv.judge import Judgement, check_same_controls, judge_inverse, judge_rig
+from riginv.optimum import find_optima
 from riginv.pictures import comparison
 from riginv.recorded_rig import RecordedRig
 from riginv.rig import LinearRig, RigBackend
@@ -22,25 +24,29 @@ def surrogate_config(folder: str | Path) -> dict[str, str]:
     return {"_target_": "rigs.surrogate.SurrogateRig", "bundle": str(folder)}
 
 
-def load_model(folder: str | Path, rig: RigBackend | None = None) -> Inverse | LinearRig:
+def load_model(folder: str | Path, rig: RigBackend | None = None, refine: int = 0) -> Inverse | LinearRig:
     """Load what a bundle holds: an inverse, or a surrogate as a rig.
 
     Args:
         rig: the rig that an inverse was trained on, for one that is not part of riginv.
+        refine: as in `load_inverse`.
 
     Raises:
-        InputError: the bundle is missing or damaged, or does not fit the rig.
+        InputError: the bundle is missing or damaged, does not fit the rig, or is no inverse that could be refined.
     """
     if read_bundle(folder).description["kind"] == "forward":
+        if refine:
+            raise InputError(f"refine={refine} is for an inverse; {folder} holds a surrogate: leave refine out")
         return build(surrogate_config(folder), only=OURS)
-    return load_inverse(folder, rig)
+    return load_inverse(folder, rig, refine)
 
 
 def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, clip: MeshSet | None) -> list[Judgement]:
     """Judge an inverse on the random test sets and a clip, or a surrogate on random poses, by the true rig.
 
     Of a rig that is known by recorded poses alone, those that were held out judge; what an inverse finds is then made into
-    meshes by the surrogate, which is judged beside it.
+    meshes by the surrogate, which is judged beside it. Where gradients pass through the true rig, the best possible is found
+    on a few meshes of each set, too.
 
     Args:
         poses: meshes in each random test set.
@@ -59,7 +65,12 @@ def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, cl
     if not isinstance(model, Inverse):
         return [judge_rig(model, random_poses(true_rig, poses))]
     sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]
-    return [judge_inverse(model, true_rig, meshes) for meshes in sets]
+    optima = find_optima(true_rig, sets)
+    judgements = [judge_inverse(model, true_rig, meshes) for meshes in sets]
+    for judgement in judgements:
+        if optimum := optima.get(judgement.meshes.name):
+            judgement.metrics.update(optimum.metrics(judgement))
+    return judgements
 
 
 def write_results(folder: Path, judgements: list[Judgement], true_rig: RigBackend, more: dict[str, float]) -> dict[str, Any]:

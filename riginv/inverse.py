@@ -18,18 +18,24 @@ from riginv.fitted_rig import FittedRig
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.networks.inverse import InverseNetwork
 from riginv.rig import LinearRig, RigBackend
+from riginv.solvers.every_mesh import refine_meshes
+from riginv.solvers.objective import Objective
 
 
 class Inverse(nn.Module):
     """Maps meshes to the controls of a rig.
 
+    Args:
+        refine: steps of Levenberg-Marquardt that follow the network, mesh by mesh.
+
     Attributes:
         network: from mesh coordinates to controls; it knows its rig and its mesh space.
     """
 
-    def __init__(self, network: InverseNetwork) -> None:
+    def __init__(self, network: InverseNetwork, refine: int = 0) -> None:
         super().__init__()
-        self.network = network
+        self.network, self.refine = network, refine
+        self.objective = Objective(network.rig) if refine else None
 
     @property
     def rig(self) -> LinearRig:
@@ -48,16 +54,22 @@ class Inverse(nn.Module):
                 f"meshes of shape {tuple(vertices.shape)} were given, rig '{self.rig.name}' needs "
                 f"(mesh, {space.vertex_count}, 3): the same vertices in the same order"
             )
-        return self.network(space.encode(vertices))
+        coordinates = space.encode(vertices)
+        controls = self.network(coordinates)
+        if self.objective is None:
+            return controls
+        start = self.objective.units(controls)
+        return self.objective.own_units(refine_meshes(self.objective, coordinates, start, self.refine).units)
 
 
-def load_inverse(folder: str | Path, rig: RigBackend | None = None) -> Inverse:
+def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int = 0) -> Inverse:
     """Load the inverse of a bundle.
 
     Args:
         folder: the bundle, or the run that holds it.
         rig: the rig, for one that is not part of riginv; else the bundle's own description builds it. An inverse that was
             trained through a surrogate brings that along, and only asks whether it stands for this rig.
+        refine: steps of Levenberg-Marquardt that follow the network, through the rig that it was trained on.
 
     Raises:
         InputError: the bundle is missing, damaged, of another kind or made for another rig.
@@ -73,7 +85,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None) -> Inverse:
         rig = FittedRig(rig, (bundle.space["linear_map"] @ space.frame.flatten(1)).unflatten(1, rig.rest_vertices.shape))
     network = build(bundle.description["network"], RigInMeshSpace(rig, space), only=OURS)
     network.load_own_weights(bundle.weights)
-    return Inverse(network).eval().requires_grad_(False)
+    return Inverse(network, refine).eval().requires_grad_(False)
 
 
 def bundle_rig(bundle: Bundle) -> RigBackend:

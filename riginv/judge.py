@@ -25,7 +25,7 @@ class Judgement:
 
     Attributes:
         metrics: by `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (what predicting neutral would cost),
-            and for a clip `roughness`.
+            and for a clip `roughness`; who knows more about the set may add to them.
         errors_mm: the mean vertex error of each mesh, `(mesh,)`.
         meshes: the set.
         rig: what made the results: the true rig, or a surrogate that was itself on trial.
@@ -58,9 +58,14 @@ def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, mesh
     return _judge(true_rig, meshes, lambda start, vertices: invert(vertices))
 
 
+def judge_controls(true_rig: RigBackend, meshes: MeshSet, controls: Tensor) -> Judgement:
+    """How well controls `(mesh, control)` that were found for the meshes of a set bring these back."""
+    return _judge(true_rig, meshes, lambda start, vertices: controls[start : start + len(vertices)])
+
+
 def judge_rig(rig: RigBackend, poses: MeshSet) -> Judgement:
     """How far a rig, such as a surrogate, lies from poses of the true rig, given the controls that made them."""
-    return _judge(rig, poses, lambda start, vertices: poses.controls[start : start + len(vertices)])
+    return judge_controls(rig, poses, poses.controls)
 
 
 @torch.no_grad()

@@ -4,6 +4,10 @@ import torch
 from torch import Tensor
 from torchmetrics import Metric
 
+from riginv.rig import RigBackend
+
+AT_NEUTRAL = 1e-3  # of a control's range: nearer than this to neutral counts as there
+
 
 class VertexError(Metric):
     """Distances between corresponding vertices, mm. Sums and counts only: how batches are cut does not change the result."""
@@ -46,3 +50,9 @@ class VertexError(Metric):
 def roughness(controls: Tensor) -> float:
     """The mean squared second difference of curves `(frame, control)` (paper, Table 3); NaN below three frames."""
     return float((controls[2:] - 2 * controls[1:-1] + controls[:-2]).square().mean())
+
+
+def nonzero_controls(controls: Tensor, rig: RigBackend) -> float:
+    """How many of the controls `(frame, control)` are away from neutral, on average over the frames."""
+    away = (controls - rig.neutral_controls).abs() > AT_NEUTRAL * (rig.upper - rig.lower)
+    return float(away.sum(dim=1).double().mean())

@@ -9,6 +9,9 @@ from torch import Tensor, nn
 
 from riginv.errors import InputError
 from riginv.geometry.blendshapes import apply_deltas
+from riginv.geometry.jacobian import Jacobian
+
+STEP = 1e-3  # of a control's range, between the two ends of a finite difference
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,21 @@ class LinearRig(RigBackend):
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to coefficients `(batch, coefficient)`: the nonlinear part f of the rig."""
 
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their derivative by these.
+
+        By automatic differentiation, or for a rig that is not differentiable by finite differences; a rig that knows its own
+        derivative answers in its place.
+        """
+        if not self.differentiable:
+            return _finite_differences(self, controls)
+        with torch.enable_grad():
+            given = controls.detach().requires_grad_()
+            found = self.coefficients(given)
+            rows = torch.eye(found.shape[1]).to(found)[:, None].expand(-1, len(controls), -1)
+            slopes = torch.autograd.grad(found, given, rows, is_grads_batched=True)[0]
+        return found.detach(), Jacobian(slopes.transpose(0, 1))
+
     def neutral_coefficients(self) -> Tensor:
         """The coefficients `(1, coefficient)` of the rest mesh."""
         return self.coefficients(self.neutral_controls[None])
@@ -184,6 +202,16 @@ class LinearRig(RigBackend):
     def forward(self, controls: Tensor) -> Tensor:
         change = self.coefficients(controls) - self.neutral_coefficients().to(controls)
         return apply_deltas(self.rest_vertices.to(controls), self.basis.to(controls), change)
+
+
+@torch.no_grad()
+def _finite_differences(rig: LinearRig, controls: Tensor) -> tuple[Tensor, Jacobian]:
+    """One-sided differences, into the range: a rig need not answer beyond its limits."""
+    step = STEP * (rig.upper - rig.lower).to(controls)
+    step = torch.where(controls + step <= rig.upper.to(controls), step, -step)
+    found = rig.coefficients(controls)
+    moved = [rig.coefficients(controls + step * column) for column in torch.eye(len(rig.controls)).to(controls)]
+    return found, Jacobian((torch.stack(moved, dim=2) - found[:, :, None]) / step[:, None])
 
 
 def _check_controls(rig: str, controls: Sequence[Control]) -> None:

@@ -17,14 +17,15 @@ FLOORS = [
     {"mesh_space"},
     {"sampling", "losses", "metrics", "render"},
     {"networks"},
-    {"pictures", "cli"},
+    {"pictures", "cli", "solvers"},
     {"rig_contract", "bundle", "pairs", "fitted_rig"},
     {"data"},
     {"clips", "judge", "inverse", "modules", "recorded_rig"},
-    {"evaluation"},
-    {"callbacks"},
+    {"optimum"},
+    {"evaluation", "methods"},
+    {"callbacks", "baselines"},
     {"assemble"},
-    {"train", "evaluate", "check", "contact_sheet"},
+    {"train", "evaluate", "check", "contact_sheet", "compare"},
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 SOURCES = [path for folder in ("riginv", "rigs") for path in sorted((ROOT / folder).rglob("*.py"))]

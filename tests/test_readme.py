@@ -36,7 +36,8 @@ def test_every_command_composes(page):
             continue  # a reader's own folder
         name, *arguments = command.removeprefix("python -m riginv.").split()
         values = [true_rig_choice(argument.strip("'\"")) for argument in arguments if "=" in argument]
-        composed(*(value.partition(",")[0] for value in values), command=name)  # of a sweep, the first job
+        first = (value if "=[" in value else value.partition(",")[0] for value in values)  # of a sweep, the first job
+        composed(*first, command=name)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

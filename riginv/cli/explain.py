@@ -48,7 +48,7 @@ def _unknown_choice(error: MissingConfigException) -> str:
     group, _, choice = path.rpartition("/")
     for argument in sys.argv[1:]:
         typed, _, choices = argument.lstrip("+~").partition("=")
-        for one in choices.split(","):
+        for one in choices.strip("[]").split(","):
             if f"{typed.partition('@')[0]}/{one}" == path:
                 group, choice = typed.partition("@")[0], one
     folder = CONFIGS / group

@@ -49,6 +49,22 @@ def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
     return smallest
 
 
+def screen_slopes(activations: Tensor, sources: Tensor) -> Tensor:
+    """The derivative `(batch, shape, slot)` of each shape of `screen` by the driver in each slot; 0 in empty slots."""
+    padded = torch.cat([activations, activations.new_zeros(len(activations), 1)], dim=1)
+    remaining = 1 - padded[:, sources]
+    slots = range(sources.shape[1])
+    others = [remaining[:, :, [other for other in slots if other != slot]].prod(dim=2) for slot in slots]
+    return torch.stack(others, dim=2) * (sources >= 0)
+
+
+def combination_slopes(weights: Tensor, members: Tensor) -> Tensor:
+    """The derivative `(batch, combination, 3)` of each of `combination_weights` by the weight of each member."""
+    padded = torch.cat([weights, weights.new_ones(len(weights), 1)], dim=1)
+    first, second, third = (padded[:, member] for member in members.T)
+    return torch.stack([second * third, first * third, first * second], dim=2) * (members >= 0)
+
+
 def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tensor:
     """Add weighted deltas to a rest mesh.
 

@@ -57,18 +57,31 @@ def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
         `(batch, curve)`; differentiable in `inputs`. At a key the slope is that of the segment to its right, at the ends
         that of the end segments, so that a control at its limit still has a gradient.
     """
+    x, (start, width, a, b, c, d, e, f, g) = _segments(table, inputs)
+    t = _solve(a, b, c, (x - start) / width)
+    return ((d * t + e) * t + f) * t + g
+
+
+@torch.no_grad()
+def curves_and_slopes(table: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """The value of each curve at its own input, and its slope there, both `(batch, curve)`; as `evaluate_curves`."""
+    x, (start, width, a, b, c, d, e, f, g) = _segments(table, inputs)
+    t = _solve(a, b, c, (x - start) / width)
+    along = ((3 * a * t + 2 * b) * t + c).clamp_min(torch.finfo(t.dtype).eps) * width
+    slope = ((3 * d * t + 2 * e) * t + f) / along
+    return ((d * t + e) * t + f) * t + g, torch.where(x == inputs, slope, 0.0)
+
+
+def _segments(table: Tensor, inputs: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
+    """The inputs within the curves' ends, and the nine numbers of the segments that they fall into."""
     starts = table[:, :, 0]
     ends = torch.where(starts.isinf(), -torch.inf, starts + table[:, :, 1]).amax(dim=1)
     x = inputs.clamp(starts[:, 0], ends)
     if table.shape[1] == 1:
-        segments = table[:, 0]
-    else:
-        index = (x.detach()[..., None] >= starts[:, 1:]).sum(dim=-1)
-        row = torch.arange(len(table), device=table.device) * table.shape[1] + index
-        segments = table.flatten(0, 1).index_select(0, row.flatten()).unflatten(0, row.shape)
-    start, width, a, b, c, d, e, f, g = segments.unbind(-1)
-    t = _solve(a, b, c, (x - start) / width)
-    return ((d * t + e) * t + f) * t + g
+        return x, table[:, 0].unbind(-1)
+    index = (x.detach()[..., None] >= starts[:, 1:]).sum(dim=-1)
+    row = torch.arange(len(table), device=table.device) * table.shape[1] + index
+    return x, table.flatten(0, 1).index_select(0, row.flatten()).unflatten(0, row.shape).unbind(-1)
 
 
 def _solve(a: Tensor, b: Tensor, c: Tensor, target: Tensor) -> Tensor:

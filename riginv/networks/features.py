@@ -47,6 +47,14 @@ class RigFeatures(nn.Module):
         self.register_buffer("scale", torch.ones_like(rest[0]))
         self.register_buffer("slope", torch.zeros(len(rest[0]), len(backend.controls)).to(rest))
 
+    @classmethod
+    def fitted(cls, rig: RigInMeshSpace) -> "RigFeatures":
+        """For use without a network: calibrated on random poses of the rig."""
+        features, backend = cls(rig), rig.rig
+        limits = backend.lower, backend.upper, backend.neutral_controls
+        features.calibrate(rig, rig(sparse_controls(*limits, len(backend.controls), POSES, generator_at(0, "scale"))))
+        return features
+
     @property
     def size(self) -> int:
         return len(self.scale)

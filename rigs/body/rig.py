@@ -5,6 +5,8 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.blendshapes import apply_deltas
+from riginv.geometry.jacobian import Jacobian
+from riginv.geometry.joint_slopes import JointSlopes
 from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels, turns_against
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig import LinearRig, Motion
@@ -71,6 +73,7 @@ class BodyRig(LinearRig):
         loose[joint["root"]] = 0.0  # its controls reach everything
         self.loose_parts = torch.deg2rad(loose).flatten().to(self.dtype)
         self.levels = tree_levels(self.parents, self.joint_names)
+        self.slopes = JointSlopes(self.parents, self.angles, skinned)
 
     def expressions(self) -> dict[str, dict[str, float]]:
         return EXPRESSIONS
@@ -90,6 +93,16 @@ class BodyRig(LinearRig):
     def loose_coefficients(self, controls: Tensor, parts: Tensor) -> Tensor:
         """As `coefficients`, where each joint has also turned on its own by `parts` `(batch, 3 * joint)`, radians."""
         return self._coefficients(controls @ self.angles.to(controls) + parts, controls)
+
+    @torch.no_grad()
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        """As `coefficients`, with the derivative of the skinning matrices (`riginv.geometry.joint_slopes`)."""
+        frames, angles = self.frames.to(controls), (controls @ self.angles.to(controls)).unflatten(1, (-1, 3))
+        turns = roma.euler_to_rotmat(ORDER, angles)
+        worlds = self._worlds(frames @ turns @ frames.mT, controls[:, self.moves])
+        slopes = self.slopes(worlds, frames @ euler_axes(angles, turns))
+        slopes[:, self.moves, :, :, 3] = torch.eye(3).to(controls)[:, None]
+        return worlds[:, self.skinned].flatten(1), Jacobian(slopes.flatten(2).transpose(1, 2))
 
     def _coefficients(self, angles: Tensor, controls: Tensor) -> Tensor:
         frames = self.frames.to(controls)
@@ -117,10 +130,25 @@ class BodyRig(LinearRig):
             rotations: of each joint against its parent, `(batch, joint, 3, 3)`; the identity at rest.
             move: of the root, `(batch, 3)`, mm.
         """
+        return self._worlds(rotations, move)[:, self.skinned].flatten(1)
+
+    def _worlds(self, rotations: Tensor, move: Tensor) -> Tensor:
+        """The world transforms of all joints, `(batch, joint, 3, 4)`."""
         offsets = self.offsets.to(rotations).expand(len(rotations), -1, -1)
         offsets = torch.cat([offsets[:, :1] + move[:, None], offsets[:, 1:]], dim=1)  # the root is the first joint
-        worlds = forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
-        return worlds[:, self.skinned].flatten(1)
+        return forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
+
+
+def euler_axes(angles: Tensor, turns: Tensor) -> Tensor:
+    """The axes, as columns `(..., 3, 3)`, that a joint turns about when one of its angles `(..., 3)` changes.
+
+    Args:
+        turns: what the angles make, `(..., 3, 3)`. The first axis stays, the middle one has been turned by the first angle,
+            the last one by both.
+    """
+    first, zero = angles[..., 0], torch.zeros_like(angles[..., 0])
+    middle = torch.stack([zero, -torch.sin(first), torch.cos(first)], dim=-1)
+    return torch.stack([torch.eye(3).to(angles)[0].expand_as(middle), middle, turns[..., 1]], dim=-1)
 
 
 def joint_angles(turns: Tensor) -> Tensor:

@@ -1,0 +1,36 @@
+"""Poses that regressions are fitted to."""
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.mesh_space import RigInMeshSpace
+from riginv.sampling.meshes import MeshSampler
+from riginv.sampling.seeds import generator_at
+
+PIECE = 500  # poses at a time
+
+
+def training_poses(rig: RigInMeshSpace, sampler: MeshSampler, count: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Mesh coordinates `(pose, coordinate)`, and how far the controls `(pose, control)` are from neutral, in ranges; the rest
+    pose is the first of them.
+
+    Raises:
+        InputError: there are fewer than three poses, or the sampler draws meshes without their controls.
+    """
+    if count < 3:
+        raise InputError(f"a regression on {count} poses was asked for, expected at least 3")
+    generator = generator_at(seed, "baseline poses")
+    batches = [sampler.sample(min(PIECE, count - start), generator) for start in range(0, count, PIECE)]
+    if "controls" not in batches[0]:
+        raise InputError("the sampler of a regression draws meshes without their controls: choose sampler=rig_poses")
+    neutral, span = rig.rig.neutral_controls, rig.rig.upper - rig.rig.lower
+    controls = torch.cat([neutral[None], *(batch["controls"] for batch in batches)])
+    coordinates = torch.cat([rig(neutral[None]).detach(), *(batch["coordinates"] for batch in batches)])
+    return coordinates[:count].double(), ((controls - neutral) / span)[:count].double()
+
+
+def as_controls(rig: RigInMeshSpace, away: Tensor) -> Tensor:
+    """Distances from neutral `(mesh, control)`, in ranges, as controls within the limits."""
+    own = rig.rig.neutral_controls.double() + away * (rig.rig.upper - rig.rig.lower).double()
+    return own.to(rig.rig.dtype).clamp(rig.rig.lower, rig.rig.upper)

@@ -1,0 +1,123 @@
+"""Methods side by side: kept one by one as they finish, shown as tables and as a plot."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from riginv.files import write_json, write_text, written_beside
+
+CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "methods"
+HEADINGS = {
+    "method": "method",
+    "set": "judged on",
+    "mean_vertex_error_mm": "mean\nmm",
+    "max_vertex_error_mm": "worst\nmm",
+    "roughness": "rough-\nness",
+    "nonzero_controls": "controls\nin use",
+    "ms_per_frame": "ms a\nframe",
+    "training_seconds": "train-\ning s",
+    "optimum_ratio": "times\noptimum",
+}
+Rows = list[dict[str, Any]]
+
+
+def keep_rows(folder: Path, name: str, config: Mapping[str, Any], rows: Rows) -> None:
+    """Keep what a method reached, with its config."""
+    write_json(folder / METHODS / f"{name}.json", {"config": config, "rows": rows})
+
+
+def kept_rows(folder: Path, name: str, config: Mapping[str, Any]) -> Rows | None:
+    """What a method reached before, or None where it has not finished yet or had another config then."""
+    path = folder / METHODS / f"{name}.json"
+    if not path.is_file():
+        return None
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    return kept["rows"] if kept["config"] == config else None
+
+
+def write_tables(folder: Path, rows: Rows, sources: Mapping[str, str]) -> None:
+    """Write the rows as CSV, as Markdown with each method's source, and as a plot."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(HEADINGS), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(folder / CSV, text.getvalue())
+    write_text(folder / MARKDOWN, _markdown(rows, sources))
+    with written_beside(folder / PLOT) as beside:
+        _plot(rows).savefig(beside, format="png", dpi=130)
+
+
+def show(rows: Rows, folder: Path) -> None:
+    """Show the rows in the terminal, one table for each set."""
+    console = Console()
+    for name in dict.fromkeys(row["set"] for row in rows):
+        table = Table(
+            title=name.replace("_", " "), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
+        )
+        for key, heading in HEADINGS.items():
+            if key != "set":
+                table.add_column(heading, justify="left" if key == "method" else "right", overflow="fold")
+        for row in rows:
+            if row["set"] == name:
+                table.add_row(*(_shown(row, key) for key in HEADINGS if key != "set"))
+        console.print(table)
+    console.print(
+        "  Judged by the true rig, which was given the controls. Times the optimum: the error over that of many-start"
+    )
+    console.print("  Levenberg-Marquardt on the same few meshes. Controls in use: away from neutral, of a mean frame.")
+    for what, file in (("figures", CSV), ("a table to paste", MARKDOWN), ("error and roughness", PLOT)):
+        console.print(f"  {what}: {folder / file}", soft_wrap=True, highlight=False)
+
+
+def _shown(row: dict[str, Any], key: str) -> str:
+    value = row[key]
+    if value is None or isinstance(value, str):
+        return value or "-"
+    if key == "roughness":
+        return f"{value:.1e}"
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else "0"
+
+
+def _markdown(rows: Rows, sources: Mapping[str, str]) -> str:
+    heads = [heading.replace("\n", " ") for heading in HEADINGS.values()]
+    lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "---:|" * (len(heads) - 2)]
+    lines += ["| " + " | ".join(_shown(row, key) for key in HEADINGS) + " |" for row in rows]
+    return "\n".join([*lines, "", *(f"- **{name}**: {source}" for name, source in sources.items()), ""])
+
+
+def _plot(rows: Rows) -> Figure:
+    """Error against roughness on the clip; against the time a frame takes where there is no clip. Lower left is better."""
+    clip = [row for row in rows if row["roughness"] is not None]
+    shown = clip or [row for row in rows if row["set"] == rows[0]["set"]]
+    key = "roughness" if clip else "ms_per_frame"
+    figure = Figure(figsize=(8, 5.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for number, row in enumerate(sorted(shown, key=lambda row: (row["mean_vertex_error_mm"], row[key]))):
+        place = (row[key], row["mean_vertex_error_mm"])
+        axes.scatter(*place, s=45)
+        offset = (6, 5) if number % 2 else (6, -12)  # of two that lie side by side, one above and one below
+        axes.annotate(row["method"].replace("_", " "), place, xytext=offset, textcoords="offset points", fontsize=9)
+    axes.margins(x=0.15, y=0.1)
+    axes.set_xscale("symlog" if any(row[key] <= 0 for row in shown) else "log", **_linear_below(shown, key))
+    axes.set_yscale("log")
+    axes.set_xlabel("roughness (mean squared second difference of the controls)" if clip else "ms per frame")
+    axes.set_ylabel("mean vertex error, mm")
+    axes.set_title(f"{shown[0]['set'].replace('_', ' ')}: lower left is better")
+    axes.grid(alpha=0.3)
+    return figure
+
+
+def _linear_below(rows: Rows, key: str) -> dict[str, float]:
+    """Where a logarithmic axis that must show 0 too turns linear."""
+    positive = [row[key] for row in rows if row[key] > 0]
+    return {"linthresh": min(positive, default=1.0)} if len(positive) < len(rows) else {}

@@ -1,0 +1,51 @@
+"""What a way of inverting a rig must offer to be compared with others."""
+
+from abc import ABC, abstractmethod
+
+import torch
+from torch import Tensor
+
+from riginv.data.mesh_sets import MeshSet
+from riginv.mesh_space import RigInMeshSpace
+
+
+class Method(ABC):
+    """A way from meshes to controls. `conf/methods/NAME.yaml` names the class and its arguments under the key NAME.
+
+    A method of yours is a class and such a file, in a folder that `--config-dir` names: its class takes the rig in its mesh
+    space first, then the arguments of the file.
+
+    Args:
+        rig: the rig to invert, in its mesh space. It may be a surrogate: then another rig, the true one, judges.
+
+    Attributes:
+        rig: the same.
+        seed: of whatever is drawn; set by `prepare`.
+        source: what is implemented: the paper, and what was changed and why.
+    """
+
+    source: str = ""
+
+    def __init__(self, rig: RigInMeshSpace) -> None:
+        self.rig = rig
+        self.seed = 0
+
+    def prepare(self, seed: int) -> None:
+        """Train, fit or tabulate whatever the method needs before its first mesh; `compare` times it as `training_seconds`.
+
+        Called once, before `invert`; equal seeds must give equal results. Most methods only keep the seed.
+        """
+        self.seed = seed
+
+    @abstractmethod
+    def invert(self, meshes: MeshSet) -> Tensor:
+        """Controls `(mesh, control)`, within the rig's limits, for all meshes in order.
+
+        Where `meshes.fps` is set they are the frames of a clip, and a method may use that. `meshes.controls`, where there are
+        any, are the answer: no method may look at them.
+        """
+
+    def coordinates(self, meshes: MeshSet) -> Tensor:
+        """All meshes `(mesh, coordinate)` in mesh coordinates, read piece by piece: never all vertices at once."""
+        pieces = [self.rig.space.encode(vertices) for _, vertices in meshes.pieces()]
+        return torch.cat(pieces) if pieces else self.rig.linear_map.new_zeros(0, self.rig.space.size)

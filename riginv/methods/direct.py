@@ -1,0 +1,43 @@
+"""Direct optimisation, as the paper compares itself with."""
+
+import torch
+from torch import Tensor
+
+from riginv.data.mesh_sets import MeshSet
+from riginv.mesh_space import RigInMeshSpace
+from riginv.methods.base import Method
+from riginv.solvers.descent import descend
+from riginv.solvers.objective import Objective
+from riginv.solvers.starts import first_start
+
+
+class Direct(Method):
+    """Adam on the controls of each frame; in a clip each frame starts where the one before ended.
+
+    Args:
+        steps: of Adam, for each frame.
+        first_steps: for the first frame of a clip, and for every mesh that has no frame before it.
+        lr: step size, of a control's range.
+    """
+
+    source = (
+        "Rig inversion by training a differentiable rig function (SIGGRAPH Asia 2022), 'direct optimisation': gradient descent "
+        "through the rig on each frame's controls, from the frame before. Changed: the loss is taken in mesh coordinates, "
+        "where it is the same but for a constant; controls are clamped to their limits after each step; the paper leaves "
+        "steps and rate open. The first frame starts a little away from neutral, on the side of each control that helps the "
+        "mesh more: at neutral itself rigs have a kink that a descent may never leave."
+    )
+
+    def __init__(self, rig: RigInMeshSpace, steps: int = 30, first_steps: int = 300, lr: float = 0.02) -> None:
+        super().__init__(rig)
+        self.steps, self.first_steps, self.lr = steps, first_steps, lr
+
+    def invert(self, meshes: MeshSet) -> Tensor:
+        coordinates = self.coordinates(meshes)
+        alone = coordinates[:1] if meshes.fps else coordinates  # those that no frame comes before
+        objective = Objective(self.rig)
+        start = objective.own_units(first_start(objective, alone))
+        found = [descend(self.rig, start, alone, self.first_steps, self.lr)]
+        for frame in range(len(alone), len(coordinates)):
+            found.append(descend(self.rig, found[-1], coordinates[frame : frame + 1], self.steps, self.lr))
+        return torch.cat(found)

@@ -1,0 +1,42 @@
+"""A trained inverse among the methods."""
+
+import torch
+from torch import Tensor
+
+from riginv.data.mesh_sets import MeshSet
+from riginv.inverse import Inverse, load_inverse
+from riginv.mesh_space import RigInMeshSpace
+from riginv.methods.base import Method
+
+PIECE = 512
+
+
+class Network(Method):
+    """The network of a bundle, trained beforehand by `python -m riginv.train`; its training time is the bundle's.
+
+    Args:
+        bundle: the bundle of an inverse, or the run that holds it.
+
+    Raises:
+        InputError: the bundle is missing, damaged, or made for another rig.
+    """
+
+    source = "Rig inversion by training a differentiable rig function (SIGGRAPH Asia 2022), and riginv's staged network"
+
+    def __init__(self, rig: RigInMeshSpace, bundle: str) -> None:
+        super().__init__(rig)
+        self.inverse: Inverse = load_inverse(bundle, rig.rig)
+
+    @torch.no_grad()
+    def controls(self, coordinates: Tensor) -> Tensor:
+        """Controls `(mesh, control)` from mesh coordinates `(mesh, coordinate)`."""
+        pieces = [self.inverse.network(piece) for piece in coordinates.split(PIECE) if len(piece)]
+        return torch.cat(pieces) if pieces else self.rig.rig.lower.new_zeros(0, len(self.rig.rig.controls))
+
+    def invert(self, meshes: MeshSet) -> Tensor:
+        return self.controls(self.coordinates(meshes))
+
+    def coordinates(self, meshes: MeshSet) -> Tensor:
+        """In the mesh space of the network, which it was trained in."""
+        pieces = [self.inverse.network.rig.space.encode(vertices) for _, vertices in meshes.pieces()]
+        return torch.cat(pieces) if pieces else self.rig.linear_map.new_zeros(0, self.rig.space.size)

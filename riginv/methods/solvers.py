@@ -1,0 +1,123 @@
+"""Optimisation in mesh space among the methods."""
+
+import torch
+from torch import Tensor
+
+from riginv.data.mesh_sets import MeshSet
+from riginv.mesh_space import RigInMeshSpace
+from riginv.methods.base import Method
+from riginv.methods.network import Network
+from riginv.solvers.clip import solve_clip
+from riginv.solvers.every_mesh import refine_meshes, solve_frames, solve_meshes
+from riginv.solvers.levenberg_marquardt import Solution
+from riginv.solvers.objective import PRIOR, Objective
+from riginv.solvers.smoothing import smoothed
+
+
+class LevenbergMarquardt(Method):
+    """The least error of each mesh for itself; in a clip, neighbouring frames are where it starts.
+
+    Args:
+        starts: of meshes that are no clip.
+        key_starts: of every fourth frame of a clip.
+        steps: linearisations from each start.
+        more_steps: for frames that start from a neighbour's answer.
+        descent_steps: of gradient descent, to the second start.
+        prior, sparsity: as in `Objective`.
+    """
+
+    source = (
+        "riginv: Levenberg (1944), Marquardt (1963), bounded by pinning controls to their limits, in mesh coordinates with the "
+        "Jacobian of the rig's own nonlinear part"
+    )
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        starts: int = 3,
+        key_starts: int = 2,
+        steps: int = 30,
+        more_steps: int = 3,
+        descent_steps: int = 60,
+        prior: float = PRIOR,
+        sparsity: float = 0.0,
+    ) -> None:
+        super().__init__(rig)
+        self.starts, self.key_starts, self.steps, self.more_steps = starts, key_starts, steps, more_steps
+        self.descent_steps = descent_steps if rig.rig.differentiable else 0
+        self.objective = Objective(rig, prior, sparsity)
+
+    def invert(self, meshes: MeshSet) -> Tensor:
+        coordinates = self.coordinates(meshes)
+        if meshes.fps:
+            found = self.frames(coordinates)
+        else:
+            found = solve_meshes(self.objective, coordinates, self.starts, self.steps, descent_steps=self.descent_steps)
+        return self.objective.own_units(found.units)
+
+    def frames(self, coordinates: Tensor, rounds: int = 3) -> Solution:
+        """The frames of a clip, each for itself; `rounds` as in `solve_frames`."""
+        return solve_frames(
+            self.objective, coordinates, self.key_starts, self.steps, self.more_steps, rounds, self.descent_steps
+        )
+
+
+class Clip(LevenbergMarquardt):
+    """A whole clip at once, with smooth curves; meshes that are no clip are solved one by one.
+
+    Args:
+        smoothness: as in `solve_clip`.
+        clip_steps: Gauss-Newton steps on the whole clip.
+        blur: standard deviation of the Gaussian that smooths the frames' own answers to a start, frames.
+        bundle: a trained inverse whose answers are the start in their place.
+    """
+
+    source = (
+        "riginv: Gauss-Newton on all frames with squared second differences of the controls, by block-banded Cholesky in "
+        "windows, from each frame's own optimum, smoothed"
+    )
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        smoothness: float = 1.5,
+        clip_steps: int = 4,
+        blur: float = 3.0,
+        bundle: str | None = None,
+        **solver: float,
+    ) -> None:
+        super().__init__(rig, **solver)
+        self.smoothness, self.clip_steps, self.blur = smoothness, clip_steps, blur
+        self.network = Network(rig, bundle) if bundle else None
+
+    def invert(self, meshes: MeshSet) -> Tensor:
+        if not meshes.fps:
+            return super().invert(meshes)
+        coordinates = self.coordinates(meshes)
+        if self.network is not None:
+            start = self.objective.units(self.network.controls(coordinates))
+        else:
+            start = smoothed(self.frames(coordinates, rounds=0), self.blur)
+        found = solve_clip(self.objective, coordinates, start, self.smoothness, self.clip_steps)
+        return self.objective.own_units(found)
+
+
+class Refined(Network):
+    """A network's answer and a few steps of Levenberg-Marquardt from there, mesh by mesh.
+
+    Args:
+        bundle: the bundle of an inverse, or the run that holds it.
+        steps: linearisations.
+    """
+
+    source = "riginv: a trained network as the start of Levenberg-Marquardt"
+
+    def __init__(self, rig: RigInMeshSpace, bundle: str, steps: int = 5, prior: float = PRIOR) -> None:
+        super().__init__(rig, bundle)
+        self.steps, self.objective = steps, Objective(rig, prior)
+
+    @torch.no_grad()
+    def invert(self, meshes: MeshSet) -> Tensor:
+        coordinates = self.coordinates(meshes)
+        start = self.objective.units(self.controls(coordinates))
+        return self.objective.own_units(refine_meshes(self.objective, coordinates, start, self.steps).units)

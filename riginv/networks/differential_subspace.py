@@ -1,0 +1,127 @@
+"""Song et al. 2020: a surrogate that learns local shape in differential coordinates, and apart from it where a few vertices
+stand.
+
+Source: Song, Shi, Reed: Accurate face rig approximation with deep differential subspace reconstruction (SIGGRAPH 2020, arXiv
+2006.01746). One perceptron gives the differential coordinates, as principal components; a smaller one the positions of
+anchors, which hold the low frequencies that differential coordinates hardly see; least squares make a mesh of both.
+
+Changed: the least squares are solved within the rig's mesh space, where they are one fixed linear map; both perceptrons are
+trained together, with the loss on the mesh that comes out, as our other surrogates are, where theirs have losses of their
+own; the components are those of the rig's deltas, not of posed examples; the graph Laplacian, anchors spread by distance,
+their number and their weight are our choices.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.geometry.differential import differential_coordinates
+from riginv.geometry.spread import spread_points
+from riginv.mesh_space import MeshSpace
+from riginv.networks.mlp import mlp
+from riginv.networks.surrogate import SurrogateNetwork
+from riginv.rig import LinearRig
+
+
+class Reconstruction(NamedTuple):
+    """Fixed linear maps.
+
+    Attributes:
+        differential: principal components of differential coordinates, as these: `(component, vertex, 3)`.
+        anchors: principal components of the anchors' displacements, as these: `(component, anchor, 3)`.
+        from_differential, from_anchors: components to the coefficients of the least-squares mesh, `(component, coefficient)`.
+    """
+
+    differential: Tensor
+    anchors: Tensor
+    from_differential: Tensor
+    from_anchors: Tensor
+
+
+def reconstruction(rig: LinearRig, anchors: Tensor, weight: float, components: int | None = None) -> Reconstruction:
+    """How a mesh within the span of a rig's basis follows from differential coordinates and anchors by least squares.
+
+    Args:
+        anchors: indices of vertices.
+        weight: of the anchors' squared errors against those of the differential coordinates.
+        components: of the differential coordinates, at most; None: all.
+    """
+    space = MeshSpace.from_rig(rig)
+    frame = space.frame.double()
+    local, places = differential_coordinates(frame, rig.faces).flatten(1), frame[:, anchors].flatten(1)
+    deltas = rig.basis.double().flatten(1) @ frame.flatten(1).T
+    local_parts = _principal(deltas @ local)[:components]
+    place_parts = _principal(deltas @ places)
+    normal = local @ local.T + weight * places @ places.T
+    normal.diagonal().add_(1e-9 * normal.diagonal().mean())
+    to_coefficients = torch.linalg.solve(normal, torch.linalg.pinv(deltas))
+    found = Reconstruction(
+        local_parts.unflatten(1, (-1, 3)),
+        place_parts.unflatten(1, (-1, 3)),
+        local_parts @ local.T @ to_coefficients,
+        weight * place_parts @ places.T @ to_coefficients,
+    )
+    return Reconstruction(*(values.to(rig.dtype) for values in found))
+
+
+def _principal(seen: Tensor) -> Tensor:
+    """Principal components `(component, value)` of `(sample, value)`, as long as these are spread along them, longest first.
+
+    Always as many as there can be, though some be 0: a network that is loaded again must find the same number.
+    """
+    _, left = torch.linalg.eigh(seen @ seen.T)
+    return (left.flip(1).T @ seen)[: seen.shape[1]] / len(seen) ** 0.5
+
+
+class DifferentialSubspace(SurrogateNetwork):
+    """Two perceptrons on the controls, in shares of their ranges, and a fixed reconstruction.
+
+    Args:
+        hidden: widths for the differential coordinates.
+        subspace_hidden: widths for the anchors.
+        anchors: how many vertices hold the mesh in place.
+        anchor_weight: of the anchors in the least squares.
+        components: principal components of the differential coordinates, at most; None: all.
+
+    Raises:
+        InputError: a number is out of range.
+    """
+
+    def __init__(
+        self,
+        rig: LinearRig,
+        hidden: Sequence[int] = (1024, 1024),
+        subspace_hidden: Sequence[int] = (256, 256),
+        anchors: int = 64,
+        anchor_weight: float = 1.0,
+        components: int | None = None,
+        activation: str = "leaky_relu",
+    ) -> None:
+        super().__init__(rig)
+        for name, value in (("anchors", anchors), ("components", components)):
+            if value is not None and value < 1:
+                raise InputError(f"network: {name} is {value}, expected at least 1")
+        if not anchor_weight > 0:
+            raise InputError(f"network: anchor_weight is {anchor_weight}, expected above 0")
+        maps = reconstruction(rig, spread_points(rig.rest_vertices, anchors), anchor_weight, components)
+        # Kept with the weights: another machine may find the same components with other signs.
+        self.register_buffer("from_differential", maps.from_differential)
+        self.register_buffer("from_anchors", maps.from_anchors)
+        self.register_buffer("neutral", rig.neutral_controls, persistent=False)
+        self.register_buffer("span", rig.upper - rig.lower, persistent=False)
+        self.differential = mlp(len(rig.controls), hidden, len(self.from_differential), activation)
+        self.subspace = mlp(len(rig.controls), subspace_hidden, len(self.from_anchors), activation)
+
+    def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
+        """Nothing: components come out in the measure of their spread as they are."""
+
+    def forward(self, controls: Tensor) -> Tensor:
+        """Coefficients follow from a mesh: no sigmoid keeps them in a range."""
+        return self.raw(controls)
+
+    def raw(self, controls: Tensor) -> Tensor:
+        away = (controls - self.neutral) / self.span
+        return self.differential(away) @ self.from_differential + self.subspace(away) @ self.from_anchors

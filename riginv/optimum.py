@@ -1,0 +1,96 @@
+"""The best that any controls can do, on a few meshes of a set: what tells how far from it a result is."""
+
+import hashlib
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from riginv.cache import cached_tensors
+from riginv.data.mesh_sets import MeshSet
+from riginv.judge import Judgement
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig import LinearRig, RigBackend
+from riginv.sampling.controls import sparse_controls
+from riginv.sampling.seeds import generator_at
+from riginv.solvers.every_mesh import solve_meshes
+from riginv.solvers.objective import Objective
+
+MESHES = 40  # of each set, evenly spread
+STARTS, STEPS, TOLERANCE = 6, 60, 1e-5
+DESCENT_STEPS = 300
+LEAST_MM = 1e-3  # an optimum below this counts as this: no result is many times worse than nothing
+SEED = 20221206
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The best that many-start Levenberg-Marquardt found on some meshes of a set.
+
+    Attributes:
+        rows: which meshes `(mesh,)`.
+        errors_mm: the mean vertex error of each, as the true rig judges, `(mesh,)`.
+    """
+
+    rows: Tensor
+    errors_mm: Tensor
+
+    @property
+    def mean_mm(self) -> float:
+        return float(self.errors_mm.double().mean())
+
+    def ratio(self, judgement: Judgement) -> float:
+        """How many times the optimum a result's mean error is, on the same meshes."""
+        return float(judgement.errors_mm[self.rows].double().mean()) / max(self.mean_mm, LEAST_MM)
+
+    def metrics(self, judgement: Judgement) -> dict[str, float]:
+        """The optimum and the ratio to it, by `SET/key`."""
+        name = judgement.meshes.name
+        values = {"optimum_mean_vertex_error_mm": self.mean_mm, "optimum_ratio": self.ratio(judgement)}
+        return {f"{name}/{key}": value for key, value in values.items()}
+
+
+def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]:
+    """The optimum of each set, by its name, kept between runs; none for rigs that no gradient passes through.
+
+    Exact for rigs that end in a linear map, in whose mesh space the least squared error is sought. The squared error and the
+    mean distance that is reported differ a little: a result may come out a hair better than its optimum.
+    """
+    if not (isinstance(true_rig, LinearRig) and true_rig.differentiable):
+        return {}
+    key, objective, found = _fingerprint(true_rig), None, {}
+    for meshes in sets:
+        if not len(meshes):
+            continue
+        rows = torch.linspace(0, len(meshes) - 1, min(MESHES, len(meshes)), dtype=torch.float64).round().long()
+        vertices = torch.cat([meshes.vertices(row, row + 1) for row in rows.tolist()])
+
+        def solve(vertices: Tensor = vertices) -> dict[str, Tensor]:
+            nonlocal objective
+            objective = objective or Objective(RigInMeshSpace(true_rig, MeshSpace.from_rig(true_rig)))
+            return {"errors_mm": _errors(objective, vertices)}
+
+        name = hashlib.sha256(key + vertices.cpu().numpy().tobytes()).hexdigest()[:32]
+        found[meshes.name] = Optimum(rows, cached_tensors("optimum", name, solve)["errors_mm"])
+    return found
+
+
+@torch.no_grad()
+def _errors(objective: Objective, vertices: Tensor) -> Tensor:
+    rig = objective.rig.rig
+    coordinates = objective.rig.space.encode(vertices)
+    controls = objective.own_units(solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS).units)
+    errors = [(rig(one[None])[0] - mesh).norm(dim=1).mean() for one, mesh in zip(controls, vertices)]
+    return torch.stack(errors)
+
+
+@torch.no_grad()
+def _fingerprint(rig: LinearRig) -> bytes:
+    """What a rig does, in a few bytes: its basis, its limits, and its coefficients in some poses."""
+    limits = rig.lower, rig.upper, rig.neutral_controls
+    poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)
+    facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([STARTS, STEPS, TOLERANCE, DESCENT_STEPS]))
+    digest = hashlib.sha256()
+    for fact in facts:
+        digest.update(fact.detach().cpu().contiguous().numpy().tobytes())
+    return digest.digest()

@@ -1,0 +1,62 @@
+"""One step of a damped quadratic model that stays in a box, for many frames at once."""
+
+import torch
+from torch import Tensor
+
+ROUNDS = 3  # of solving and pinning what leaves the box
+FLOOR = 1e-3  # of the mean curvature: what damps a control that does nothing
+
+
+def damped(hessian: Tensor, damping: Tensor) -> Tensor:
+    """Hessians `(mesh, control, control)` with Marquardt's damping `(mesh,)`, relative to their diagonals."""
+    diagonal = hessian.diagonal(dim1=1, dim2=2)
+    floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + torch.finfo(hessian.dtype).tiny
+    return hessian + torch.diag_embed(damping[:, None] * (diagonal + floor))
+
+
+def box_step(matrix: Tensor, gradient: Tensor, at: Tensor) -> Tensor:
+    """The step `(mesh, control)` that minimises a quadratic model over the box from 0 to 1, nearly.
+
+    Controls at a limit that the gradient pushes outward stay; the others are solved for, those that would leave the box are
+    pinned to the limit that they hit, and the rest is solved again around them, a few times. Where a matrix is not positive
+    definite in its own precision it is taken apart in float64; a frame for which that fails too stays where it is.
+
+    Args:
+        matrix: `(mesh, control, control)`, damped.
+        gradient: `(mesh, control)`.
+        at: where the controls stand, `(mesh, control)` in [0, 1].
+    """
+    free = ~(((at <= 0) & (gradient > 0)) | ((at >= 1) & (gradient < 0)))
+    target = at + torch.where(free, _solve(matrix, torch.where(free, -gradient, 0.0), free), 0.0)
+    step = target.clamp(0, 1) - at
+    for _ in range(ROUNDS - 1):
+        leaving = free & ((target < 0) | (target > 1))
+        rows = leaving.any(dim=1).nonzero()[:, 0]
+        if not len(rows):
+            break
+        free = free & ~leaving
+        some, here = free[rows], matrix[rows]
+        pinned = torch.where(some, 0.0, step[rows])
+        rest = torch.where(some, -gradient[rows] - (here @ pinned[..., None])[..., 0], 0.0)
+        target[rows] = at[rows] + torch.where(some, _solve(here, rest, some), pinned)
+        step[rows] = target[rows].clamp(0, 1) - at[rows]
+    return step
+
+
+def _solve(matrix: Tensor, right: Tensor, free: Tensor) -> Tensor:
+    """Solve for the free controls alone, brought together so that the systems are small; 0 for the others."""
+    most = int(free.sum(dim=1).max())
+    order = torch.argsort(free.to(torch.uint8), dim=1, descending=True, stable=True)[:, :most]
+    some = free.gather(1, order)
+    reduced = matrix.gather(1, order[:, :, None].expand(-1, -1, matrix.shape[2])).gather(2, order[:, None].expand(-1, most, -1))
+    reduced.masked_fill_(~(some[:, :, None] & some[:, None]), 0.0)
+    reduced.diagonal(dim1=1, dim2=2).add_(~some)
+    wanted = torch.where(some, right.gather(1, order), 0.0)[..., None]
+    factor, failed = torch.linalg.cholesky_ex(reduced)
+    found = torch.cholesky_solve(wanted, factor)[..., 0]
+    bad = (failed > 0).nonzero()[:, 0]
+    if len(bad):
+        exact, failed = torch.linalg.cholesky_ex(reduced[bad].double())
+        again = torch.cholesky_solve(wanted[bad].double(), exact)[..., 0]
+        found[bad] = torch.where((failed > 0)[:, None], 0.0, again).to(found)
+    return torch.zeros_like(right).scatter_(1, order, found)

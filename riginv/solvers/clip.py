@@ -1,0 +1,149 @@
+"""A whole clip at once: the least error for curves that are smooth."""
+
+import torch
+from torch import Tensor
+
+from riginv.solvers.band import second_difference_bands, solve_band
+from riginv.solvers.box_step import FLOOR
+from riginv.solvers.levenberg_marquardt import LEAST_DAMPING, MOST_DAMPING, START_DAMPING
+from riginv.solvers.objective import Linearised, Objective
+
+WINDOW, LOOKAHEAD = 192, 48  # frames that are kept of a window, and those solved beyond them so that its end knows what comes
+PIECE = 128
+ROUNDS = 2  # of solving and pinning what leaves the box
+TRIES = 4  # of more and more damping on one linearisation
+
+
+def solve_clip(
+    objective: Objective,
+    coordinates: Tensor,
+    start: Tensor,
+    smoothness: float,
+    steps: int = 12,
+    window: int = WINDOW,
+    lookahead: int = LOOKAHEAD,
+    tolerance: float = 1e-4,
+) -> Tensor:
+    """Minimise the objective of all frames plus half of `smoothness` times the squared second differences of the controls.
+
+    Long clips are solved window by window, so that memory stays bounded. A window goes on from the last two frames that the
+    one before has kept, and looks beyond its own end; what it finds there is where the next one starts. The influence of a
+    frame fades within the look-ahead, so the result is that of one solve without windows.
+
+    Args:
+        coordinates: `(frame, coordinate)`; frames with NaN or infinite values only follow their neighbours.
+        start: `(frame, control)` in shares of their ranges.
+        smoothness: mm^2, as the mean squared vertex distance, for one control with a second difference of its whole range.
+        steps: Gauss-Newton steps, at most.
+        window, lookahead: frames.
+        tolerance: a window is done once a step lowers its objective by less than this share.
+
+    Returns:
+        Controls `(frame, control)` in shares of their ranges.
+    """
+    found = start.clamp(0, 1)
+    for first in range(0, len(found), window):
+        stop = min(first + window + lookahead, len(found))
+        if len(found) - stop <= lookahead:
+            stop = len(found)  # no window is left with less than its own look-ahead
+        part = _Window(
+            objective, coordinates[first:stop], found[max(first - 2, 0) : first], smoothness * objective.vertex_count
+        )
+        found[first:stop] = part.solve(found[first:stop], steps, tolerance)
+        if stop == len(found):
+            break
+    return found
+
+
+class _Window:
+    """Some frames in a row, and up to two before them that are settled."""
+
+    def __init__(self, objective: Objective, coordinates: Tensor, before: Tensor, smoothness: float) -> None:
+        self.objective, self.before, self.smoothness = objective, before.clone(), smoothness
+        self.seen = torch.isfinite(coordinates).all(dim=1)
+        self.coordinates = torch.where(self.seen[:, None], coordinates, 0.0)
+        self.bands = [smoothness * band for band in second_difference_bands(len(coordinates), len(before))]
+
+    def solve(self, at: Tensor, steps: int, tolerance: float) -> Tensor:
+        damping = torch.full((len(at),), START_DAMPING, dtype=at.dtype)
+        for _ in range(steps):
+            near = self._linearise(at)
+            gradient = near.gradient + self._pull(at)
+            before = near.cost.sum() + self._roughness(at)
+            for _ in range(TRIES):
+                step = self._step(near.hessian, gradient, damping, at)
+                cost = self._cost(at + step)
+                after = cost.sum() + self._roughness(at + step)
+                foreseen = (near.gradient * step).sum(dim=1) + 0.5 * (step * (near.hessian @ step[..., None])[..., 0]).sum(
+                    dim=1
+                )
+                trusted = (cost - near.cost - foreseen) < 0.25 * foreseen.abs()
+                if after < before:
+                    damping = torch.where(trusted, damping / 4, damping * 4).clamp(LEAST_DAMPING, MOST_DAMPING)
+                    at = at + step
+                    break
+                damping = torch.where(trusted, damping * 2, damping * 10).clamp(LEAST_DAMPING, MOST_DAMPING)
+            else:
+                break
+            if before - after < tolerance * before:
+                break
+        return at
+
+    def _linearise(self, at: Tensor) -> Linearised:
+        pieces = [self.objective.linearise(*piece) for piece in zip(at.split(PIECE), self.coordinates.split(PIECE))]
+        near = Linearised(*(torch.cat(parts) for parts in zip(*pieces)))
+        for values in near:
+            values[~self.seen] = 0
+        return near
+
+    def _cost(self, at: Tensor) -> Tensor:
+        pieces = [self.objective.cost(*piece) for piece in zip(at.split(PIECE), self.coordinates.split(PIECE))]
+        return torch.where(self.seen, torch.cat(pieces), 0.0)
+
+    def _differences(self, at: Tensor) -> Tensor:
+        curve = torch.cat([self.before, at])
+        return curve[2:] - 2 * curve[1:-1] + curve[:-2]
+
+    def _roughness(self, at: Tensor) -> Tensor:
+        return 0.5 * self.smoothness * self._differences(at).square().sum()
+
+    def _pull(self, at: Tensor) -> Tensor:
+        """The gradient of the roughness, `(frame, control)`."""
+        second = self.smoothness * self._differences(at)
+        result = at.new_zeros(len(self.before) + len(at), at.shape[1])
+        if len(second):
+            result[2:] += second
+            result[1:-1] -= 2 * second
+            result[:-2] += second
+        return result[len(self.before) :]
+
+    def _step(self, hessian: Tensor, gradient: Tensor, damping: Tensor, at: Tensor) -> Tensor:
+        """As `box_step`, for all frames together."""
+        main, near, far = self.bands
+        diagonal = hessian.diagonal(dim1=1, dim2=2)
+        floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + 1e-6
+        blocks = hessian.double() + torch.diag_embed(damping[:, None] * (diagonal + floor) + main[:, None])
+        free = ~(((at <= 0) & (gradient > 0)) | ((at >= 1) & (gradient < 0)))
+        step = torch.zeros_like(at)
+        for _ in range(ROUNDS):
+            pinned = torch.where(free, 0.0, step).double()
+            rest = gradient + (blocks @ pinned[..., None])[..., 0]
+            rest[1:] += near[:-1, None] * pinned[:-1]
+            rest[:-1] += near[:-1, None] * pinned[1:]
+            rest[2:] += far[:-2, None] * pinned[:-2]
+            rest[:-2] += far[:-2, None] * pinned[2:]
+            both = free[:, :, None] & free[:, None]
+            reduced = torch.where(both, blocks, 0.0)
+            reduced.diagonal(dim1=1, dim2=2).add_(~free)
+            to_next = near[:, None] * (free & torch.roll(free, -1, 0))
+            to_second = far[:, None] * (free & torch.roll(free, -2, 0))
+            solved = solve_band(reduced, to_next, to_second, torch.where(free, -rest, 0.0))
+            if solved is None:
+                return torch.zeros_like(at)
+            target = at + torch.where(free, solved, pinned).to(at)
+            step = target.clamp(0, 1) - at
+            leaving = free & ((target < 0) | (target > 1))
+            if not bool(leaving.any()):
+                break
+            free = free & ~leaving
+        return step

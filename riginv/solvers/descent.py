@@ -1,0 +1,38 @@
+"""Gradient descent through a rig: slow, but out of reach of a rig's saturations it finds better places than Newton's steps."""
+
+import torch
+from torch import Tensor
+
+from riginv.mesh_space import RigInMeshSpace
+
+
+def descend(rig: RigInMeshSpace, start: Tensor, coordinates: Tensor, steps: int, lr: float) -> Tensor:
+    """Adam on the squared distance to meshes, each within the limits.
+
+    Args:
+        start: controls `(mesh, control)`.
+        coordinates: `(mesh, coordinate)`.
+        lr: step size, of a control's range.
+
+    Returns:
+        The best controls `(mesh, control)` met on the way; the start for meshes that hold NaN.
+    """
+    backend = rig.rig
+    span = backend.upper - backend.lower
+    unit = ((start - backend.lower) / span).detach().clone().requires_grad_()  # every control runs from 0 to 1: one rate fits
+    optimizer = torch.optim.Adam([unit], lr=lr)
+    best, least = start.clone(), torch.full((len(start),), torch.inf, dtype=start.dtype)
+    with torch.enable_grad():
+        for _ in range(steps):
+            controls = backend.lower + span * unit
+            errors = (rig(controls) - coordinates).square().sum(dim=1)
+            better = errors.detach() < least
+            best = torch.where(better[:, None], controls.detach(), best)
+            least = torch.where(better, errors.detach(), least)
+            optimizer.zero_grad()
+            (errors.sum() / rig.space.vertex_count).backward()
+            unit.grad.nan_to_num_()
+            optimizer.step()
+            with torch.no_grad():
+                unit.clamp_(0, 1)
+    return best.clamp(backend.lower, backend.upper)

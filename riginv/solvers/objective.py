@@ -1,0 +1,132 @@
+"""What is minimised: the squared distance to a mesh, in mesh coordinates, of controls that run from 0 to 1.
+
+Half the mean squared vertex distance, in mm^2 (constant aside), plus `prior` times half the squared distance from neutral, in
+ranges: many rigs have several controls for one motion, and a faint prior says which to prefer. `sparsity` times the distance
+itself leaves fewer controls in use. All of it is taken times the number of vertices.
+"""
+
+import functools
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from riginv.mesh_space import RigInMeshSpace
+from riginv.networks.features import RigFeatures
+
+PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
+SPARSE = 0.1  # the share of entries below which a metric is kept as a sparse matrix
+CORNER = 1e-3  # of a range: how round the corner of the distance from neutral is
+
+
+class Linearised(NamedTuple):
+    """The objective near some controls.
+
+    Attributes:
+        cost: `(mesh,)`.
+        gradient: `(mesh, control)`.
+        hessian: the Gauss-Newton one, `(mesh, control, control)`.
+    """
+
+    cost: Tensor
+    gradient: Tensor
+    hessian: Tensor
+
+
+class Objective:
+    """Controls `(mesh, control)` in units of their ranges, 0 at the lower limit and 1 at the upper.
+
+    With the residual e = R (f(r) - f(neutral)) - z and the rig's Jacobian J, the Gauss-Newton Hessian is J^T (R^T R) J: no
+    vertex, and no Jacobian of vertices, is ever made.
+
+    Args:
+        rig: the rig in its mesh space.
+        prior: mm^2 for one control that leaves neutral by its whole range.
+        sparsity: the same, in proportion to the way.
+        dtype: to compute in; that of the rig unless given.
+    """
+
+    def __init__(
+        self, rig: RigInMeshSpace, prior: float = PRIOR, sparsity: float = 0.0, dtype: torch.dtype | None = None
+    ) -> None:
+        self.rig = rig
+        self.vertex_count = rig.space.vertex_count
+        self.prior, self.sparsity = prior * self.vertex_count, sparsity * self.vertex_count
+        dtype = dtype or rig.linear_map.dtype
+        self.map = rig.linear_map.to(dtype)
+        self.metric = _metric(rig, self.map)
+        self.rest = rig.neutral_coefficients.to(dtype)
+        self.lower = rig.rig.lower.to(dtype)
+        self.span = rig.rig.upper.to(dtype) - self.lower
+        self.neutral = self.units(rig.rig.neutral_controls.to(dtype))
+
+    @property
+    def controls(self) -> int:
+        return len(self.span)
+
+    @functools.cached_property
+    def features(self) -> RigFeatures | None:
+        """What the rig can tell of its controls without any search, or None where it offers nothing (`LinearRig.features`)."""
+        offers_features = self.rig.rig.features(self.rig.neutral_coefficients) is not None
+        return RigFeatures.fitted(self.rig) if offers_features else None
+
+    def units(self, controls: Tensor) -> Tensor:
+        """Controls in their own units as shares of their ranges."""
+        return (controls.to(self.map) - self.lower) / self.span
+
+    def own_units(self, units: Tensor) -> Tensor:
+        """The reverse, exactly within the limits of the rig."""
+        rig = self.rig.rig
+        return (self.lower + self.span * units).to(rig.dtype).clamp(rig.lower, rig.upper)
+
+    @torch.no_grad()
+    def cost(self, units: Tensor, coordinates: Tensor) -> Tensor:
+        """The objective `(mesh,)`, of which no less than 0 can remain."""
+        found = self.rig.rig.coefficients(self.lower + self.span * units)
+        return 0.5 * self._residual(found, coordinates).square().sum(dim=1) + self._preference(units)[0]
+
+    @torch.no_grad()
+    def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
+        """The gradient `(mesh, control)` of the objective, for the price of a Jacobian."""
+        found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
+        return self.span * jacobian.pull(self._residual(found, coordinates) @ self.map.T) + self._preference(units)[1]
+
+    @torch.no_grad()
+    def linearise(self, units: Tensor, coordinates: Tensor) -> Linearised:
+        """The objective with its gradient and Gauss-Newton Hessian."""
+        found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
+        residual = self._residual(found, coordinates)
+        cost, gradient, curvature = self._preference(units)
+        hessian = jacobian.gram(self.metric) * self.span * self.span[:, None]
+        hessian.diagonal(dim1=1, dim2=2).add_(curvature)
+        gradient = gradient + self.span * jacobian.pull(residual @ self.map.T)
+        return Linearised(cost + 0.5 * residual.square().sum(dim=1), gradient, hessian)
+
+    def _residual(self, coefficients: Tensor, coordinates: Tensor) -> Tensor:
+        return (coefficients - self.rest) @ self.map - coordinates
+
+    def _preference(self, units: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Prior and sparsity: their cost `(mesh,)`, gradient and curvature, both `(mesh, control)`.
+
+        A control that is neutral at a limit pays in proportion to its way from there; one that is neutral inside its range by
+        a rounded corner, whose curvature is that of the parabola through it which lies nowhere below.
+        """
+        away = units - self.neutral
+        cost, gradient = 0.5 * self.prior * away.square().sum(dim=1), self.prior * away
+        curvature = torch.full_like(away, self.prior)
+        if self.sparsity:
+            rounded = (away.square() + CORNER**2).sqrt()
+            inside = (self.neutral > 0) & (self.neutral < 1)
+            cost = cost + self.sparsity * torch.where(inside, rounded - CORNER, away.abs()).sum(dim=1)
+            direction = torch.where(self.neutral <= 0, 1.0, -1.0)
+            gradient = gradient + self.sparsity * torch.where(inside, away / rounded, direction)
+            curvature = curvature + self.sparsity * torch.where(inside, 1 / rounded, 0.0)
+        return cost, gradient, curvature
+
+
+def _metric(rig: RigInMeshSpace, linear_map: Tensor) -> Tensor:
+    """R^T R `(coefficient, coefficient)`, sparse where few coefficients move vertices in common, as in skinning."""
+    moves = rig.rig.basis.abs().flatten(1)
+    together = (moves @ moves.T) > 0
+    metric = torch.where(together, linear_map @ linear_map.T, 0.0)
+    return metric.to_sparse_csr() if together.double().mean() < SPARSE else metric

@@ -1,0 +1,123 @@
+"""python -m riginv.compare: its table, its files, and how it goes on."""
+
+import csv
+
+import pytest
+import torch
+
+from riginv.data.mesh_sets import PosedRig
+from riginv.errors import InputError
+from riginv.methods.base import Method
+from riginv.methods.judging import Clocked, judged_row
+from riginv.methods.neutral import Neutral
+from riginv.optimum import find_optima
+from tests.conftest import ROOT
+from tests.test_bad_input import refused
+from tests.test_solvers import poses
+
+TOY = ["rig=toy", f"--config-dir={ROOT / 'tests/conf'}", "poses=12"]
+COLUMNS = (
+    "method,set,mean_vertex_error_mm,max_vertex_error_mm,roughness,nonzero_controls,ms_per_frame,training_seconds,optimum_ratio"
+)
+
+
+def rows_of(outcome):
+    text = (outcome.folder / "compare.csv").read_text()
+    assert text.splitlines()[0] == COLUMNS
+    return {(row["method"], row["set"]): row for row in csv.DictReader(text.splitlines())}
+
+
+def test_methods_stand_side_by_side(run):
+    outcome = run("compare", *TOY, "methods=[neutral,levenberg_marquardt,clip]", "methods.clip.smoothness=20")
+    assert outcome.code == 0, outcome.text
+    rows = rows_of(outcome)
+    assert [method for method, _ in rows][::3] == ["neutral", "levenberg_marquardt", "clip"]
+    best, smooth = (rows[name, "simulated_performance"] for name in ("levenberg_marquardt", "clip"))
+    assert float(best["mean_vertex_error_mm"]) < 0.5 * float(rows["neutral", "simulated_performance"]["mean_vertex_error_mm"])
+    assert float(best["optimum_ratio"]) == pytest.approx(1, abs=0.05)
+    assert float(smooth["roughness"]) < float(best["roughness"])
+    assert float(rows["neutral", "rig_poses"]["nonzero_controls"]) == 0
+    assert rows["neutral", "rig_poses"]["roughness"] == ""
+    assert "times" in outcome.text and "levenberg" in outcome.text
+    assert "**clip**: riginv" in (outcome.folder / "compare.md").read_text()
+    assert (outcome.folder / "compare.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_comparison_goes_on_method_by_method(run):
+    first = run("compare", *TOY, "methods=[neutral]")
+    kept = first.folder / "methods/neutral.json"
+    kept.write_text(kept.read_text().replace('"nonzero_controls": 0.0', '"nonzero_controls": 7.0'))  # to be known again
+    refused(run("compare", *TOY, "methods=[neutral]"), "resume=true")
+    refused(run("compare", *TOY, "methods=[neutral]", "seed=3", "resume=true"), "seed was 0, now 3")
+    again = run("compare", *TOY, "methods=[neutral,levenberg_marquardt]", "resume=true")
+    assert again.code == 0, again.text
+    rows = rows_of(again)
+    assert rows["neutral", "rig_poses"]["nonzero_controls"] == "7.0"
+    assert ("levenberg_marquardt", "rig_poses") in rows
+    other = run("compare", *TOY, "methods=[levenberg_marquardt]", "methods.levenberg_marquardt.steps=1", "resume=true")
+    worse, better = rows_of(other)["levenberg_marquardt", "rig_poses"], rows["levenberg_marquardt", "rig_poses"]
+    assert float(worse["mean_vertex_error_mm"]) > float(better["mean_vertex_error_mm"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["methods=[neutral,levenberg_marquart]"], "did you mean levenberg_marquardt"),
+        (["methods=[]"], "methods names nothing to compare"),
+        (["methods=[network]"], "methods.network.bundle must be given"),
+        (["methods=[network]", "methods.network.bundle=nowhere"], "nowhere: no bundle there"),
+        (["methods=[clip]", "methods.clip.smoothness=-1"], "smoothness is -1"),
+        (["methods=[levenberg_marquardt]", "methods.levenberg_marquardt.starts=0"], "starts is 0"),
+        (["poses=0"], "poses is 0"),
+    ],
+)
+def test_mistakes_are_named(run, arguments, says):
+    outcome = run("compare", *TOY, *arguments)
+    refused(outcome, says)
+    assert not outcome.folder.exists()
+
+
+def test_a_trained_network_is_compared_and_refined(run):
+    bundle = run("train", folder="trained").folder / "bundle"
+    config = ["methods=[network,refined]", f"methods.network.bundle={bundle}", f"methods.refined.bundle={bundle}"]
+    rows = rows_of(run("compare", *TOY, *config))
+    plain, refined = (float(rows[name, "rig_poses"]["mean_vertex_error_mm"]) for name in ("network", "refined"))
+    assert refined < 0.5 * plain
+    plain, refined = (
+        run("evaluate", f"bundle={bundle}", *TOY, f"refine={steps}", folder=f"refine{steps}").metrics for steps in (0, 5)
+    )
+    assert refined["rig_poses/mean_vertex_error_mm"] < 0.5 * plain["rig_poses/mean_vertex_error_mm"]
+    assert plain["rig_poses/optimum_mean_vertex_error_mm"] == refined["rig_poses/optimum_mean_vertex_error_mm"]
+    assert plain["rig_poses/optimum_ratio"] > refined["rig_poses/optimum_ratio"]
+
+
+class Liar(Method):
+    """Gives controls that are not what they should be."""
+
+    def __init__(self, rig, wrong):
+        super().__init__(rig)
+        self.wrong = wrong
+
+    def invert(self, meshes):
+        right = Neutral(self.rig).invert(meshes)
+        return {"short": right[1:], "nan": right * torch.nan, "beyond": right + 2}[self.wrong]
+
+
+@pytest.mark.parametrize("wrong", ["short", "nan", "beyond"])
+def test_a_method_that_gives_no_controls_is_named(toy, wrong):
+    with pytest.raises(InputError, match="method 'liar' gave controls"):
+        judged_row("liar", Liar(toy, wrong), toy.rig, PosedRig("poses", toy.rig, poses(toy.rig, 4)), 0.0)
+
+
+def test_no_method_sees_the_answer(toy):
+    assert Clocked(PosedRig("poses", toy.rig, poses(toy.rig, 4))).controls is None
+
+
+def test_the_optimum_is_kept_and_follows_the_rig(toy, tmp_path, monkeypatch):
+    monkeypatch.setenv("RIGINV_CACHE", str(tmp_path))
+    sets = [PosedRig("poses", toy.rig, poses(toy.rig, 5))]
+    first = find_optima(toy.rig, sets)["poses"]
+    assert first.mean_mm < 0.02 and len(list(tmp_path.glob("optimum-*"))) == 1
+    torch.testing.assert_close(find_optima(toy.rig, sets)["poses"].errors_mm, first.errors_mm, atol=0, rtol=0)
+    find_optima(toy.rig, [PosedRig("poses", toy.rig, poses(toy.rig, 6))])
+    assert len(list(tmp_path.glob("optimum-*"))) == 2
