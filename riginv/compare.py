@@ -6,14 +6,15 @@ import torch
 from omegaconf import DictConfig
 
 from riginv.assemble import build_clip, build_rig, build_true_rig
-from riginv.build import build
 from riginv.cli.command import command, run_directory
 from riginv.cli.comparison import keep_rows, kept_rows, show, write_tables
+from riginv.cli.comparison_progress import ComparisonProgress
 from riginv.cli.run_folder import find_run_folder, plain_config
 from riginv.cli.validation import validate
 from riginv.data.test_sets import random_sets
-from riginv.errors import InputError
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.methods.base import Method
+from riginv.methods.choice import suited_methods
 from riginv.methods.judging import judged_row
 from riginv.optimum import find_optima
 
@@ -26,30 +27,39 @@ def compare(config: DictConfig) -> None:
     """
     plain = plain_config(config)
     validate(plain)
-    configs = plain.pop("methods", None)
-    if not configs:
-        raise InputError("methods names nothing to compare: methods=[NAME,NAME,...]")
+    configs = plain.pop("methods", None) or {}
     folder = find_run_folder(run_directory(), plain, config.resume)
     rig = build_rig(plain)
     true_rig = build_true_rig(plain, rig)
-    in_space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
-    methods = {name: build(method, in_space) for name, method in configs.items()}
+    methods, left_out = suited_methods(configs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
     clip = build_clip(plain, true_rig)
     sets = [*random_sets(true_rig, plain["poses"]), *([clip] if clip else [])]
     folder.begin()
     optima, rows = find_optima(true_rig, sets), []
-    for name, method in methods.items():
-        found = kept_rows(folder.path, name, configs[name])
-        if found is None:
-            torch.manual_seed(plain["seed"])
-            began = time.perf_counter()
-            method.prepare(plain["seed"])
-            seconds = time.perf_counter() - began
-            found = [judged_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name)).as_dict() for meshes in sets]
-            keep_rows(folder.path, name, configs[name], found)
-        rows += found
+    with ComparisonProgress(len(methods)) as progress:
+        for name, method in methods.items():
+            found = kept_rows(folder.path, name, configs[name])
+            if found is None:
+                progress.at(name, "preparing")
+                seconds = prepare(method, plain["seed"])
+                found = []
+                for meshes in sets:
+                    progress.at(name, meshes.name.replace("_", " "))
+                    row = judged_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name))
+                    found.append(row.as_dict())
+                keep_rows(folder.path, name, configs[name], found)
+            progress.finished(name, found)
+            rows += found
     write_tables(folder.path, rows, {name: method.source for name, method in methods.items()})
-    show(rows, folder.path)
+    show(rows, folder.path, left_out)
+
+
+def prepare(method: Method, seed: int) -> float:
+    """Let a method train, fit or tabulate what it needs; the seconds that it takes."""
+    torch.manual_seed(seed)
+    began = time.perf_counter()
+    method.prepare(seed)
+    return time.perf_counter() - began
 
 
 if __name__ == "__main__":

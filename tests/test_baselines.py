@@ -17,6 +17,7 @@ from riginv.data.mesh_sets import PosedRig, WeightedShapes
 from riginv.errors import InputError
 from riginv.judge import judge_controls
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.methods.choice import suited_methods
 from riginv.rig import Control, LinearRig
 from riginv.rig_contract import check_rig
 from riginv.sampling.controls import PlausibleControls, SparseControls
@@ -166,8 +167,9 @@ def test_what_cannot_be_is_refused(toy):
             self.primary_count = 0
 
     bones = Bones()
-    with pytest.raises(InputError, match="no blendshapes"):
-        BlendshapeWeights(RigInMeshSpace(bones, MeshSpace.from_rig(bones)))
+    config = {"_target_": "riginv.baselines.blendshape_weights.BlendshapeWeights"}
+    with pytest.raises(InputError, match="rig 'dull' .nnls: it has no blendshapes"):
+        suited_methods({"nnls": config}, RigInMeshSpace(bones, MeshSpace.from_rig(bones)))
     with pytest.raises(InputError, match="ridge is 0"):
         BlendshapeWeights(toy, ridge=0)
     with pytest.raises(InputError, match="steps is 0"):

@@ -77,6 +77,15 @@ def test_mistakes_are_named(run, arguments, says):
     assert not outcome.folder.exists()
 
 
+def test_what_does_not_suit_the_rig_is_left_out_and_said_so(run):
+    box = "rig._target_=tests.toys.BlackBox"
+    outcome = run("compare", *TOY, box, "methods=[neutral,direct]", "mesh_space.samples=60")
+    assert outcome.code == 0, outcome.text
+    assert {method for method, _ in rows_of(outcome)} == {"neutral"}
+    assert "Left out: direct, for no gradient passes through it." in outcome.text
+    refused(run("compare", *TOY, box, "methods=[direct]", "mesh_space.samples=60", folder="other"), "direct: no gradient")
+
+
 def test_a_trained_network_is_compared_and_refined(run):
     bundle = run("train", folder="trained").folder / "bundle"
     config = ["methods=[network,refined]", f"methods.network.bundle={bundle}", f"methods.refined.bundle={bundle}"]

@@ -9,6 +9,7 @@ from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
+from riginv.rig import LinearRig
 from riginv.solvers.box_step import box_step
 
 PIECE = 256  # meshes at a time
@@ -58,13 +59,13 @@ class BlendshapeWeights(Method):
 
     def __init__(self, rig: RigInMeshSpace, ridge: float = 1e-4, bounded: bool = True) -> None:
         super().__init__(rig)
-        if not rig.rig.has_blendshapes:
-            raise InputError(
-                f"rig '{rig.rig.name}' has no blendshapes: leave blendshape_nnls and blendshape_ridge out of methods"
-            )
         if not ridge > 0:
             raise InputError(f"blendshape weights: ridge is {ridge}, expected above 0")
         self.ridge, self.bounded = ridge * rig.space.vertex_count, bounded
+
+    @classmethod
+    def unsuited(cls, rig: LinearRig) -> str:
+        return "" if rig.has_blendshapes else "it has no blendshapes"
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)

@@ -56,8 +56,8 @@ def write_tables(folder: Path, rows: Rows, sources: Mapping[str, str]) -> None:
         _plot(rows).savefig(beside, format="png", dpi=130)
 
 
-def show(rows: Rows, folder: Path) -> None:
-    """Show the rows in the terminal, one table for each set."""
+def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
+    """Show the rows in the terminal, one table for each set, and why methods were left out, by name."""
     console = Console()
     for name in dict.fromkeys(row["set"] for row in rows):
         table = Table(
@@ -71,9 +71,12 @@ def show(rows: Rows, folder: Path) -> None:
                 table.add_row(*(_shown(row, key) for key in HEADINGS if key != "set"))
         console.print(table)
     console.print(
-        "  Judged by the true rig, which was given the controls. Times the optimum: the error over that of many-start"
+        "  Judged by the true rig, which was given the controls. Times the optimum: the error over that of\n"
+        "  many-start Levenberg-Marquardt on the same few meshes. Controls in use: away from neutral, of a mean frame.",
+        soft_wrap=True,
     )
-    console.print("  Levenberg-Marquardt on the same few meshes. Controls in use: away from neutral, of a mean frame.")
+    for name, reason in left_out.items():
+        console.print(f"  Left out: {name}, for {reason}.", soft_wrap=True, highlight=False)
     for what, file in (("figures", CSV), ("a table to paste", MARKDOWN), ("error and roughness", PLOT)):
         console.print(f"  {what}: {folder / file}", soft_wrap=True, highlight=False)
 

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from riginv.data.mesh_sets import MeshSet
 from riginv.mesh_space import RigInMeshSpace
+from riginv.rig import LinearRig
 
 
 class Method(ABC):
@@ -29,6 +30,11 @@ class Method(ABC):
     def __init__(self, rig: RigInMeshSpace) -> None:
         self.rig = rig
         self.seed = 0
+
+    @classmethod
+    def unsuited(cls, rig: LinearRig) -> str:
+        """Why the method cannot invert a rig, such as "it has no blendshapes"; empty where it can."""
+        return ""
 
     def prepare(self, seed: int) -> None:
         """Train, fit or tabulate whatever the method needs before its first mesh; `compare` times it as `training_seconds`.

@@ -6,6 +6,7 @@ from torch import Tensor
 from riginv.data.mesh_sets import MeshSet
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
+from riginv.rig import LinearRig
 from riginv.solvers.descent import descend
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import first_start
@@ -31,6 +32,10 @@ class Direct(Method):
     def __init__(self, rig: RigInMeshSpace, steps: int = 30, first_steps: int = 300, lr: float = 0.02) -> None:
         super().__init__(rig)
         self.steps, self.first_steps, self.lr = steps, first_steps, lr
+
+    @classmethod
+    def unsuited(cls, rig: LinearRig) -> str:
+        return "" if rig.differentiable else "no gradient passes through it"
 
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)
