@@ -82,7 +82,7 @@ class HoldenNetwork(Method):
             num_sanity_val_steps=0,
             limit_val_batches=0,
         )
-        trainer.fit(module, data)
+        trainer.fit(module.train(), data)
         self.network.eval()
 
     def invert(self, meshes: MeshSet) -> Tensor:

@@ -20,6 +20,7 @@ SETS = {
     "walk": ("walk", "the walk that the rig brings: no clip was given"),
     "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
 }
+WITHIN_REACH_MM = 0.005  # a least error below this: the rig can make these meshes
 NO_RIG = "none"  # as the true rig, where poses that were recorded of it are all there is
 COLUMNS = (
     ("mean_vertex_error_mm", "mean\nerror"),
@@ -46,7 +47,6 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
     table.add_column("rough-\nness", justify="right")
     for name in sets_of(metrics):
         values = [metrics[f"{name}/{key}"] for key, _ in COLUMNS]
-        times = metrics.get(f"{name}/optimum_ratio")
         rough = metrics.get(f"{name}/roughness")
         share = f"{values[0] / max(values[1], 1e-12):.0%}"
         shown = [f"{value:.2f}" if value >= 0.1 else f"{value:.2g}" for value in values]
@@ -54,7 +54,7 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
             SETS.get(name, (name,))[0],
             *shown,
             share,
-            "-" if times is None else f"{times:.3g}",
+            _times_best(metrics, name),
             "-" if rough is None else f"{rough:.1e}",
         )
     console = Console()
@@ -69,7 +69,7 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
     console.print(
         "  Neutral's error: what predicting the neutral mesh would cost; share left: of that. "
         "Worst vertex: on average over the meshes, and of all. "
-        "Times best: the error over the least that a solver found from many starts, on a few of the meshes. "
+        "Times best: the error over the least that a solver found from many starts, on a few of the meshes; of 0: none at all. "
         "Roughness: mean squared second difference of the curves.",
         highlight=False,
         soft_wrap=True,
@@ -77,6 +77,12 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
     console.print()
     for note in notes:
         console.print(f"  {note}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _times_best(metrics: Mapping[str, Any], name: str) -> str:
+    """How many times the best possible error; of nothing there is no multiple."""
+    ratio, best = (metrics.get(f"{name}/{key}") for key in ("optimum_ratio", "optimum_mean_vertex_error_mm"))
+    return "-" if ratio is None else "of 0" if best < WITHIN_REACH_MM else f"{ratio:.3g}"
 
 
 def sets_of(metrics: Mapping[str, float]) -> list[str]:
