@@ -27,14 +27,15 @@ class Inverse(nn.Module):
 
     Args:
         refine: steps of Levenberg-Marquardt that follow the network, mesh by mesh.
+        trained_seconds: what its training took.
 
     Attributes:
         network: from mesh coordinates to controls; it knows its rig and its mesh space.
     """
 
-    def __init__(self, network: InverseNetwork, refine: int = 0) -> None:
+    def __init__(self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0) -> None:
         super().__init__()
-        self.network, self.refine = network, refine
+        self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
         self.objective = Objective(network.rig) if refine else None
 
     @property
@@ -85,7 +86,8 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
         rig = FittedRig(rig, (bundle.space["linear_map"] @ space.frame.flatten(1)).unflatten(1, rig.rest_vertices.shape))
     network = build(bundle.description["network"], RigInMeshSpace(rig, space), only=OURS)
     network.load_own_weights(bundle.weights)
-    return Inverse(network, refine).eval().requires_grad_(False)
+    trained_seconds = float(bundle.description["training"].get("seconds", 0.0))
+    return Inverse(network, refine, trained_seconds).eval().requires_grad_(False)
 
 
 def bundle_rig(bundle: Bundle) -> RigBackend:

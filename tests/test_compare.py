@@ -90,6 +90,7 @@ def test_a_trained_network_is_compared_and_refined(run):
     bundle = run("train", folder="trained").folder / "bundle"
     config = ["methods=[network,refined]", f"methods.network.bundle={bundle}", f"methods.refined.bundle={bundle}"]
     rows = rows_of(run("compare", *TOY, *config))
+    assert all(float(rows[name, "rig_poses"]["training_seconds"]) > 0.05 for name in ("network", "refined"))  # its bundle's
     plain, refined = (float(rows[name, "rig_poses"]["mean_vertex_error_mm"]) for name in ("network", "refined"))
     assert refined < 0.5 * plain
     plain, refined = (

@@ -58,6 +58,7 @@ class HoldenNetwork(Method):
         if steps < 1:
             raise InputError(f"holden_network: steps is {steps}, expected at least 1")
         self.loaded = Network(rig, bundle) if bundle else None
+        self.trained_seconds = self.loaded.trained_seconds if self.loaded else 0.0
         self.sampler, self.steps, self.batch_size, self.lr = sampler, steps, batch_size, lr
         self.shape = {"hidden": hidden, "activation": activation, "control_map": control_map}
 

@@ -22,6 +22,7 @@ class Method(ABC):
     Attributes:
         rig: the same.
         seed: of whatever is drawn; set by `prepare`.
+        trained_seconds: what was spent on training before, as on a network that is loaded; `compare` adds it to its own.
         source: what is implemented: the paper, and what was changed and why.
     """
 
@@ -29,7 +30,7 @@ class Method(ABC):
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         self.rig = rig
-        self.seed = 0
+        self.seed, self.trained_seconds = 0, 0.0
 
     @classmethod
     def unsuited(cls, rig: LinearRig) -> str:

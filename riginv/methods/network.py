@@ -26,6 +26,7 @@ class Network(Method):
     def __init__(self, rig: RigInMeshSpace, bundle: str) -> None:
         super().__init__(rig)
         self.inverse: Inverse = load_inverse(bundle, rig.rig)
+        self.trained_seconds = self.inverse.trained_seconds
 
     @torch.no_grad()
     def controls(self, coordinates: Tensor) -> Tensor:

@@ -89,6 +89,7 @@ class Clip(LevenbergMarquardt):
         super().__init__(rig, **solver)
         self.smoothness, self.clip_steps, self.blur = smoothness, clip_steps, blur
         self.network = Network(rig, bundle) if bundle else None
+        self.trained_seconds = self.network.trained_seconds if self.network else 0.0
 
     def invert(self, meshes: MeshSet) -> Tensor:
         if not meshes.fps:
