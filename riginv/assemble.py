@@ -84,7 +84,14 @@ def build_clip(config: Config, true_rig: RigBackend) -> MeshSet | None:
     if config["capture"]:
         return live_link_clip(config["capture"], true_rig)
     motion = true_rig.motion()
-    return StoredMeshes(motion.name, motion.vertices, motion.fps) if motion else simulated_performance(true_rig)
+    if motion is None:
+        return simulated_performance(true_rig)
+    broken = (~motion.vertices.isfinite().all(dim=2).all(dim=1)).nonzero()[:, 0]
+    if len(broken):
+        raise InputError(
+            f"rig '{true_rig.name}': frame {int(broken[0])} of its motion '{motion.name}' holds NaN or infinite values"
+        )
+    return StoredMeshes(motion.name, motion.vertices, motion.fps)
 
 
 def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> RigModule:

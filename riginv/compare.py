@@ -12,11 +12,13 @@ from riginv.cli.comparison_progress import ComparisonProgress
 from riginv.cli.run_folder import find_run_folder, plain_config
 from riginv.cli.validation import validate
 from riginv.data.test_sets import random_sets
+from riginv.errors import InputError
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.methods.base import Method
 from riginv.methods.choice import suited_methods
 from riginv.methods.judging import judged_row
 from riginv.optimum import find_optima
+from riginv.recorded_rig import RecordedRig
 
 
 def compare(config: DictConfig) -> None:
@@ -31,27 +33,30 @@ def compare(config: DictConfig) -> None:
     folder = find_run_folder(run_directory(), plain, config.resume)
     rig = build_rig(plain)
     true_rig = build_true_rig(plain, rig)
+    if isinstance(true_rig, RecordedRig):
+        raise InputError(
+            f"rig '{true_rig.name}' is a table of recorded poses, and compare needs a rig that can be posed to judge"
+        )
     methods, left_out = suited_methods(configs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
     clip = build_clip(plain, true_rig)
     sets = [*random_sets(true_rig, plain["poses"]), *([clip] if clip else [])]
     folder.begin()
-    optima, rows = find_optima(true_rig, sets), []
     with ComparisonProgress(len(methods)) as progress:
+        progress.at("the optimum", "many starts on a few meshes of each set")
+        optima = find_optima(true_rig, sets)
         for name, method in methods.items():
-            found = kept_rows(folder.path, name, configs[name])
-            if found is None:
+            facts = {"config": configs[name], "fingerprint": method.fingerprint}
+            rows = kept_rows(folder.path, name, facts)
+            if rows is None:
                 progress.at(name, "preparing")
-                seconds = prepare(method, plain["seed"])
-                found = []
+                seconds, rows = prepare(method, plain["seed"]), []
                 for meshes in sets:
                     progress.at(name, meshes.name.replace("_", " "))
                     row = judged_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name))
-                    found.append(row.as_dict())
-                keep_rows(folder.path, name, configs[name], found)
-            progress.finished(name, found)
-            rows += found
-    write_tables(folder.path, rows, {name: method.source for name, method in methods.items()})
-    show(rows, folder.path, left_out)
+                    rows.append(row.as_dict())
+                keep_rows(folder.path, name, {**facts, "source": method.source}, rows)
+            progress.finished(name, rows)
+    show(write_tables(folder.path), folder.path, left_out)
 
 
 def prepare(method: Method, seed: int) -> float:

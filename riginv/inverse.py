@@ -6,6 +6,7 @@ inverse = load_inverse("runs/face-inverse/2026-11-22_10-00-00/bundle")
 controls = inverse(vertices)  # (frame, 8447, 3) in mm -> (frame, 137)
 """
 
+import functools
 from pathlib import Path
 
 import torch
@@ -36,7 +37,6 @@ class Inverse(nn.Module):
     def __init__(self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0) -> None:
         super().__init__()
         self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
-        self.objective = Objective(network.rig) if refine else None
 
     @property
     def rig(self) -> LinearRig:
@@ -57,10 +57,15 @@ class Inverse(nn.Module):
             )
         coordinates = space.encode(vertices)
         controls = self.network(coordinates)
-        if self.objective is None:
+        if not self.refine:
             return controls
         start = self.objective.units(controls)
         return self.objective.own_units(refine_meshes(self.objective, coordinates, start, self.refine).units)
+
+    @functools.cached_property
+    def objective(self) -> Objective:
+        """What the steps after the network minimise; made where the network is when they are first asked for."""
+        return Objective(self.network.rig)
 
 
 def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int = 0) -> Inverse:

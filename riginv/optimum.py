@@ -2,11 +2,12 @@
 
 import hashlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from riginv.cache import cached_tensors
+from riginv.cache import cached_tensors, code_key
 from riginv.data.mesh_sets import MeshSet
 from riginv.judge import Judgement
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
@@ -90,7 +91,8 @@ def _fingerprint(rig: LinearRig) -> bytes:
     limits = rig.lower, rig.upper, rig.neutral_controls
     poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)
     facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([STARTS, STEPS, TOLERANCE, DESCENT_STEPS]))
-    digest = hashlib.sha256()
+    here = Path(__file__)
+    digest = hashlib.sha256(code_key([here, here.parent / "solvers"]).encode())
     for fact in facts:
         digest.update(fact.detach().cpu().contiguous().numpy().tobytes())
     return digest.digest()

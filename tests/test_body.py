@@ -7,6 +7,8 @@ import pytest
 import roma
 import torch
 
+from riginv.assemble import build_clip
+from riginv.errors import InputError
 from riginv.geometry.skinning import skin
 from riginv.networks.inverse import StagedInverse
 from riginv.rig_contract import contract
@@ -191,6 +193,17 @@ def test_the_walk_walks(body):
     sole = body.rest_vertices[:, 1] < floor + 20
     left, right = (motion.vertices[:, sole & (side * body.rest_vertices[:, 0] > 0), 2].mean(dim=1) for side in (1, -1))
     assert (left - right).max() > 150 and (right - left).max() > 150  # each foot is ahead once
+
+
+def test_a_motion_that_is_broken_is_refused(body):
+    class Broken(BodyRig):
+        def motion(self):
+            walk = super().motion()
+            walk.vertices[7, 3, 1] = torch.nan
+            return walk
+
+    with pytest.raises(InputError, match="frame 7 of its motion 'walk' holds NaN"):
+        build_clip({"capture": None}, Broken())
 
 
 def test_every_pose_that_has_a_name_is_within_the_limits(body):

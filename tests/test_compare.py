@@ -5,11 +5,16 @@ import csv
 import pytest
 import torch
 
+from riginv.baselines.holden_network import HoldenNetwork
 from riginv.data.mesh_sets import PosedRig
 from riginv.errors import InputError
+from riginv.judge import judge_controls
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.methods.base import Method
 from riginv.methods.judging import Clocked, judged_row
+from riginv.methods.network import Network
 from riginv.methods.neutral import Neutral
+from riginv.methods.solvers import Refined
 from riginv.optimum import find_optima
 from tests.conftest import ROOT
 from tests.test_bad_input import refused
@@ -55,6 +60,7 @@ def test_a_comparison_goes_on_method_by_method(run):
     assert rows["neutral", "rig_poses"]["nonzero_controls"] == "7.0"
     assert ("levenberg_marquardt", "rig_poses") in rows
     other = run("compare", *TOY, "methods=[levenberg_marquardt]", "methods.levenberg_marquardt.steps=1", "resume=true")
+    assert rows_of(other)["neutral", "rig_poses"]["nonzero_controls"] == "7.0"  # not named this time, and still there
     worse, better = rows_of(other)["levenberg_marquardt", "rig_poses"], rows["levenberg_marquardt", "rig_poses"]
     assert float(worse["mean_vertex_error_mm"]) > float(better["mean_vertex_error_mm"])
 
@@ -69,12 +75,44 @@ def test_a_comparison_goes_on_method_by_method(run):
         (["methods=[clip]", "methods.clip.smoothness=-1"], "smoothness is -1"),
         (["methods=[levenberg_marquardt]", "methods.levenberg_marquardt.starts=0"], "starts is 0"),
         (["poses=0"], "poses is 0"),
+        (["methods=[clip]", "methods.clip.key_starts=0"], "methods.clip.key_starts is 0"),
+        (["methods=[quadratic]", "methods.quadratic.pairs=1.5"], "methods.quadratic.pairs is 1.5"),
+        (["methods=[tabulated]", "methods.tabulated.knots=0"], "methods.tabulated.knots is 0"),
+        (["methods=[network]", "methods.network.bundle=null"], "bundle is None"),
+        (["methods=[neutral]", "methods.neutral._target_=riginv.errors.InputError"], "InputError, which is no riginv.methods"),
+        (["methods=[neutral]", "+methods.odd=3"], "methods.odd is 3"),
     ],
 )
 def test_mistakes_are_named(run, arguments, says):
     outcome = run("compare", *TOY, *arguments)
     refused(outcome, says)
     assert not outcome.folder.exists()
+
+
+def test_a_sweep_of_comparisons_ends_in_one_table(run, tmp_path):
+    outcome = run("compare", "-m", *TOY, "methods=[neutral]", "seed=0,1", f"hydra.sweep.dir={tmp_path / 'sweep'}")
+    assert outcome.code == 0 and "failed" not in outcome.text, outcome.text
+    assert "neutral rig poses" in " ".join(outcome.text.split())
+
+
+def test_a_network_is_refined_in_the_solvers_mesh_space_whatever_its_own(run, toy):
+    bundle = str(run("train", folder="trained").folder / "bundle")
+    flipped = RigInMeshSpace(toy.rig, MeshSpace(toy.rig.rest_vertices, -toy.space.frame.flip(0)))
+    meshes = PosedRig("poses", toy.rig, poses(toy.rig, 8))
+    one, other = (Refined(rig, bundle).invert(meshes) for rig in (toy, flipped))
+    errors = [judge_controls(toy.rig, meshes, found).metrics["poses/mean_vertex_error_mm"] for found in (one, other)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.2)
+
+
+def test_a_network_that_was_trained_again_is_compared_again(run, toy):
+    prints = []
+    for seed in (0, 1):
+        bundle = run("train", f"seed={seed}", folder=f"trained{seed}").folder / "bundle"
+        prints.append(Network(toy, str(bundle)).fingerprint)
+    assert prints[0] != prints[1]
+    staged = run("train", "model=inverse", folder="staged").folder / "bundle"
+    with pytest.raises(InputError, match="holds another network"):
+        HoldenNetwork(toy, None, bundle=str(staged))
 
 
 def test_what_does_not_suit_the_rig_is_left_out_and_said_so(run):

@@ -67,6 +67,8 @@ def test_descent_stays_within_limits_and_only_ever_helps(toy):
     before, after = ((toy(one[kept]) - target[kept]).square().sum(dim=1) for one in (start, found))
     assert (after < 0.5 * before).all()
     torch.testing.assert_close(descend(toy, start[kept], target[kept], 80, 0.03), found[kept])
+    assert torch.equal(descend(toy, start, target, 0, 0.03), start)
+    assert not torch.equal(descend(toy, start, target, 1, 0.03), start)
 
 
 def test_no_step_is_longer_than_its_reach(toy):

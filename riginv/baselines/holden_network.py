@@ -58,7 +58,12 @@ class HoldenNetwork(Method):
         if steps < 1:
             raise InputError(f"holden_network: steps is {steps}, expected at least 1")
         self.loaded = Network(rig, bundle) if bundle else None
-        self.trained_seconds = self.loaded.trained_seconds if self.loaded else 0.0
+        if self.loaded:
+            self.trained_seconds, self.fingerprint = self.loaded.trained_seconds, self.loaded.fingerprint
+            if not isinstance(self.loaded.inverse.network, DirectInverse):
+                raise InputError(
+                    f"holden_network: {bundle} holds another network: give one of model=holden, or use methods=[network]"
+                )
         self.sampler, self.steps, self.batch_size, self.lr = sampler, steps, batch_size, lr
         self.shape = {"hidden": hidden, "activation": activation, "control_map": control_map}
 
@@ -67,7 +72,7 @@ class HoldenNetwork(Method):
         if self.loaded:
             return
         torch.manual_seed(seed)
-        self.network = DirectInverse(self.rig, **self.shape)
+        self.network = DirectInverse(self.rig, **self.shape).to(self.rig.rig.dtype)
         sample = self.sampler.sample(CALIBRATION_MESHES, generator_at(seed, "calibration"))
         self.network.calibrate(sample["coordinates"])
         module = HoldenModule(self.rig, self.network, self._optimizer, self._schedule)

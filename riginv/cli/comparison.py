@@ -13,6 +13,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from riginv.cli.run_folder import METRICS
+from riginv.cli.tables import WITHIN_REACH_MM
 from riginv.files import write_json, write_text, written_beside
 
 CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "methods"
@@ -30,30 +32,36 @@ HEADINGS = {
 Rows = list[dict[str, Any]]
 
 
-def keep_rows(folder: Path, name: str, config: Mapping[str, Any], rows: Rows) -> None:
-    """Keep what a method reached, with its config."""
-    write_json(folder / METHODS / f"{name}.json", {"config": config, "rows": rows})
+def keep_rows(folder: Path, name: str, facts: Mapping[str, Any], rows: Rows) -> None:
+    """Keep what a method reached, with what it depends on: its config and the like."""
+    write_json(folder / METHODS / f"{name}.json", {**facts, "rows": rows})
 
 
-def kept_rows(folder: Path, name: str, config: Mapping[str, Any]) -> Rows | None:
-    """What a method reached before, or None where it has not finished yet or had another config then."""
+def kept_rows(folder: Path, name: str, facts: Mapping[str, Any]) -> Rows | None:
+    """What a method reached before, or None where it has not finished yet or depended on something else then."""
     path = folder / METHODS / f"{name}.json"
     if not path.is_file():
         return None
     kept = json.loads(path.read_text(encoding="utf-8"))
-    return kept["rows"] if kept["config"] == config else None
+    return kept["rows"] if all(kept.get(key) == value for key, value in facts.items()) else None
 
 
-def write_tables(folder: Path, rows: Rows, sources: Mapping[str, str]) -> None:
-    """Write the rows as CSV, as Markdown with each method's source, and as a plot."""
+def write_tables(folder: Path) -> Rows:
+    """Write the rows of all methods that the folder holds as CSV, as Markdown with each method's source, and as a plot."""
+    files = sorted((folder / METHODS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
+    kept = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in files}
+    rows = [row for one in kept.values() for row in one["rows"]]
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(HEADINGS), lineterminator="\n")
+    writer = csv.DictWriter(text, list(HEADINGS), lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
     writer.writerows(rows)
     write_text(folder / CSV, text.getvalue())
-    write_text(folder / MARKDOWN, _markdown(rows, sources))
+    write_text(folder / MARKDOWN, _markdown(rows, {name: one["source"] for name, one in kept.items()}))
     with written_beside(folder / PLOT) as beside:
         _plot(rows).savefig(beside, format="png", dpi=130)
+    error = "mean_vertex_error_mm"
+    write_json(folder / METRICS, {f"{row['method']} {row['set']}/{error}": row[error] for row in rows})
+    return rows
 
 
 def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
@@ -72,19 +80,22 @@ def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
         console.print(table)
     console.print(
         "  Judged by the true rig, which was given the controls. Times the optimum: the error over that of\n"
-        "  many-start Levenberg-Marquardt on the same few meshes. Controls in use: away from neutral, of a mean frame.",
+        "  many-start Levenberg-Marquardt on the same few meshes; of 0: it makes these exactly. Controls in use: away\n"
+        "  from neutral, of a mean frame.",
         soft_wrap=True,
     )
     for name, reason in left_out.items():
         console.print(f"  Left out: {name}, for {reason}.", soft_wrap=True, highlight=False)
     for what, file in (("figures", CSV), ("a table to paste", MARKDOWN), ("error and roughness", PLOT)):
-        console.print(f"  {what}: {folder / file}", soft_wrap=True, highlight=False)
+        console.print(f"  {what}: {folder / file}", soft_wrap=True, highlight=False, markup=False)
 
 
 def _shown(row: dict[str, Any], key: str) -> str:
     value = row[key]
     if value is None or isinstance(value, str):
         return value or "-"
+    if key == "optimum_ratio" and row["optimum_mm"] < WITHIN_REACH_MM:
+        return "of 0"
     if key == "roughness":
         return f"{value:.1e}"
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else "0"

@@ -52,7 +52,7 @@ class WeightedShapes(MeshSet):
 
     def __init__(self, name: str, rest_vertices: Tensor, deltas: Tensor, weights: Tensor, fps: float | None = None) -> None:
         super().__init__(name, fps)
-        self.rest_vertices, self.deltas, self.weights = rest_vertices, deltas, weights
+        self.rest_vertices, self.deltas, self.weights = rest_vertices, deltas, weights.to(deltas.dtype)
 
     def __len__(self) -> int:
         return len(self.weights)

@@ -22,6 +22,7 @@ class Method(ABC):
     Attributes:
         rig: the same.
         seed: of whatever is drawn; set by `prepare`.
+        fingerprint: tells apart what a config does not, such as the weights that lie in a folder; `compare` then runs it again.
         trained_seconds: what was spent on training before, as on a network that is loaded; `compare` adds it to its own.
         source: what is implemented: the paper, and what was changed and why.
     """
@@ -30,7 +31,7 @@ class Method(ABC):
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         self.rig = rig
-        self.seed, self.trained_seconds = 0, 0.0
+        self.seed, self.trained_seconds, self.fingerprint = 0, 0.0, ""
 
     @classmethod
     def unsuited(cls, rig: LinearRig) -> str:

@@ -37,11 +37,15 @@ class Direct(Method):
     def unsuited(cls, rig: LinearRig) -> str:
         return "" if rig.differentiable else "no gradient passes through it"
 
+    def prepare(self, seed: int) -> None:
+        super().prepare(seed)
+        self.objective = Objective(self.rig)
+        _ = self.objective.features  # fitted now, not within the first set
+
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)
         alone = coordinates[:1] if meshes.fps else coordinates  # those that no frame comes before
-        objective = Objective(self.rig)
-        start = objective.own_units(first_start(objective, alone))
+        start = self.objective.own_units(first_start(self.objective, alone))
         found = [descend(self.rig, start, alone, self.first_steps, self.lr)]
         for frame in range(len(alone), len(coordinates)):
             found.append(descend(self.rig, found[-1], coordinates[frame : frame + 1], self.steps, self.lr))

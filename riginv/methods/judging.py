@@ -17,7 +17,10 @@ from riginv.rig import RigBackend
 
 @dataclass(frozen=True)
 class Row:
-    """What a method reached on a set; the fields are the columns of compare.csv. None: not a clip, or no optimum known."""
+    """What a method reached on a set; the fields but the last are the columns of compare.csv.
+
+    None: of roughness, where the set is no clip; of the optimum, where none is known.
+    """
 
     method: str
     set: str
@@ -28,6 +31,7 @@ class Row:
     ms_per_frame: float
     training_seconds: float
     optimum_ratio: float | None
+    optimum_mm: float | None
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -83,6 +87,7 @@ def judged_row(
         ms_per_frame=1e3 * seconds / len(meshes),
         training_seconds=training_seconds,
         optimum_ratio=optimum.ratio(judgement) if optimum else None,
+        optimum_mm=optimum.mean_mm if optimum else None,
     )
 
 

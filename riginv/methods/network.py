@@ -1,9 +1,12 @@
 """A trained inverse among the methods."""
 
+import hashlib
+
 import torch
 from torch import Tensor
 
 from riginv.data.mesh_sets import MeshSet
+from riginv.errors import InputError
 from riginv.inverse import Inverse, load_inverse
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
@@ -25,8 +28,14 @@ class Network(Method):
 
     def __init__(self, rig: RigInMeshSpace, bundle: str) -> None:
         super().__init__(rig)
+        if not isinstance(bundle, str):
+            raise InputError(f"bundle is {bundle!r}, expected the bundle of an inverse, or the run that holds it")
         self.inverse: Inverse = load_inverse(bundle, rig.rig)
         self.trained_seconds = self.inverse.trained_seconds
+        digest = hashlib.sha256()
+        for weights in self.inverse.network.own_weights().values():
+            digest.update(weights.cpu().contiguous().numpy().tobytes())
+        self.fingerprint = digest.hexdigest()[:16]
 
     @torch.no_grad()
     def controls(self, coordinates: Tensor) -> Tensor:

@@ -47,6 +47,10 @@ class LevenbergMarquardt(Method):
         self.descent_steps = descent_steps if rig.rig.differentiable else 0
         self.objective = Objective(rig, prior, sparsity)
 
+    def prepare(self, seed: int) -> None:
+        super().prepare(seed)
+        _ = self.objective.features  # fitted now, not within the first set
+
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)
         if meshes.fps:
@@ -89,14 +93,15 @@ class Clip(LevenbergMarquardt):
         super().__init__(rig, **solver)
         self.smoothness, self.clip_steps, self.blur = smoothness, clip_steps, blur
         self.network = Network(rig, bundle) if bundle else None
-        self.trained_seconds = self.network.trained_seconds if self.network else 0.0
+        if self.network:
+            self.trained_seconds, self.fingerprint = self.network.trained_seconds, self.network.fingerprint
 
     def invert(self, meshes: MeshSet) -> Tensor:
         if not meshes.fps:
             return super().invert(meshes)
         coordinates = self.coordinates(meshes)
         if self.network is not None:
-            start = self.objective.units(self.network.controls(coordinates))
+            start = self.objective.units(self.network.controls(self.network.coordinates(meshes)))
         else:
             start = smoothed(self.frames(coordinates, rounds=0), self.blur)
         found = solve_clip(self.objective, coordinates, start, self.smoothness, self.clip_steps)
@@ -119,6 +124,6 @@ class Refined(Network):
 
     @torch.no_grad()
     def invert(self, meshes: MeshSet) -> Tensor:
-        coordinates = self.coordinates(meshes)
-        start = self.objective.units(self.controls(coordinates))
+        start = self.objective.units(self.controls(self.coordinates(meshes)))
+        coordinates = Method.coordinates(self, meshes)  # the network's mesh space may have other axes than the solver's
         return self.objective.own_units(refine_meshes(self.objective, coordinates, start, self.steps).units)

@@ -21,14 +21,16 @@ def descend(rig: RigInMeshSpace, start: Tensor, coordinates: Tensor, steps: int,
     span = backend.upper - backend.lower
     unit = ((start - backend.lower) / span).detach().clone().requires_grad_()  # every control runs from 0 to 1: one rate fits
     optimizer = torch.optim.Adam([unit], lr=lr)
-    best, least = start.clone(), torch.full((len(start),), torch.inf, dtype=start.dtype)
+    best, least = start.clone(), torch.full_like(start[:, 0], torch.inf)
     with torch.enable_grad():
-        for _ in range(steps):
+        for step in range(steps + 1):
             controls = backend.lower + span * unit
             errors = (rig(controls) - coordinates).square().sum(dim=1)
             better = errors.detach() < least
             best = torch.where(better[:, None], controls.detach(), best)
             least = torch.where(better, errors.detach(), least)
+            if step == steps:
+                break
             optimizer.zero_grad()
             (errors.sum() / rig.space.vertex_count).backward()
             unit.grad.nan_to_num_()

@@ -86,10 +86,10 @@ def solve_frames(
     """
     count, distance = len(coordinates), KEY_DISTANCE
     found = Solution.at_neutral(objective, count)
-    keys = torch.arange(count)[::distance]
+    keys = torch.arange(count, device=coordinates.device)[::distance]
     found.put(keys, solve_meshes(objective, coordinates[keys], starts, steps, descent_steps=descent_steps))
     while distance > 1:
-        new = torch.arange(count)[distance // 2 :: distance]
+        new = torch.arange(count, device=coordinates.device)[distance // 2 :: distance]
         before, after = new - distance // 2, (new + distance // 2).clamp(max=(count - 1) // distance * distance)
         before, after = (torch.where(found.skipped[one], other, one) for one, other in ((before, after), (after, before)))
         start = (found.units[before] + found.units[after]) / 2
@@ -107,7 +107,7 @@ def solve_frames(
 
 def _take_over(objective: Objective, coordinates: Tensor, found: Solution, shift: int, steps: int) -> None:
     """Let frames go on from the answer of the frame `shift` before them, where that is promising."""
-    rows = torch.arange(max(len(coordinates) - abs(shift), 0)) + max(shift, 0)
+    rows = torch.arange(max(len(coordinates) - abs(shift), 0), device=coordinates.device) + max(shift, 0)
     if not len(rows):
         return
     pieces = zip(found.units[rows - shift].split(PIECE), coordinates[rows].split(PIECE))

@@ -38,7 +38,7 @@ class Solution:
     def at_neutral(cls, objective: Objective, count: int) -> "Solution":
         """Meshes that nothing has been done for yet."""
         units = objective.neutral.expand(count, -1).clone()
-        no, zero = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.long)
+        no, zero = (units.new_zeros(count, dtype=dtype) for dtype in (torch.bool, torch.long))
         return cls(units, torch.full_like(units[:, 0], torch.nan), no, zero, no.clone())
 
     def put(self, rows: Tensor, other: "Solution") -> None:
