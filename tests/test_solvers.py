@@ -227,6 +227,32 @@ def test_a_banded_system_is_solved(frames, before):
     assert solve_band(-wide, near[:, None].expand(-1, controls), far[:, None].expand(-1, controls), right) is None
 
 
+def test_weights_say_what_a_mesh_counts_against_the_prior(toy):
+    objective, coordinates = Objective(toy, prior=0.5), toy(poses(toy.rig, 6))
+    start = objective.units(poses(toy.rig, 6, "start"))
+    plain = levenberg_marquardt(objective, coordinates, start, 40)
+    weights = torch.tensor([1.0, 1, 1, 0, 100, 1e-4])
+    found = levenberg_marquardt(objective, coordinates, start, 40, weights=weights)
+    torch.testing.assert_close(found.units[:3], plain.units[:3], atol=1e-5, rtol=0)
+    torch.testing.assert_close(found.units[3], objective.neutral, atol=1e-3, rtol=0)
+    missed = [(toy(objective.own_units(one.units)) - coordinates).norm(dim=1) for one in (plain, found)]
+    assert missed[1][4] < 0.5 * missed[0][4] and missed[1][5] > missed[0][5]
+
+
+def test_a_frame_that_does_not_count_follows_its_neighbours(toy):
+    objective = Objective(toy)
+    controls, coordinates = moving(toy, 40)
+    start, spoiled = objective.units(controls), coordinates.clone()
+    spoiled[20] += 5
+    trusted = torch.ones(40)
+    trusted[20] = 0
+    plain, wrong, right = (
+        solve_clip(objective, one, start, 1.0, weights=weights)
+        for one, weights in ((coordinates, None), (spoiled, None), (spoiled, trusted))
+    )
+    assert (right[20] - plain[20]).abs().max() < 0.2 * (wrong[20] - plain[20]).abs().max()
+
+
 def test_sparsity_leaves_fewer_controls_in_use(toy):
     coordinates = toy(poses(toy.rig, 20)) + 0.5 * torch.randn(20, toy.space.size, generator=generator_at(0, "noise"))
     used = []

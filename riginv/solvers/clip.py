@@ -1,5 +1,7 @@
 """A whole clip at once: the least error for curves that are smooth."""
 
+from collections.abc import Iterator
+
 import torch
 from torch import Tensor
 
@@ -23,6 +25,7 @@ def solve_clip(
     window: int = WINDOW,
     lookahead: int = LOOKAHEAD,
     tolerance: float = 1e-4,
+    weights: Tensor | None = None,
 ) -> Tensor:
     """Minimise the objective of all frames plus half of `smoothness` times the squared second differences of the controls.
 
@@ -37,19 +40,21 @@ def solve_clip(
         steps: Gauss-Newton steps, at most.
         window, lookahead: frames.
         tolerance: a window is done once a step lowers its objective by less than this share.
+        weights: what the distance of each frame counts, `(frame,)`: less where a capture is to be trusted less, 0 where it only
+            follows its neighbours; 1 for all unless given.
 
     Returns:
         Controls `(frame, control)` in shares of their ranges.
     """
     found = start.clamp(0, 1)
+    weights = found.new_ones(len(found)) if weights is None else weights.to(found)
     for first in range(0, len(found), window):
         stop = min(first + window + lookahead, len(found))
         if len(found) - stop <= lookahead:
             stop = len(found)  # no window is left with less than its own look-ahead
-        part = _Window(
-            objective, coordinates[first:stop], found[max(first - 2, 0) : first], smoothness * objective.vertex_count
-        )
-        found[first:stop] = part.solve(found[first:stop], steps, tolerance)
+        rows, before = slice(first, stop), found[max(first - 2, 0) : first]
+        part = _Window(objective, coordinates[rows], weights[rows], before, smoothness * objective.vertex_count)
+        found[rows] = part.solve(found[rows], steps, tolerance)
         if stop == len(found):
             break
     return found
@@ -58,8 +63,8 @@ def solve_clip(
 class _Window:
     """Some frames in a row, and up to two before them that are settled."""
 
-    def __init__(self, objective: Objective, coordinates: Tensor, before: Tensor, smoothness: float) -> None:
-        self.objective, self.before, self.smoothness = objective, before.clone(), smoothness
+    def __init__(self, objective: Objective, coordinates: Tensor, weights: Tensor, before: Tensor, smoothness: float) -> None:
+        self.objective, self.before, self.smoothness, self.weights = objective, before.clone(), smoothness, weights
         self.seen = torch.isfinite(coordinates).all(dim=1)
         self.coordinates = torch.where(self.seen[:, None], coordinates, 0.0)
         self.bands = [smoothness * band for band in second_difference_bands(len(coordinates), len(before))]
@@ -90,15 +95,18 @@ class _Window:
         return at
 
     def _linearise(self, at: Tensor) -> Linearised:
-        pieces = [self.objective.linearise(*piece) for piece in zip(at.split(PIECE), self.coordinates.split(PIECE))]
+        pieces = [self.objective.linearise(*piece) for piece in self._pieces(at)]
         near = Linearised(*(torch.cat(parts) for parts in zip(*pieces)))
         for values in near:
             values[~self.seen] = 0
         return near
 
     def _cost(self, at: Tensor) -> Tensor:
-        pieces = [self.objective.cost(*piece) for piece in zip(at.split(PIECE), self.coordinates.split(PIECE))]
+        pieces = [self.objective.cost(*piece) for piece in self._pieces(at)]
         return torch.where(self.seen, torch.cat(pieces), 0.0)
+
+    def _pieces(self, at: Tensor) -> Iterator[tuple[Tensor, ...]]:
+        return zip(*(values.split(PIECE) for values in (at, self.coordinates, self.weights)))
 
     def _differences(self, at: Tensor) -> Tensor:
         curve = torch.cat([self.before, at])

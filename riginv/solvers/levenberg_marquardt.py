@@ -56,7 +56,12 @@ class Solution:
 
 
 def levenberg_marquardt(
-    objective: Objective, coordinates: Tensor, start: Tensor, steps: int, tolerance: float = TOLERANCE
+    objective: Objective,
+    coordinates: Tensor,
+    start: Tensor,
+    steps: int,
+    tolerance: float = TOLERANCE,
+    weights: Tensor | None = None,
 ) -> Solution:
     """Improve controls, mesh by mesh, each within the limits; meshes that have converged cost no more time.
 
@@ -66,6 +71,7 @@ def levenberg_marquardt(
         steps: linearisations, at most.
         tolerance: a mesh has converged once a step lowers its objective by less than this share, three times in a row, or by
             next to nothing.
+        weights: what the distance of each mesh counts against prior and sparsity, `(mesh,)`; 1 for all unless given.
     """
     coordinates = coordinates.to(start)
     skipped = ~torch.isfinite(coordinates).all(dim=1)
@@ -74,11 +80,15 @@ def levenberg_marquardt(
     converged, taken = torch.zeros_like(skipped), torch.zeros_like(skipped, dtype=torch.long)
     damping, idle = torch.full_like(cost, START_DAMPING), torch.zeros_like(taken)
     active = (~skipped).nonzero()[:, 0]
+
+    def wanted(rows: Tensor) -> tuple[Tensor, ...]:
+        return (coordinates[rows],) if weights is None else (coordinates[rows], weights[rows])
+
     for _ in range(steps):
         if not len(active):
             break
-        target = coordinates[active]
-        near = objective.linearise(best[active], target)
+        target = wanted(active)
+        near = objective.linearise(best[active], *target)
         moved, found, chosen = _improve(objective, near, best[active], target, damping[active])
         gained = near.cost - found
         best[active], cost[active], damping[active] = moved, found, chosen
@@ -89,12 +99,12 @@ def levenberg_marquardt(
         converged[active] = last | (idle[active] >= IDLE) | (small & (chosen >= MOST_DAMPING))
         active = active[~converged[active]]
     if len(unknown := (torch.isnan(cost) & ~skipped).nonzero()[:, 0]):  # no step was asked for
-        cost[unknown] = objective.cost(best[unknown], coordinates[unknown])
+        cost[unknown] = objective.cost(best[unknown], *wanted(unknown))
     return Solution(best, cost, converged, taken, skipped)
 
 
 def _improve(
-    objective: Objective, near: Linearised, at: Tensor, target: Tensor, damping: Tensor
+    objective: Objective, near: Linearised, at: Tensor, target: tuple[Tensor, ...], damping: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Try a step, and with more damping again where it does not help: controls, costs, and dampings to go on with."""
     moved, cost, damping = at.clone(), near.cost.clone(), damping.clone()
@@ -103,7 +113,7 @@ def _improve(
     for _ in range(TRIES):
         gradient, hessian = near.gradient[trying], near.hessian[trying]
         step = box_step(damped(hessian, damping[trying]), gradient, at[trying]).clamp(-REACH, REACH)
-        found = objective.cost(at[trying] + step, target[trying])
+        found = objective.cost(at[trying] + step, *(values[trying] for values in target))
         foreseen = -(gradient * step).sum(dim=1) - 0.5 * (step * (hessian @ step[..., None])[..., 0]).sum(dim=1)
         better = found < cost[trying]
         kept = trying[better]

@@ -80,10 +80,15 @@ class Objective:
         return (self.lower + self.span * units).to(rig.dtype).clamp(rig.lower, rig.upper)
 
     @torch.no_grad()
-    def cost(self, units: Tensor, coordinates: Tensor) -> Tensor:
-        """The objective `(mesh,)`, of which no less than 0 can remain."""
+    def cost(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Tensor:
+        """The objective `(mesh,)`, of which no less than 0 can remain.
+
+        Args:
+            weights: what the distance of each mesh counts against its preferences, `(mesh,)`; 1 for all unless given.
+        """
         found = self.rig.rig.coefficients(self.lower + self.span * units)
-        return 0.5 * self._residual(found, coordinates).square().sum(dim=1) + self._preference(units)[0]
+        distance = 0.5 * self._residual(found, coordinates).square().sum(dim=1)
+        return (distance if weights is None else weights * distance) + self._preference(units)[0]
 
     @torch.no_grad()
     def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
@@ -92,15 +97,18 @@ class Objective:
         return self.span * jacobian.pull(self._residual(found, coordinates) @ self.map.T) + self._preference(units)[1]
 
     @torch.no_grad()
-    def linearise(self, units: Tensor, coordinates: Tensor) -> Linearised:
-        """The objective with its gradient and Gauss-Newton Hessian."""
+    def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
+        """The objective with its gradient and Gauss-Newton Hessian; weights as in `cost`."""
         found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
         residual = self._residual(found, coordinates)
         cost, gradient, curvature = self._preference(units)
         hessian = jacobian.gram(self.metric) * self.span * self.span[:, None]
+        slope = self.span * jacobian.pull(residual @ self.map.T)
+        distance = 0.5 * residual.square().sum(dim=1)
+        if weights is not None:
+            distance, slope, hessian = weights * distance, weights[:, None] * slope, weights[:, None, None] * hessian
         hessian.diagonal(dim1=1, dim2=2).add_(curvature)
-        gradient = gradient + self.span * jacobian.pull(residual @ self.map.T)
-        return Linearised(cost + 0.5 * residual.square().sum(dim=1), gradient, hessian)
+        return Linearised(cost + distance, gradient + slope, hessian)
 
     def _residual(self, coefficients: Tensor, coordinates: Tensor) -> Tensor:
         return (coefficients - self.rest) @ self.map - coordinates
