@@ -120,6 +120,13 @@ def test_a_wrong_table_is_explained(run, table, tmp_path, change, expected):
     assert not made.folder.exists()
 
 
+def test_a_table_is_no_judge_of_a_comparison(run, table, tmp_path):
+    path = write(table, tmp_path / "table.npz")
+    made = run("compare", "rig=pairs", f"rig.file={path}", "methods=[neutral]")
+    assert made.code == 1 and "compare needs a rig that can be posed" in " ".join(made.text.split())
+    assert not made.folder.exists()
+
+
 def test_a_truncated_or_hostile_table_is_explained(run, table, tmp_path):
     path = write(table, tmp_path / "table.npz")
     path.write_bytes(path.read_bytes()[:5000])
