@@ -92,7 +92,7 @@ def _fingerprint(rig: LinearRig) -> bytes:
     poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)
     facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([STARTS, STEPS, TOLERANCE, DESCENT_STEPS]))
     here = Path(__file__)
-    digest = hashlib.sha256(code_key([here, here.parent / "solvers"]).encode())
+    digest = hashlib.sha256(code_key([here, here.parent / "solvers", here.parent / "networks/features.py"]).encode())
     for fact in facts:
         digest.update(fact.detach().cpu().contiguous().numpy().tobytes())
     return digest.digest()

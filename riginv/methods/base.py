@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from riginv.data.mesh_sets import MeshSet
-from riginv.mesh_space import RigInMeshSpace
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig import LinearRig
 
 
@@ -55,5 +55,10 @@ class Method(ABC):
 
     def coordinates(self, meshes: MeshSet) -> Tensor:
         """All meshes `(mesh, coordinate)` in mesh coordinates, read piece by piece: never all vertices at once."""
-        pieces = [self.rig.space.encode(vertices) for _, vertices in meshes.pieces()]
-        return torch.cat(pieces) if pieces else self.rig.linear_map.new_zeros(0, self.rig.space.size)
+        return encoded(meshes, self.rig.space)
+
+
+def encoded(meshes: MeshSet, space: MeshSpace) -> Tensor:
+    """All meshes of a set in the coordinates of a mesh space, `(mesh, coordinate)`, read piece by piece."""
+    pieces = [space.encode(vertices) for _, vertices in meshes.pieces()]
+    return torch.cat(pieces) if pieces else space.frame.new_zeros(0, space.size)

@@ -9,7 +9,7 @@ from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
 from riginv.inverse import Inverse, load_inverse
 from riginv.mesh_space import RigInMeshSpace
-from riginv.methods.base import Method
+from riginv.methods.base import Method, encoded
 
 PIECE = 512
 
@@ -38,15 +38,8 @@ class Network(Method):
         self.fingerprint = digest.hexdigest()[:16]
 
     @torch.no_grad()
-    def controls(self, coordinates: Tensor) -> Tensor:
-        """Controls `(mesh, control)` from mesh coordinates `(mesh, coordinate)`."""
+    def invert(self, meshes: MeshSet) -> Tensor:
+        """In the mesh space that the network was trained in, whose axes may be others than those of `rig`."""
+        coordinates = encoded(meshes, self.inverse.network.rig.space)
         pieces = [self.inverse.network(piece) for piece in coordinates.split(PIECE) if len(piece)]
         return torch.cat(pieces) if pieces else self.rig.rig.lower.new_zeros(0, len(self.rig.rig.controls))
-
-    def invert(self, meshes: MeshSet) -> Tensor:
-        return self.controls(self.coordinates(meshes))
-
-    def coordinates(self, meshes: MeshSet) -> Tensor:
-        """In the mesh space of the network, which it was trained in."""
-        pieces = [self.inverse.network.rig.space.encode(vertices) for _, vertices in meshes.pieces()]
-        return torch.cat(pieces) if pieces else self.rig.linear_map.new_zeros(0, self.rig.space.size)

@@ -101,7 +101,7 @@ class Clip(LevenbergMarquardt):
             return super().invert(meshes)
         coordinates = self.coordinates(meshes)
         if self.network is not None:
-            start = self.objective.units(self.network.controls(self.network.coordinates(meshes)))
+            start = self.objective.units(self.network.invert(meshes))
         else:
             start = smoothed(self.frames(coordinates, rounds=0), self.blur)
         found = solve_clip(self.objective, coordinates, start, self.smoothness, self.clip_steps)
@@ -124,6 +124,5 @@ class Refined(Network):
 
     @torch.no_grad()
     def invert(self, meshes: MeshSet) -> Tensor:
-        start = self.objective.units(self.controls(self.coordinates(meshes)))
-        coordinates = Method.coordinates(self, meshes)  # the network's mesh space may have other axes than the solver's
-        return self.objective.own_units(refine_meshes(self.objective, coordinates, start, self.steps).units)
+        start = self.objective.units(super().invert(meshes))
+        return self.objective.own_units(refine_meshes(self.objective, self.coordinates(meshes), start, self.steps).units)

@@ -47,6 +47,11 @@ class RigFeatures(nn.Module):
         self.register_buffer("scale", torch.ones_like(rest[0]))
         self.register_buffer("slope", torch.zeros(len(rest[0]), len(backend.controls)).to(rest))
 
+    @staticmethod
+    def offered_by(rig: RigInMeshSpace) -> bool:
+        """Whether the rig tells features at all (`LinearRig.features`)."""
+        return rig.rig.features(rig.neutral_coefficients) is not None
+
     @classmethod
     def fitted(cls, rig: RigInMeshSpace) -> "RigFeatures":
         """For use without a network: calibrated on random poses of the rig."""

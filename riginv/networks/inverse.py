@@ -105,8 +105,7 @@ class StagedInverse(InverseNetwork):
         if stages < 1:
             raise InputError(f"network: stages is {stages}, expected at least 1")
         size, controls = rig.space.size, len(rig.rig.controls)
-        offers_features = rig.rig.features(rig.neutral_coefficients) is not None
-        self.features = RigFeatures(rig) if offers_features else None
+        self.features = RigFeatures(rig) if RigFeatures.offered_by(rig) else None
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN

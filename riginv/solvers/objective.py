@@ -67,8 +67,7 @@ class Objective:
     @functools.cached_property
     def features(self) -> RigFeatures | None:
         """What the rig can tell of its controls without any search, or None where it offers nothing (`LinearRig.features`)."""
-        offers_features = self.rig.rig.features(self.rig.neutral_coefficients) is not None
-        return RigFeatures.fitted(self.rig) if offers_features else None
+        return RigFeatures.fitted(self.rig) if RigFeatures.offered_by(self.rig) else None
 
     def units(self, controls: Tensor) -> Tensor:
         """Controls in their own units as shares of their ranges."""
