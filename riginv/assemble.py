@@ -34,6 +34,7 @@ from riginv.sampling.seeds import generator_at
 
 Config = dict[str, Any]
 CALIBRATION_MESHES = 1024
+NOT_OPTIONS = ("network", "loss", "optimizer", "schedule", "cpu_steps")  # of a model; the rest are numbers of its module
 
 
 def build_rig(config: Config) -> LinearRig:
@@ -100,7 +101,8 @@ def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> R
     module_class = class_of(model.pop("_target_"))
     network = build(model["network"], rig if module_class.kind == "inverse" else rig.rig)
     losses = [build(model["loss"], rig.space.vertex_count)] if "loss" in model else []
-    module = module_class(rig, network, *losses, factory(model["optimizer"]), factory(model["schedule"]))
+    options = {key: value for key, value in model.items() if key not in NOT_OPTIONS}
+    module = module_class(rig, network, *losses, factory(model["optimizer"]), factory(model["schedule"]), **options)
     module.true_rig = rig.rig if isinstance(true_rig, RecordedRig) else true_rig
     module.stop_below_lr = config["stop_below_lr"]
     return module

@@ -38,6 +38,27 @@ class VertexDistanceLoss(nn.Module):
         return (squared + EPSILON_MM**2).sqrt().mean()
 
 
+class CoefficientLoss(nn.Module):
+    """How far coefficients are from those that are wanted, each in the mm that it moves the mesh by, mm.
+
+    Where a rig has names for what it does, this teaches each of them apart; on the mesh alone they hide behind each other.
+
+    Args:
+        linear_map: `(coefficient, coordinate)`, as of `riginv.mesh_space.RigInMeshSpace`.
+        vertex_count: of the full mesh.
+    """
+
+    sizes: Tensor
+
+    def __init__(self, linear_map: Tensor, vertex_count: int) -> None:
+        super().__init__()
+        self.register_buffer("sizes", linear_map.square().sum(dim=1) / vertex_count, persistent=False)
+
+    def forward(self, coefficients: Tensor, wanted: Tensor) -> Tensor:
+        """Both `(batch, coefficient)`; a scalar."""
+        return (((coefficients - wanted).square() @ self.sizes) + EPSILON_MM**2).sqrt().mean()
+
+
 def root_mean_square_mm(coordinates: Tensor, target: Tensor, vertex_count: int) -> Tensor:
     """The root mean square distance of the vertices over a batch, mm, from mesh coordinates `(batch, coordinate)`."""
     with torch.no_grad():

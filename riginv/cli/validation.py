@@ -56,8 +56,13 @@ RULES: dict[str, Check] = {
     "surrogate.optimizer.weight_decay": NOT_NEGATIVE,
     "model.network.hidden": WIDTHS,
     "surrogate.network.hidden": WIDTHS,
-    "model.network.stages": AT_LEAST_1,
-    "surrogate.network.stages": AT_LEAST_1,
+    "*.coefficient_share": NOT_NEGATIVE,
+    "*.network.context": WIDTHS,
+    "*.network.dense": WIDTHS,
+    "model.network.corrections": AT_LEAST_0,
+    **dict.fromkeys(
+        (f"*.network.{key}" for key in ("stages", "width", "gate", "drivers", "parents", "corrective_width")), AT_LEAST_1
+    ),
     "sampler*.most": AT_LEAST_1,
     "sampler*.faint": NOT_NEGATIVE,
     "sampler.shares.*": NOT_NEGATIVE,

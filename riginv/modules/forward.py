@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor, nn
 
+from riginv.losses import CoefficientLoss
 from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import OptimizerFactory, RigModule, ScheduleFactory
 from riginv.networks.surrogate import SurrogateNetwork
@@ -10,7 +11,11 @@ from riginv.sampling.meshes import PoseBatch
 
 
 class ForwardModule(RigModule):
-    """Trains a surrogate of a rig on its poses (Sec. 3.2). It is anchored: neutral controls give the rest mesh."""
+    """Trains a surrogate of a rig on its poses (Sec. 3.2). It is anchored: neutral controls give the rest mesh.
+
+    Args:
+        coefficient_share: of the loss on the rig's own coefficients, where it has blendshapes; the paper has none.
+    """
 
     kind = "forward"
 
@@ -21,18 +26,25 @@ class ForwardModule(RigModule):
         loss: nn.Module,
         make_optimizer: OptimizerFactory,
         make_schedule: ScheduleFactory,
+        coefficient_share: float = 0.0,
     ) -> None:
         super().__init__(rig, network, make_optimizer, make_schedule)
-        self.loss = loss
+        self.loss, self.coefficient_share = loss, coefficient_share
+        self.coefficient_loss = CoefficientLoss(rig.linear_map, rig.space.vertex_count)
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
-        coordinates = self.coordinates(batch["controls"])
-        return self.learn(self.loss(coordinates, batch["coordinates"]), coordinates, batch["coordinates"])
+        coefficients, neutral = self.coefficients(batch["controls"])
+        coordinates = (coefficients - neutral) @ self.rig.linear_map
+        loss = self.loss(coordinates, batch["coordinates"])
+        if self.coefficient_share and self.rig.rig.has_blendshapes:
+            loss = loss + self.coefficient_share * self.coefficient_loss(coefficients, batch["coefficients"])
+        return self.learn(loss, coordinates, batch["coordinates"])
 
-    def coordinates(self, controls: Tensor) -> Tensor:
-        """The mesh coordinates `(batch, coordinate)` that the surrogate makes of controls `(batch, control)`."""
-        coefficients = self.network(torch.cat([controls, self.rig.rig.neutral_controls[None]]))
-        return (coefficients[:-1] - coefficients[-1:]) @ self.rig.linear_map
+    def coefficients(self, controls: Tensor) -> tuple[Tensor, Tensor]:
+        """What the surrogate makes of controls `(batch, control)`: `(batch, coefficient)`, and `(1, coefficient)` at neutral."""
+        found = self.network(torch.cat([controls, self.rig.rig.neutral_controls[None]]))
+        return found[:-1], found[-1:]
 
     def results(self, batch: PoseBatch) -> Tensor:
-        return self.rig.space.decode(self.coordinates(batch["controls"]))
+        coefficients, neutral = self.coefficients(batch["controls"])
+        return self.rig.space.decode((coefficients - neutral) @ self.rig.linear_map)

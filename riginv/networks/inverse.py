@@ -11,6 +11,7 @@ from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS
+from riginv.networks.correction import Correction
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import Anchored, mlp
 
@@ -77,10 +78,11 @@ class DirectInverse(InverseNetwork):
 
 
 class StagedInverse(InverseNetwork):
-    """Perceptrons in a row, each correcting the one before: a learned optimiser of a few steps.
+    """A learned optimiser of a few steps: perceptrons in a row, then corrections, each mending what the one before left.
 
-    The first sees the mesh. Every further one also sees what its predecessor left: the residual in mesh coordinates, the
-    gradient of the squared error through the rig, and the controls so far. Each learns from its own error alone.
+    The first perceptron sees the mesh. Every further stage also sees what its predecessor left: the residual in mesh
+    coordinates, the gradient of the squared error through the rig, and the controls so far. Perceptrons find the
+    neighbourhood, corrections (`riginv.networks.correction`) come close. Each learns from its own error alone.
 
     Where the rig offers features they take the place of mesh coordinates, and a linear guess from them that of the first
     predecessor (`riginv.networks.features`).
@@ -88,6 +90,9 @@ class StagedInverse(InverseNetwork):
     Args:
         stages: how many perceptrons.
         hidden: widths of each of them.
+        corrections: how many follow.
+        width: linear features of a correction.
+        gate: hidden width of a correction's gate.
     """
 
     coordinate_scale: Tensor
@@ -96,20 +101,30 @@ class StagedInverse(InverseNetwork):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        stages: int = 3,
+        stages: int = 1,
         hidden: Sequence[int] = (1024, 512),
+        corrections: int = 6,
+        width: int = 384,
+        gate: int = 256,
         activation: str = "gelu",
         control_map: str = "neutral_start",
     ) -> None:
         super().__init__(rig, control_map)
-        if stages < 1:
-            raise InputError(f"network: stages is {stages}, expected at least 1")
+        for name, number, least in (
+            ("stages", stages, 1),
+            ("corrections", corrections, 0),
+            ("width", width, 1),
+            ("gate", gate, 1),
+        ):
+            if number < least:
+                raise InputError(f"network: {name} is {number}, expected at least {least}")
         size, controls = rig.space.size, len(rig.rig.controls)
         self.features = RigFeatures(rig) if RigFeatures.offered_by(rig) else None
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN
         self.stages = nn.ModuleList(Anchored(_start_small(mlp(count, hidden, controls, activation), gain)) for count in inputs)
+        self.corrections = nn.ModuleList(Correction(size, controls, width, gate) for _ in range(corrections))
         self.register_buffer("coordinate_scale", torch.ones(()))
         self.register_buffer("gradient_scale", torch.ones(controls) if self.features else torch.ones(()))
 
@@ -128,7 +143,7 @@ class StagedInverse(InverseNetwork):
         seen = self._look(coordinates)
         result: list[Answer] = []
         raw, answer = self._guess(seen) if self.features else (None, None)
-        for stage in self.stages:
+        for stage in [*self.stages, *self.corrections]:
             raw = stage(seen) if raw is None else self._corrected(stage, raw, answer, seen, coordinates)
             if not raw.requires_grad:
                 raw = raw.requires_grad_()
@@ -138,13 +153,15 @@ class StagedInverse(InverseNetwork):
         return result
 
     def _corrected(self, stage: nn.Module, raw: Tensor, answer: Answer, seen: Tensor, coordinates: Tensor) -> Tensor:
-        """Raw outputs `(batch, control)`, corrected by a perceptron that sees what the answer to them left."""
+        """Raw outputs `(batch, control)`, corrected by a stage that sees what the answer to them left."""
         error = answer.coordinates - coordinates
-        gradient = self._gradient(raw, error)
+        gradient = self._gradient(raw, error) / self.gradient_scale
         before = raw.detach()
         left = self.features.left(coordinates, answer.coordinates) if self.features else -error / self.coordinate_scale
-        inputs = [seen, left.detach(), gradient / self.gradient_scale, torch.tanh(0.3 * before)]
-        return before + stage(torch.cat(inputs, dim=1))
+        left, squashed = left.detach(), torch.tanh(0.3 * before)
+        if isinstance(stage, Correction):
+            return before + stage(left, gradient, squashed)
+        return before + stage(torch.cat([seen, left, gradient, squashed], dim=1))
 
     def _guess(self, features: Tensor) -> tuple[Tensor, Answer]:
         """The raw outputs and the answer that stand before the first perceptron, where the rig offers features."""

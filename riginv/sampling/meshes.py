@@ -28,10 +28,12 @@ class PoseBatch(TypedDict, total=False):
     Attributes:
         coordinates: mesh coordinates `(batch, coordinate)`.
         controls: the controls that made them, `(batch, control)`; only where the meshes are poses of the rig.
+        coefficients: the rig's own at these controls, `(batch, coefficient)`; only there, too.
     """
 
     coordinates: Tensor
     controls: Tensor
+    coefficients: Tensor
 
 
 class MeshSampler(nn.Module, ABC):
@@ -57,7 +59,8 @@ class RigPoses(MeshSampler):
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         controls = self.controls.sample(count, generator)
-        return PoseBatch(coordinates=self.rig(controls), controls=controls)
+        coefficients = self.rig.rig.coefficients(controls)
+        return PoseBatch(coordinates=self.rig.coordinates_of(coefficients), controls=controls, coefficients=coefficients)
 
 
 class OfBlendshapes(MeshSampler):

@@ -1,0 +1,105 @@
+"""A surrogate that knows who follows whom: many small perceptrons, each seeing a few numbers only."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from riginv.networks.dependencies import find_dependencies
+from riginv.networks.mlp import mlp
+from riginv.networks.surrogate import SurrogateNetwork
+from riginv.rig import LinearRig
+
+OPEN = 3.0  # how far the damping of a primary shape starts from acting
+CONTEXT_GAIN = 0.1  # of the last layer of the context: it starts with hardly a say
+
+
+class LocalPerceptrons(nn.Module):
+    """One perceptron of two hidden layers for each output, on inputs of its own.
+
+    Args:
+        outputs: how many.
+        slots: inputs of each, at most.
+        width: of the hidden layers.
+    """
+
+    index: Tensor
+
+    def __init__(self, outputs: int, slots: int, width: int) -> None:
+        super().__init__()
+        self.register_buffer("index", torch.full((outputs, slots), -1))
+        self.into = nn.Parameter(torch.randn(outputs, slots, width))
+        self.into_shift = nn.Parameter(torch.randn(outputs, 1, width) / math.sqrt(2))
+        self.across = nn.Parameter(torch.randn(outputs, width, width) / math.sqrt(width))
+        self.across_shift = nn.Parameter(torch.zeros(outputs, 1, width))
+        self.out = nn.Parameter(torch.randn(outputs, width, 1) / math.sqrt(width))
+        self.out_shift = nn.Parameter(torch.zeros(outputs, 1, 1))
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Inputs `(batch, input)` to outputs `(batch, output)`."""
+        seen = (inputs[:, self.index.clamp_min(0)] * (self.index >= 0)).transpose(0, 1)
+        hidden = nn.functional.silu(torch.baddbmm(self.into_shift, seen, self.into))
+        hidden = nn.functional.silu(torch.baddbmm(self.across_shift, hidden, self.across))
+        return torch.baddbmm(self.out_shift, hidden, self.out)[:, :, 0].T
+
+
+class LocalSurrogate(SurrogateNetwork):
+    """A surrogate of blendshapes that takes from the rig, by posing it, what follows what (`riginv.networks.dependencies`).
+
+    A primary shape is a small perceptron on its own controls, damped by what all of them do together; a shape that corrects
+    others is one on those. Rigs without blendshapes have no such parts: theirs is a plain perceptron.
+
+    Args:
+        drivers: controls that a primary shape follows, at most.
+        parents: primary shapes that a corrective one follows, at most.
+        width, corrective_width: of the small perceptrons' hidden layers.
+        context: widths of the perceptron that damps the primary shapes.
+        dense: widths of the one perceptron for a rig without blendshapes.
+    """
+
+    def __init__(
+        self,
+        rig: LinearRig,
+        drivers: int = 4,
+        parents: int = 3,
+        width: int = 32,
+        corrective_width: int = 16,
+        context: Sequence[int] = (256,),
+        dense: Sequence[int] = (1024, 1024),
+    ) -> None:
+        super().__init__(rig)
+        controls, primaries = len(rig.controls), rig.primary_count
+        if not self.weights:
+            self.dense = mlp(controls, dense, len(rig.basis), "leaky_relu")
+            return
+        self.register_buffer("neutral", rig.neutral_controls, persistent=False)
+        self.register_buffer("half_range", (rig.upper - rig.lower) / 2, persistent=False)
+        self.primary = LocalPerceptrons(primaries, drivers, width)
+        self.corrective = LocalPerceptrons(len(rig.basis) - primaries, parents, corrective_width)
+        self.context = mlp(controls + primaries, context, primaries, "silu")
+        with torch.no_grad():
+            self.context[-1].weight.mul_(CONTEXT_GAIN)
+            self.context[-1].bias.fill_(-OPEN)
+
+    def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
+        super().set_scales(rig, controls)
+        if self.weights:
+            slots = self.primary.index.shape[1], self.corrective.index.shape[1]
+            found = find_dependencies(rig, *slots)
+            self.primary.index.copy_(found.drivers)
+            self.corrective.index.copy_(found.parents)
+
+    def forward(self, controls: Tensor) -> Tensor:
+        """Weights are kept in no range: where they exceed it the loss says so, and no gradient fades at its ends."""
+        if not self.weights:
+            return super().forward(controls)
+        return self.raw((controls - self.neutral) / self.half_range)
+
+    def raw(self, controls: Tensor) -> Tensor:
+        if not self.weights:
+            return self.dense(controls)
+        alone = self.primary(controls)
+        damping = nn.functional.softplus(self.context(torch.cat([controls, alone], dim=1)))
+        primary = alone * torch.exp(-damping)
+        return torch.cat([primary, self.corrective(primary)], dim=1)
