@@ -69,7 +69,7 @@ def test_validation_asks_the_true_rig(toy):
 def test_only_the_network_learns(toy):
     module = make("inverse", toy)
     learning = {weight for group in module.configure_optimizers()["optimizer"].param_groups for weight in group["params"]}
-    assert learning == set(module.network.stages.parameters())
+    assert learning == {*module.network.stages.parameters(), *module.network.corrections.parameters()}
 
 
 def test_a_rig_without_gradients_is_refused_with_the_way_out(toy):

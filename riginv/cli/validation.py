@@ -58,7 +58,6 @@ RULES: dict[str, Check] = {
     "surrogate.network.hidden": WIDTHS,
     "*.coefficient_share": NOT_NEGATIVE,
     "*.network.context": WIDTHS,
-    "*.network.dense": WIDTHS,
     "model.network.corrections": AT_LEAST_0,
     **dict.fromkeys(
         (f"*.network.{key}" for key in ("stages", "width", "gate", "drivers", "parents", "corrective_width")), AT_LEAST_1

@@ -41,7 +41,7 @@ class ForwardModule(RigModule):
         return self.learn(loss, coordinates, batch["coordinates"])
 
     def coefficients(self, controls: Tensor) -> tuple[Tensor, Tensor]:
-        """What the surrogate makes of controls `(batch, control)`: `(batch, coefficient)`, and `(1, coefficient)` at neutral."""
+        """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and `(1, coefficient)` at neutral."""
         found = self.network(torch.cat([controls, self.rig.rig.neutral_controls[None]]))
         return found[:-1], found[-1:]
 

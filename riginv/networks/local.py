@@ -55,7 +55,7 @@ class LocalSurrogate(SurrogateNetwork):
         parents: primary shapes that a corrective one follows, at most.
         width, corrective_width: of the small perceptrons' hidden layers.
         context: widths of the perceptron that damps the primary shapes.
-        dense: widths of the one perceptron for a rig without blendshapes.
+        hidden: widths of the one perceptron for a rig without blendshapes.
     """
 
     def __init__(
@@ -66,12 +66,12 @@ class LocalSurrogate(SurrogateNetwork):
         width: int = 32,
         corrective_width: int = 16,
         context: Sequence[int] = (256,),
-        dense: Sequence[int] = (1024, 1024),
+        hidden: Sequence[int] = (1024, 1024),
     ) -> None:
         super().__init__(rig)
         controls, primaries = len(rig.controls), rig.primary_count
         if not self.weights:
-            self.dense = mlp(controls, dense, len(rig.basis), "leaky_relu")
+            self.dense = mlp(controls, hidden, len(rig.basis), "leaky_relu")
             return
         self.register_buffer("neutral", rig.neutral_controls, persistent=False)
         self.register_buffer("half_range", (rig.upper - rig.lower) / 2, persistent=False)

@@ -1,0 +1,42 @@
+"""A correction: nothing left, nothing changed; what it does shrinks with what is left."""
+
+import torch
+
+from riginv.networks.correction import Correction
+from riginv.networks.inverse import StagedInverse
+
+
+def correction() -> Correction:
+    torch.manual_seed(0)
+    return Correction(left=12, controls=7, width=32, gate=16)
+
+
+def test_where_nothing_is_left_nothing_changes():
+    change = correction()(torch.zeros(3, 12), torch.zeros(3, 7), torch.randn(3, 7))
+    assert change.shape == (3, 7) and (change == 0).all()
+
+
+def test_it_is_linear_in_what_is_left_as_long_as_the_gate_sees_the_same():
+    step, left, gradient, raw = correction(), torch.randn(5, 12), torch.randn(5, 7), torch.randn(5, 7)
+    with torch.no_grad():
+        step.gate[0].weight[:, -1] = 0  # the gate's one number that knows how long the gradient is
+    whole = step(left, gradient, raw)
+    torch.testing.assert_close(step(left / 8, gradient / 8, raw), whole / 8, rtol=1e-3, atol=1e-6)
+    assert (step(left, gradient, -raw) - whole).abs().max() > 1e-3  # the matrix depends on where the controls stand
+
+
+def test_corrections_mend_what_the_perceptron_left(toy):
+    torch.manual_seed(0)
+    network = StagedInverse(toy, stages=1, hidden=[32], corrections=4, width=32, gate=16)
+    optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
+    coordinates = toy(toy.rig.lower + torch.rand(256, 7) * (toy.rig.upper - toy.rig.lower))
+    network.calibrate(coordinates)
+    for _ in range(150):
+        loss = sum(
+            (answer.coordinates - coordinates).square().sum(dim=1).sqrt().mean() for answer in network.answers(coordinates)
+        )
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    errors = [(answer.coordinates - coordinates).norm().item() for answer in network.answers(coordinates)]
+    assert len(errors) == 5 and errors[-1] < 0.3 * errors[0]
