@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from riginv.build import OURS, build
 from riginv.bundle import RIG, Bundle, read_bundle
+from riginv.encoder import QuickEncoder
 from riginv.errors import InputError
 from riginv.fitted_rig import FittedRig
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
@@ -37,6 +38,7 @@ class Inverse(nn.Module):
     def __init__(self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0) -> None:
         super().__init__()
         self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
+        self.encoder = QuickEncoder(network.rig.space, rounded=network.rig.rig.has_blendshapes)
 
     @property
     def rig(self) -> LinearRig:
@@ -55,10 +57,10 @@ class Inverse(nn.Module):
                 f"meshes of shape {tuple(vertices.shape)} were given, rig '{self.rig.name}' needs "
                 f"(mesh, {space.vertex_count}, 3): the same vertices in the same order"
             )
+        if not self.refine:
+            return self.network(self.encoder(vertices))
         coordinates = space.encode(vertices)
         controls = self.network(coordinates)
-        if not self.refine:
-            return controls
         start = self.objective.units(controls)
         return self.objective.own_units(refine_meshes(self.objective, coordinates, start, self.refine).units)
 

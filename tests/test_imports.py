@@ -17,7 +17,7 @@ FLOORS = [
     {"mesh_space"},
     {"sampling", "losses", "metrics", "render"},
     {"networks"},
-    {"pictures", "cli", "solvers"},
+    {"pictures", "cli", "solvers", "encoder"},
     {"rig_contract", "bundle", "pairs", "fitted_rig"},
     {"data"},
     {"clips", "judge", "inverse", "modules", "recorded_rig"},

@@ -1,8 +1,9 @@
 """Networks from mesh coordinates to controls."""
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -19,11 +20,22 @@ START_GAIN = 0.3  # of the last layer: answers start close to neutral
 CORRECTION_GAIN = 0.02  # of the last layer where a guess stands before the first perceptron: they start close to that
 
 
-class Answer(NamedTuple):
-    """One attempt at the controls `(batch, control)`, and what the rig makes of it, `(batch, coordinate)`."""
+@dataclass(frozen=True)
+class Answer:
+    """One attempt at the controls.
+
+    Attributes:
+        controls: `(batch, control)`.
+        rig: which they are of.
+    """
 
     controls: Tensor
-    coordinates: Tensor
+    rig: RigInMeshSpace
+
+    @functools.cached_property
+    def coordinates(self) -> Tensor:
+        """What the rig makes of them, `(batch, coordinate)`; it is posed when this is first asked for."""
+        return self.rig(self.controls)
 
 
 class InverseNetwork(RigNetwork, ABC):
@@ -70,8 +82,7 @@ class DirectInverse(InverseNetwork):
         self.network = Anchored(_start_small(network)) if control_map == "neutral_start" else network
 
     def answers(self, coordinates: Tensor) -> list[Answer]:
-        controls = self.forward(coordinates)
-        return [Answer(controls, self.rig(controls))]
+        return [Answer(self.forward(coordinates), self.rig)]
 
     def forward(self, coordinates: Tensor) -> Tensor:
         return self.control_map(self.network(coordinates))
@@ -148,7 +159,7 @@ class StagedInverse(InverseNetwork):
             if not raw.requires_grad:
                 raw = raw.requires_grad_()
             controls = self.control_map(raw)
-            answer = Answer(controls, self.rig(controls))
+            answer = Answer(controls, self.rig)
             result.append(answer)
         return result
 
@@ -167,7 +178,7 @@ class StagedInverse(InverseNetwork):
         """The raw outputs and the answer that stand before the first perceptron, where the rig offers features."""
         raw = self.control_map.raw_of(self.features.guess(features)).detach().requires_grad_()
         controls = self.control_map(raw)
-        return raw, Answer(controls, self.rig(controls))
+        return raw, Answer(controls, self.rig)
 
     def forward(self, coordinates: Tensor) -> Tensor:
         """The last answer; after a guess from features the best one of each mesh, for there a correction may fail."""
