@@ -57,6 +57,7 @@ RULES: dict[str, Check] = {
     "model.network.hidden": WIDTHS,
     "surrogate.network.hidden": WIDTHS,
     "*.coefficient_share": NOT_NEGATIVE,
+    "model.sampled_vertices": AT_LEAST_0,
     "*.network.context": WIDTHS,
     "model.network.corrections": AT_LEAST_0,
     **dict.fromkeys(

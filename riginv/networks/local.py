@@ -43,12 +43,18 @@ class LocalPerceptrons(nn.Module):
         hidden = nn.functional.silu(torch.baddbmm(self.across_shift, hidden, self.across))
         return torch.baddbmm(self.out_shift, hidden, self.out)[:, :, 0].T
 
+    def product(self, inputs: Tensor) -> Tensor:
+        """The product `(batch, output)` of each output's own inputs; 0 where it has none."""
+        filled = self.index >= 0
+        return torch.where(filled, inputs[:, self.index.clamp_min(0)], 1.0).prod(dim=2) * filled.any(dim=1)
+
 
 class LocalSurrogate(SurrogateNetwork):
     """A surrogate of blendshapes that takes from the rig, by posing it, what follows what (`riginv.networks.dependencies`).
 
     A primary shape is a small perceptron on its own controls, damped by what all of them do together; a shape that corrects
-    others is one on those. Rigs without blendshapes have no such parts: theirs is a plain perceptron.
+    others is one on those, beside a multiple of the product of their weights: most rigs mean one, and where all of them are
+    strong poses are rare and a perceptron knows least. Rigs without blendshapes have no such parts: theirs is one perceptron.
 
     Args:
         drivers: controls that a primary shape follows, at most.
@@ -77,6 +83,7 @@ class LocalSurrogate(SurrogateNetwork):
         self.register_buffer("half_range", (rig.upper - rig.lower) / 2, persistent=False)
         self.primary = LocalPerceptrons(primaries, drivers, width)
         self.corrective = LocalPerceptrons(len(rig.basis) - primaries, parents, corrective_width)
+        self.of_product = nn.Parameter(torch.ones(len(rig.basis) - primaries))
         self.context = mlp(controls + primaries, context, primaries, "silu")
         with torch.no_grad():
             self.context[-1].weight.mul_(CONTEXT_GAIN)
@@ -102,4 +109,4 @@ class LocalSurrogate(SurrogateNetwork):
         alone = self.primary(controls)
         damping = nn.functional.softplus(self.context(torch.cat([controls, alone], dim=1)))
         primary = alone * torch.exp(-damping)
-        return torch.cat([primary, self.corrective(primary)], dim=1)
+        return torch.cat([primary, self.corrective(primary) + self.of_product * self.corrective.product(primary)], dim=1)
