@@ -44,7 +44,9 @@ def _layout(path: str, file: BinaryIO) -> Layout:
             shape, fortran, dtype = read(file, max_header_size=LONGEST_HEADER)
     except (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError, OverflowError, EOFError) as error:
         reason = str(error).splitlines()[0][:80] if str(error) else type(error).__name__
-        raise InputError(f"{path}: no NumPy array, or a damaged one ({reason}): save it again with np.save or np.savez") from None
+        raise InputError(
+            f"{path}: no NumPy array, or a damaged one ({reason}): save it again with np.save or np.savez"
+        ) from None
     if dtype.hasobject:
         raise InputError(f"{path}: it holds Python objects, which are never loaded: save plain numbers")
     if any(not isinstance(length, int) or length < 0 for length in shape):
@@ -111,7 +113,9 @@ class ArrayClip(MeshSequence):
             wanted = (stop - start) * self.frame_bytes
             data = self._stream.read(wanted)
         except (*DAMAGE, OSError) as error:
-            raise InputError(f"{self.path}: {self.member.filename} cannot be unpacked ({error}): damaged; copy it again") from None
+            raise InputError(
+                f"{self.path}: {self.member.filename} cannot be unpacked ({error}): damaged; copy it again"
+            ) from None
         if len(data) < wanted:
             raise InputError(f"{self.path}: {self.member.filename} ends early: truncated; copy it or save it again")
         self._stream_at = stop

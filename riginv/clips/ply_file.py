@@ -158,7 +158,9 @@ def _list_of(element: Element) -> int:
 
 def _binary_lists(data: bytes, element: Element, order: str) -> list[np.ndarray]:
     wanted, place, found = _list_of(element), 0, []
-    kinds = [(np.dtype(order + prop.kind), np.dtype(order + prop.length) if prop.length else None) for prop in element.properties]
+    kinds = [
+        (np.dtype(order + prop.kind), np.dtype(order + prop.length) if prop.length else None) for prop in element.properties
+    ]
     for _ in range(element.count):
         for number, (kind, length) in enumerate(kinds):
             count = 1

@@ -94,7 +94,9 @@ class UsdPoints(MeshSequence):
             return None
         found = Polygons(np.array(sizes, np.int64), np.array(corners or [], np.int64))
         if (found.sizes < 0).any() or found.sizes.sum() != len(found.corners):
-            raise InputError(f"{path}: its faces need {found.sizes.sum()} corners and have {len(found.corners)}: export it again")
+            raise InputError(
+                f"{path}: its faces need {found.sizes.sum()} corners and have {len(found.corners)}: export it again"
+            )
         return found
 
 

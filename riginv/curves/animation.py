@@ -103,4 +103,4 @@ class FrameErrors:
 
     def worst(self, count: int) -> list[int]:
         """The rows of the `count` frames with the largest mean errors, worst first."""
-        return self.mean_mm.argsort(descending=True)[:count].tolist()
+        return self.mean_mm.nan_to_num(-1.0).argsort(descending=True)[:count].tolist()
