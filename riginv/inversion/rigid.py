@@ -9,39 +9,42 @@ import roma
 import torch
 from torch import Tensor
 
-ROUNDS = 8  # of reweighting
+ROUNDS = 8  # of reweighting, from nothing
+MORE_ROUNDS = 3  # from motions that are nearly right
 SCALE = 3.0  # times the median distance: where a vertex starts to count little
 LEAST_SCALE_MM = 0.05
 SETTLED_MM = 1e-3  # on average, that another round still moves the vertices by
-STILLNESS_POSES = 96
 
 
-def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, rounds: int = ROUNDS) -> Tensor:
+def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | None = None) -> Tensor:
     """The rigid motions that bring meshes `(frame, vertex, 3)` onto others, as matrices `(frame, 4, 4)`, mm.
 
     Args:
         source: `(frame, vertex, 3)`, or one mesh for all `(1, vertex, 3)`.
         target: `(frame, vertex, 3)`; vertices with NaN count nothing.
         weights: how much each vertex counts, `(vertex,)`.
-        rounds: of reweighting; 0: plain weighted least squares.
+        start: motions that are nearly right, `(frame, 4, 4)`.
 
     Returns:
         motions; identities where fewer than three vertices are known.
     """
     known = torch.isfinite(target).all(dim=2)
+    base = weights * known
     target = torch.where(known[..., None], target, 0.0)
     source = source.expand_as(target)
-    base = weights * known
-    turn, move = roma.rigid_points_registration(source, target, base)
-    before = None
-    for _ in range(rounds):
-        moved = source @ turn.mT + move[:, None]
-        if before is not None and float((moved - before).norm(dim=2).mean(dim=1).max()) < SETTLED_MM:
-            break
-        before = moved
-        distance = (moved - target).norm(dim=2)
-        scale = (SCALE * _median(distance, base)).clamp_min(LEAST_SCALE_MM)[:, None]
+    if start is None:
+        turn, move = roma.rigid_points_registration(source, target, base)
+    else:
+        turn, move = start[:, :3, :3], start[:, :3, 3]
+    at = source @ turn.mT + move[:, None]
+    for _ in range(ROUNDS if start is None else MORE_ROUNDS):
+        distance = (at - target).norm(dim=2)
+        typical = torch.where(known, distance, torch.nan).nanmedian(dim=1).values
+        scale = (SCALE * typical.nan_to_num(0.0)).clamp_min(LEAST_SCALE_MM)[:, None]
         turn, move = roma.rigid_points_registration(source, target, base / (1 + (distance / scale) ** 2) ** 2)
+        before, at = at, source @ turn.mT + move[:, None]
+        if float((at - before).norm(dim=2).mean(dim=1).max()) < SETTLED_MM:
+            break
     motion = torch.eye(4).to(turn).expand(len(turn), -1, -1).clone()
     enough = (base > 0).sum(dim=1) >= 3
     motion[enough, :3, :3], motion[enough, :3, 3] = turn[enough], move[enough]
@@ -56,11 +59,3 @@ def moved(motion: Tensor, vertices: Tensor) -> Tensor:
 def unmoved(motion: Tensor, vertices: Tensor) -> Tensor:
     """Meshes `(frame, vertex, 3)` before motions `(frame, 4, 4)`: the inverse of `moved`."""
     return (vertices - motion[:, None, :3, 3]) @ motion[:, :3, :3]
-
-
-def _median(distance: Tensor, weights: Tensor) -> Tensor:
-    """The weighted median of distances `(frame, vertex)`, `(frame,)`."""
-    values, order = distance.sort(dim=1)
-    total = weights.expand_as(distance).gather(1, order).cumsum(dim=1)
-    place = (total < total[:, -1:] / 2).sum(dim=1).clamp(max=distance.shape[1] - 1)
-    return values.gather(1, place[:, None])[:, 0]

@@ -11,7 +11,7 @@ from riginv.curves.animation import FrameErrors
 from riginv.errors import InputError
 from riginv.inversion.bridging import bridged, bridged_motion
 from riginv.inversion.frame_judge import FrameJudge
-from riginv.inversion.rigid import fit_rigid, unmoved
+from riginv.inversion.rigid import fit_rigid
 from riginv.inversion.solving import BySolver
 from riginv.inversion.window import Found, WindowInverter
 from riginv.solvers.clip import solve_clip
@@ -108,12 +108,11 @@ def invert_smoothly(
 
 def _placed(vertices: Tensor, controls: Tensor, inverter: WindowInverter, known: Tensor) -> Found:
     """Frames with controls that are settled, and the rigid motion that fits these best."""
-    results, motion, still = inverter.rig(controls), None, vertices
-    if inverter.stillness is not None:
-        motion = fit_rigid(results, vertices, inverter.stillness)
-        still = unmoved(motion, vertices)
-    complete = torch.where(torch.isfinite(still).all(dim=2, keepdim=True), still, results)
-    return Found(controls, motion, still, complete, results, known)
+    motion = None
+    if inverter.anchors is not None:
+        anchors = inverter.anchors.for_window(torch.isfinite(vertices[known]).all(dim=2))
+        motion = fit_rigid(anchors.mesh(controls), vertices[:, anchors.some], anchors.weights)
+    return inverter.placed(vertices, controls, motion, known)
 
 
 def _finished(

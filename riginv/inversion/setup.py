@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from riginv.clips.clip import Clip
@@ -13,6 +12,7 @@ from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
 from riginv.errors import InputError
 from riginv.inverse import Inverse
+from riginv.inversion.anchors import Anchors
 from riginv.inversion.frame_judge import FrameJudge
 from riginv.inversion.held_rig import HeldRig
 from riginv.inversion.preferences import PreferringObjective
@@ -103,13 +103,13 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
         _refuse_for_network(wishes, config)
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
-    still = _stillness(config["motion"], in_space, true_rig, notes)
+    anchors = _anchors(config["motion"], in_space, true_rig, notes)
     if bool(wishes.static.any()):
         solving = _solver(config, in_space, wishes, weights, inverse, REFINED if inverse else EACH_FRAME)
-        inverter = WindowInverter(rig, solving, still, None, config["turns"])
+        inverter = WindowInverter(rig, solving, anchors, None, config["turns"])
         wishes = wishes.with_held(wishes.static, static_values(clip, inverter, solving, wishes.static))
     solving = ByNetwork(inverse, wishes) if method == NETWORK else _solver(config, in_space, wishes, weights, inverse, method)
-    inverter = WindowInverter(rig, solving, still, weights if method == NETWORK else None, config["turns"])
+    inverter = WindowInverter(rig, solving, anchors, weights if method == NETWORK else None, config["turns"])
     judge = FrameJudge(
         true_rig,
         rig,
@@ -129,8 +129,8 @@ def _refuse_for_network(wishes: Wishes, config: Config) -> None:
         raise InputError(f"{key} is for solvers, and method={NETWORK} is none: add refine=5, or method={WHOLE_CLIP}")
 
 
-def _stillness(motion: Any, rig: RigInMeshSpace, true_rig: RigBackend, notes: list[str]) -> Tensor | None:
-    """How much each vertex counts for rigid motion; None where that is left to the rig's own controls."""
+def _anchors(motion: Any, rig: RigInMeshSpace, true_rig: RigBackend, notes: list[str]) -> Anchors | None:
+    """What rigid motion is told by; None where that is left to the rig's own controls."""
     if motion not in MOTIONS:
         raise InputError(f"motion is {motion!r}, expected one of {', '.join(MOTIONS)}")
     if motion == "auto" and moves_itself(rig):
@@ -138,7 +138,7 @@ def _stillness(motion: Any, rig: RigInMeshSpace, true_rig: RigBackend, notes: li
             f"rigid motion is left to the controls of rig '{rig.rig.name}' that move all of it (motion=remove takes it out)"
         )
         return None
-    return None if motion == "keep" else stillness(rig.rig)
+    return None if motion == "keep" else Anchors(rig.rig, stillness(true_rig))
 
 
 def _solver(

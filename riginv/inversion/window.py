@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from riginv.inversion.anchors import Anchors
 from riginv.inversion.rigid import fit_rigid, moved, unmoved
 from riginv.inversion.solving import Solving
-from riginv.rig import RigBackend
+from riginv.rig import LinearRig
 
 SETTLED_MM = 0.01  # on average, that another turn still moves a frame's vertices by
-FEWEST = 0.02  # of the vertices that must be known, for a frame to be solved
+LEAST_KNOWN = 0.02  # of the vertices, for a frame to be solved
+FEWEST_KNOWN = 3
 
 
 @dataclass
@@ -44,58 +46,90 @@ class WindowInverter:
     Args:
         rig: whose meshes the solving fits.
         solving: from complete meshes to controls.
-        stillness: how much each vertex counts for rigid motion, `(vertex,)`; None: rigid motion is left in.
+        anchors: what rigid motion is told by; None: it is left in.
         weights: how much of each vertex is to be believed, `(vertex,)` in [0, 1], where the solving itself does not weigh them.
         turns: at most.
     """
 
-    def __init__(self, rig: RigBackend, solving: Solving, stillness: Tensor | None, weights: Tensor | None, turns: int) -> None:
-        self.rig, self.solving, self.stillness, self.weights, self.turns = rig, solving, stillness, weights, turns
+    def __init__(self, rig: LinearRig, solving: Solving, anchors: Anchors | None, weights: Tensor | None, turns: int) -> None:
+        self.rig, self.solving, self.anchors, self.weights, self.turns = rig, solving, anchors, weights, turns
 
     @torch.no_grad()
     def invert(self, vertices: Tensor) -> Found:
         """Meshes `(frame, vertex, 3)`, mm; NaN where a vertex is not known."""
         known = torch.isfinite(vertices).all(dim=2)
-        present = known.float().mean(dim=1) >= FEWEST
-        present &= known.sum(dim=1) >= 3
-        count, rest = len(vertices), self.rig.rest_vertices
-        found = Found(
-            self.rig.neutral_controls.expand(count, -1).clone(),
-            None if self.stillness is None else torch.eye(4).expand(count, -1, -1).clone(),
-            vertices,
-            torch.where(known[..., None], vertices, rest),
-            rest.expand(count, -1, -1).clone(),
-            present,
-        )
+        present = (known.float().mean(dim=1) >= LEAST_KNOWN) & (known.sum(dim=1) >= FEWEST_KNOWN)
+        controls = self.rig.neutral_controls.expand(len(vertices), -1).clone()
+        motion = None if self.anchors is None else torch.eye(4).expand(len(vertices), -1, -1).clone()
         rows = present.nonzero()[:, 0]
-        if self.stillness is None and self.weights is None and bool(known.all()):
-            found.controls = self.solving.first(vertices)
-            found.results = self.rig(found.controls)
-            return found
-        if self.stillness is not None:
-            found.still = vertices.clone()
-            found.motion[rows] = fit_rigid(rest[None], vertices[rows], self.stillness)
-        for turn in range(self.turns):
-            if not len(rows):
-                break
-            rows = self._turn(found, vertices, known, rows, turn)
-        return found
+        if len(rows):
+            whole = bool(known[rows].all()) and self.weights is None
+            turns = _Turns(self, vertices[rows], known[rows], whole)
+            controls[rows] = turns.take()
+            if motion is not None:
+                motion[rows] = turns.motion
+        return self.placed(vertices, controls, motion, present)
 
-    def _turn(self, found: Found, vertices: Tensor, known: Tensor, rows: Tensor, turn: int) -> Tensor:
-        """One turn for some frames; those that are not settled after it."""
-        target, before = vertices[rows], found.results[rows]
-        still = target if found.motion is None else unmoved(found.motion[rows], target)
-        complete = torch.where(known[rows][..., None], still, before)
-        if self.weights is not None:
-            complete = before + self.weights[:, None] * (complete - before)
-        found.controls[rows] = self.solving.first(complete) if turn == 0 else self.solving.again(complete, found.controls[rows])
-        results = self.rig(found.controls[rows])
-        change = results - before
-        if found.motion is not None:
-            motion = fit_rigid(results, target, self.stillness)
-            change = moved(motion, results) - moved(found.motion[rows], before)
-            found.motion[rows] = motion
-            still = unmoved(motion, target)
-        found.results[rows], found.still[rows] = results, still
-        found.complete[rows] = torch.where(known[rows][..., None], still, results)
-        return rows[change.norm(dim=2).mean(dim=1) > SETTLED_MM]
+    @torch.no_grad()
+    def placed(self, vertices: Tensor, controls: Tensor, motion: Tensor | None, present: Tensor) -> Found:
+        """Meshes with the controls and the motion that were found for them."""
+        still = vertices if motion is None else unmoved(motion, vertices)
+        results = self.rig(controls)
+        complete = torch.where(torch.isfinite(still).all(dim=2, keepdim=True), still, results)
+        return Found(controls, motion, still, complete, results, present)
+
+
+class _Turns:
+    """The turns that are taken for some frames, all of which can be solved.
+
+    Args:
+        whole: whether every vertex is known and believed: then meshes are made at the anchors alone.
+    """
+
+    def __init__(self, inverter: WindowInverter, vertices: Tensor, known: Tensor, whole: bool) -> None:
+        self.inverter, self.vertices, self.known, self.whole = inverter, vertices, known, whole
+        rig, self.anchors = inverter.rig, inverter.anchors and inverter.anchors.for_window(known)
+        self.controls = rig.neutral_controls.expand(len(vertices), -1).clone()
+        self.results = None if whole else rig.rest_vertices.expand_as(vertices).clone()
+        self.motion = None
+        if self.anchors is not None:
+            self.at_anchors = self.anchors.rest.expand(len(vertices), -1, -1).clone()
+            self.motion = fit_rigid(self.at_anchors, vertices[:, self.anchors.some], self.anchors.weights)
+
+    def take(self) -> Tensor:
+        """All turns; the controls `(frame, control)`."""
+        rows = torch.arange(len(self.vertices))
+        only_once = self.whole and self.anchors is None
+        for turn in range(1 if only_once else self.inverter.turns):
+            rows = rows[self._turn(rows, turn)] if len(rows) else rows
+        return self.controls
+
+    def _turn(self, rows: Tensor, turn: int) -> Tensor:
+        """One turn for some frames; whether each is to have another."""
+        target = self.vertices[rows]
+        still = target if self.motion is None else unmoved(self.motion[rows], target)
+        solving, weights = self.inverter.solving, self.inverter.weights
+        if not self.whole:
+            still = torch.where(self.known[rows][..., None], still, self.results[rows])
+        if weights is not None:
+            still = self.results[rows] + weights[:, None] * (still - self.results[rows])
+        self.controls[rows] = solving.again(still, self.controls[rows]) if turn else solving.first(still)
+        change = self._make_meshes(rows)
+        return change.norm(dim=2).mean(dim=1) > SETTLED_MM
+
+    def _make_meshes(self, rows: Tensor) -> Tensor:
+        """Make the meshes of controls that have just been found, and fit the motion to them; how far vertices went."""
+        controls, results = self.controls[rows], None
+        change = torch.zeros(len(rows), 1, 3)
+        if not self.whole:
+            results = self.inverter.rig(controls)
+            change = results - self.results[rows]
+            self.results[rows] = results
+        if self.anchors is not None:
+            anchors = self.anchors
+            now = anchors.mesh(controls) if results is None else results[:, anchors.some]
+            before = moved(self.motion[rows], self.at_anchors[rows])
+            motion = fit_rigid(now, self.vertices[rows][:, anchors.some], anchors.weights, self.motion[rows])
+            self.motion[rows], self.at_anchors[rows] = motion, now
+            change = moved(motion, now) - before
+        return change
