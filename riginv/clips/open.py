@@ -79,5 +79,5 @@ def open_sequence(path: str, rig: RigBackend, options: Mapping[str, Any]) -> Mes
 
 
 def _for_plug_ins(suffix: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    names = ("mesh", "interpreter") if suffix in (".abc", ".fbx") else ("mesh", "fps")
+    names = ("mesh", "fps", "interpreter") if suffix in (".abc", ".fbx") else ("mesh", "fps")
     return {name: options[name] for name in names}
