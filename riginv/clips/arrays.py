@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tokenize import TokenError
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ VERTICES = ("vertices", "verts", "points", "positions")
 LONGEST_HEADER = 10_000  # bytes; NumPy's own bound for headers that are not trusted
 LOCAL_HEADER = struct.Struct("<4s22xHH")  # of a zip's member: its signature, and how long its name and its extra field are
 LARGEST_SMALL = 1 << 30  # bytes of any array but the vertices
+NO_HEADER = (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError, OverflowError, EOFError, TokenError)
 DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, struct.error)
 
 
@@ -42,7 +44,7 @@ def _layout(path: str, file: BinaryIO) -> Layout:
             version = np.lib.format.read_magic(file)
             read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
             shape, fortran, dtype = read(file, max_header_size=LONGEST_HEADER)
-    except (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError, OverflowError, EOFError) as error:
+    except NO_HEADER as error:
         reason = str(error).splitlines()[0][:80] if str(error) else type(error).__name__
         raise InputError(
             f"{path}: no NumPy array, or a damaged one ({reason}): save it again with np.save or np.savez"

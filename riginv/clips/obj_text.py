@@ -11,6 +11,7 @@ from riginv.errors import InputError
 
 PLAIN = b"0123456789+-.eE \t\r\nv"
 SPACES = bytes.maketrans(b"v", b" ")
+UNUSUAL = (b" v", b"\tv", b"v\t")  # vertices that may stand elsewhere than in lines that begin with `v `
 VERTEX = re.compile(rb"^[ \t]*v[ \t]+([^\n]*)", re.MULTILINE)
 FACE = re.compile(rb"^[ \t]*([vf])[ \t]+([^\n]*)", re.MULTILINE)
 CONTINUED = re.compile(rb"\\\r?\n")
@@ -28,11 +29,16 @@ def read_points(path: Path, data: bytes) -> np.ndarray:
     if data[start : start + 2] == b"v ":
         end = data.find(b"\n", max(last, start))
         block = data[start : end + 1] if end >= 0 else data[start:] + b"\n"
-        if b"\\" not in data:
+        around = data[:start], data[start + len(block) :]
+        if b"\\" not in data and not any(_may_hold_vertices(part) for part in around):
             found = _in_bulk(block)
             if found is not None:
                 return found
     return _line_by_line(path, data)
+
+
+def _may_hold_vertices(part: bytes) -> bool:
+    return b"v" in part and any(mark in part for mark in UNUSUAL)
 
 
 def _in_bulk(block: bytes) -> np.ndarray | None:

@@ -1,5 +1,7 @@
 """USD: the points of a mesh at each time code (`pip install 'riginv[usd]'`)."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -29,29 +31,26 @@ class UsdPoints(MeshSequence):
             raise InputError(f"{path}: reading USD needs usd-core: pip install 'riginv[usd]'") from None
         with opened(path):
             pass
-        try:
+        self.geometry, self.error = UsdGeom, Tf.ErrorException
+        with self._guarded(path):
             self.stage = Usd.Stage.Open(str(path))
-        except Tf.ErrorException as error:
-            reason = " ".join(str(error).split())[:160]
-            raise InputError(f"{path}: USD cannot open it: {reason}: damaged? export it again") from None
-        self.geometry, self.time_code, self.error = UsdGeom, Usd.TimeCode, Tf.ErrorException
-        self.mesh = self._chosen(path, mesh)
-        self.times = _times(path, self.mesh)
-        points = self._points(path, self.times[0])
-        rate = self.stage.GetTimeCodesPerSecond() if self.stage.HasAuthoredTimeCodesPerSecond() else None
+            self.mesh = self._chosen(path, mesh)
+            self.times = _times(path, self.mesh)
+            points, faces = self._points(path, self.times[0]), self._polygons(path)
+            rate = self.stage.GetTimeCodesPerSecond() if self.stage.HasAuthoredMetadata("timeCodesPerSecond") else None
+            mm = UsdGeom.GetStageMetersPerUnit(self.stage) * 1000 if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage) else None
+            up = str(UsdGeom.GetStageUpAxis(self.stage)).lower() if self.stage.HasAuthoredMetadata("upAxis") else None
         step = float(np.diff(self.times).min()) if len(self.times) > 1 else 1.0
-        super().__init__(
-            path,
-            np.round(np.array(self.times) / step).astype(np.int64),
-            len(points),
-            self._polygons(path),
-            rate / step if rate else None,
-            UsdGeom.GetStageMetersPerUnit(self.stage) * 1000 if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage) else None,
-            str(UsdGeom.GetStageUpAxis(self.stage)).lower() if self.stage.HasAuthoredMetadata("upAxis") else None,
-        )
+        numbers = np.round(np.array(self.times) / step)
+        if np.abs(numbers).max() > MOST_FRAMES:
+            raise InputError(
+                f"{path}: time codes {self.times[0]:g} to {self.times[-1]:g}, {step:g} apart: damaged; export it again"
+            )
+        super().__init__(path, numbers.astype(np.int64), len(points), faces, rate / step if rate else None, mm, up)
 
     def read(self, start: int, stop: int) -> np.ndarray:
-        found = [self._points(self.path, time) for time in self.times[start:stop]]
+        with self._guarded(self.path):
+            found = [self._points(self.path, time) for time in self.times[start:stop]]
         for time, points in zip(self.times[start:stop], found):
             if len(points) != self.vertex_count:
                 raise InputError(
@@ -59,6 +58,20 @@ class UsdPoints(MeshSequence):
                     f"the same mesh; export it again"
                 )
         return np.stack(found).astype(np.float32)
+
+    @contextmanager
+    def _guarded(self, path: str | Path) -> Iterator[None]:
+        """Say in a sentence what USD says in many lines, some of them in bytes that are no text."""
+        try:
+            yield
+        except UnicodeDecodeError:
+            raise InputError(f"{path}: USD finds names in it that are no text: damaged; export it again") from None
+        except (self.error, RuntimeError, ValueError, OverflowError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{path}: USD cannot read it: damaged, or no USD ({type(error).__name__}); export it again"
+            ) from None
 
     def _chosen(self, path: Path, name: str | None) -> object:
         meshes = [self.geometry.Mesh(prim) for prim in self.stage.Traverse() if prim.IsA(self.geometry.Mesh)]
@@ -75,11 +88,8 @@ class UsdPoints(MeshSequence):
         return fitting[0]
 
     def _points(self, path: str | Path, time: float) -> np.ndarray:
-        try:
-            points = self.mesh.GetPointsAttr().Get(time)
-            placed = np.array(self.geometry.XformCache(time).GetLocalToWorldTransform(self.mesh.GetPrim()), np.float64)
-        except self.error as error:
-            raise InputError(f"{path}: time code {time:g} cannot be read: {' '.join(str(error).split())[:160]}") from None
+        points = self.mesh.GetPointsAttr().Get(time)
+        placed = np.array(self.geometry.XformCache(time).GetLocalToWorldTransform(self.mesh.GetPrim()), np.float64)
         if points is None or not len(points):
             raise InputError(f"{path}: no points at time code {time:g}: export it again")
         with np.errstate(over="ignore", invalid="ignore"):
