@@ -25,7 +25,7 @@ from tests.toys import ToyRig
 
 OPTIONS = {"mesh": None, "missing_frames": "error", "fps": None, "interpreter": None}
 QUICK, MANY = 600, 5000  # damaged files of each format
-SLOW_READERS = {"usda": 300, "usdc": 300, "glb": 400}  # of these fewer, in the quick run
+IN_A_PROCESS = {"usda": 6, "usdc": 6}  # of these fewer: each file costs a process, a damaged one three
 
 
 @pytest.fixture(scope="module")
@@ -129,14 +129,14 @@ def survive(kind: str, rig: ToyRig, folder: Path, cases: int, seed: int) -> tupl
 
 @pytest.mark.parametrize("kind", WRITERS)
 def test_damaged_clips_end_in_a_sentence(kind, rig, tmp_path):
-    refused, _ = survive(kind, rig, tmp_path, SLOW_READERS.get(kind, QUICK), seed=1)
-    assert refused > 10  # the damage is real
+    refused, _ = survive(kind, rig, tmp_path, IN_A_PROCESS.get(kind, QUICK), seed=1)
+    assert refused > 2  # the damage is real
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", WRITERS)
 def test_many_more_damaged_clips_end_in_a_sentence(kind, rig, tmp_path):
-    survive(kind, rig, tmp_path, MANY, seed=2)
+    survive(kind, rig, tmp_path, 50 * IN_A_PROCESS[kind] if kind in IN_A_PROCESS else MANY, seed=2)
 
 
 def test_a_header_that_promises_too_much_costs_nothing(rig, tmp_path):

@@ -1,4 +1,4 @@
-"""Clips as NumPy arrays: .npy, and .npz with `vertices (frame, vertex, 3)` and, if they are there, `faces`, `fps`, `frame_numbers`.
+"""Clips as NumPy arrays: .npy, and .npz with `vertices (frame, vertex, 3)` and perhaps `faces`, `fps`, `frame_numbers`.
 
 Arrays that are stored as they are, as `np.savez` does, are read in place, window by window; compressed ones are unpacked as a
 stream, from the first frame to the last, and from the start again where an earlier frame is asked for.
@@ -175,7 +175,8 @@ def _vertices_member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
     name = next((name for name in VERTICES if name in found), None)
     if name is None:
         raise InputError(
-            f"{path}: no array of vertices: expected one named {' or '.join(VERTICES)}, found {', '.join(list(found)[:8]) or 'none'}"
+            f"{path}: no array of vertices: expected one named {' or '.join(VERTICES)}, found "
+            f"{', '.join(list(found)[:8]) or 'none'}"
         )
     if found[name].flag_bits & 1:
         raise InputError(f"{path}: it is encrypted; save it without a password")

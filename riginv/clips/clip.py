@@ -45,7 +45,7 @@ class Clip(MeshSet):
         inside = (numbers >= (numbers[0] if first is None else first)) & (numbers <= (numbers[-1] if last is None else last))
         if not inside.any():
             raise InputError(
-                f"{sequence.path}: frames {first} to {last} were asked for, and it has {numbers[0]} to {numbers[-1]}: none is left"
+                f"{sequence.path}: frames {first} to {last} were asked for, and it has {numbers[0]} to {numbers[-1]}: none left"
             )
         self.sequence, self.meaning, self.offset = sequence, meaning, int(np.argmax(inside))
         self.frame_numbers = torch.tensor(numbers[inside])

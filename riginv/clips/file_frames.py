@@ -51,8 +51,8 @@ class FileFrames(MeshSequence):
         first = self.frames.first.name
         if len(points) != self.vertex_count:
             raise InputError(
-                f"{path}: {len(points)} vertices, and {first} has {self.vertex_count}: all frames must be the same mesh; export "
-                f"them again"
+                f"{path}: {len(points)} vertices, and {first} has {self.vertex_count}: all frames must be the same mesh: "
+                f"export them again"
             )
         if face_bytes != self.face_bytes:
             found, expected = self.polygons(path), self.faces

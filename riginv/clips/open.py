@@ -13,12 +13,10 @@ from riginv.clips.live_link import live_link_clip
 from riginv.clips.numbered import is_pattern
 from riginv.clips.point_caches import MddCache, Pc2Cache
 from riginv.clips.sequence import MeshSequence, Polygons
-from riginv.clips.usd_points import UsdPoints
 from riginv.errors import InputError
 from riginv.rig import RigBackend
 
 FRAMES: Mapping[str, type[MeshSequence]] = {".obj": ObjFrames, ".ply": PlyFrames}
-USD = (".usd", ".usda", ".usdc", ".usdz")
 CACHES: Mapping[str, Callable[[Path], MeshSequence]] = {
     ".npz": ArrayClip,
     ".npy": ArrayClip,
@@ -28,8 +26,14 @@ CACHES: Mapping[str, Callable[[Path], MeshSequence]] = {
 PLUG_INS = {
     **dict.fromkeys((".glb", ".gltf", ".vrm"), "rigs.gltf.clip.GltfClip"),
     **dict.fromkeys((".abc", ".fbx"), "rigs.blender.clip.BlenderClip"),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "rigs.usd.clip.UsdClip"),
 }
-KNOWN = (*CACHES, *FRAMES, *USD, *PLUG_INS, ".csv")
+KNOWN = (*CACHES, *FRAMES, *PLUG_INS, ".csv")
+TAKEN = {  # the options that a plug-in takes
+    "rigs.gltf.clip.GltfClip": ("mesh", "fps"),
+    "rigs.blender.clip.BlenderClip": ("mesh", "fps", "interpreter"),
+    "rigs.usd.clip.UsdClip": ("mesh",),
+}
 
 
 class RecordedShapes(MeshSequence):
@@ -71,13 +75,7 @@ def open_sequence(path: str, rig: RigBackend, options: Mapping[str, Any]) -> Mes
         return CACHES[suffix](given)
     if suffix == ".csv":
         return RecordedShapes(given, rig)
-    if suffix in USD:
-        return UsdPoints(given, options["mesh"])
     if suffix in PLUG_INS:
-        return build({"_target_": PLUG_INS[suffix], "path": path, **_for_plug_ins(suffix, options)}, only=OURS)
+        plug_in = PLUG_INS[suffix]
+        return build({"_target_": plug_in, "path": path, **{name: options[name] for name in TAKEN[plug_in]}}, only=OURS)
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")
-
-
-def _for_plug_ins(suffix: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    names = ("mesh", "fps", "interpreter") if suffix in (".abc", ".fbx") else ("mesh", "fps")
-    return {name: options[name] for name in names}

@@ -79,19 +79,19 @@ def read_ply(path: Path, data: bytes) -> PlyMesh:
         InputError: the file is no PLY, is truncated, or lacks coordinates.
     """
     order, elements, body = _header(path, data)
-    for number, element in enumerate(elements):
-        if element.name == "vertex":
-            break
+    place = next((number for number, element in enumerate(elements) if element.name == "vertex"), None)
+    if place is None:
+        raise InputError(f"{path}: no element 'vertex' in its header: export it again as a mesh")
+    for element in elements[:place]:
         if element.has_lists or not order:
             raise InputError(f"{path}: '{element.name}' stands before the vertices, expected these first: export it again")
         body = body[element.count * _row(element, order).itemsize :]
-    else:
-        raise InputError(f"{path}: no element 'vertex' in its header: export it again as a mesh")
+    element = elements[place]
     names = [prop.name for prop in element.properties]
     if element.has_lists or len(set(names)) != len(names) or not set("xyz") <= set(names):
         raise InputError(f"{path}: vertices of {names[:8]}, expected numbers, with x, y and z among them: export it again")
     points, rest = (_binary_points if order else _text_points)(path, element, body, order)
-    after = elements[number + 1 :]
+    after = elements[place + 1 :]
     faces = after[0] if after and after[0].name == "face" else None
     return PlyMesh(path, points, rest if faces else b"", faces, order)
 

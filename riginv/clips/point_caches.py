@@ -1,5 +1,7 @@
-"""Point caches: MDD (big-endian, with the time of each frame) and PC2 (little-endian); sources: their layouts in Blender's manual
-on the Mesh Cache modifier, and in the readers of Blender's own importers."""
+"""Point caches: MDD, big-endian, with the time of each frame; PC2, little-endian.
+
+Source: their layouts as Blender's manual describes them for the Mesh Cache modifier, and its add-ons write them.
+"""
 
 from pathlib import Path
 
@@ -31,8 +33,8 @@ class PointCache(MeshSequence):
         needed, found = offset + 12 * frames * vertices, _size(path)
         if found < needed:
             raise InputError(
-                f"{path}: its header promises {frames} frames of {vertices} vertices, {needed} bytes, and it has {found}: truncated; "
-                f"copy it or export it again"
+                f"{path}: its header promises {frames} frames of {vertices} vertices, {needed} bytes, and it has {found}: "
+                f"truncated; copy it or export it again"
             )
         super().__init__(path, np.arange(start, start + frames), vertices, fps=fps)
 

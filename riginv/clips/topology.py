@@ -26,8 +26,8 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
     counts = f"{clip.vertex_count} vertices" + (f" and {len(clip.faces)} faces" if clip.faces else "")
     if clip.vertex_count != rig_vertices:
         raise InputError(
-            f"{clip.path}: {counts}, rig '{rig.name}' has {rig_vertices} vertices and {len(rig_faces)} faces: a clip must hold the "
-            f"rig's own mesh, its vertices in the same order"
+            f"{clip.path}: {counts}, rig '{rig.name}' has {rig_vertices} vertices and {len(rig_faces)} faces: a clip must "
+            f"hold the rig's own mesh, its vertices in the same order"
         )
     if not faces or not len(rig_faces):
         return ""
@@ -37,9 +37,9 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
     if len(wrong):
         first, second = wrong[0].tolist()
         raise InputError(
-            f"{clip.path}: {counts}, rig '{rig.name}' has {len(rig_faces)} faces, and {len(wrong)} edges of the clip are none of the "
-            f"rig's, the first from vertex {first} to {second}: the vertices stand in another order, or it is another mesh; "
-            f"reading.check_faces=false lets it pass"
+            f"{clip.path}: {counts}, rig '{rig.name}' has {len(rig_faces)} faces, and {len(wrong)} edges of the clip are none "
+            f"of the rig's, the first from vertex {first} to {second}: the vertices stand in another order, or it is another "
+            f"mesh; reading.check_faces=false lets it pass"
         )
     return ""
 

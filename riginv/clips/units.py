@@ -82,17 +82,17 @@ def _guessed_unit(clip: MeshSequence, found: float, rig_mm: float, rig: str, not
         raise InputError(_absurd(clip, found * (clip.unit_mm or 1.0), rig_mm, rig, "its own numbers"))
     said = f", not of {clip.unit_mm:g} mm as the file says" if clip.unit_mm else ""
     notes.append(
-        f"units of {best} guessed{said}: its mesh measures {_length(found * UNITS[best])} so, that of rig '{rig}' {_length(rig_mm)} "
-        f"(reading.unit={best} says it)"
+        f"units of {best} guessed{said}: its mesh measures {_length(found * UNITS[best])} so, that of rig '{rig}' "
+        f"{_length(rig_mm)} (reading.unit={best} says it)"
     )
     return UNITS[best]
 
 
 def _absurd(clip: MeshSequence, found_mm: float, rig_mm: float, rig: str, taken: str) -> str:
     return (
-        f"{clip.path}: with {taken} its mesh measures {_length(found_mm)}, and that of rig '{rig}' {_length(rig_mm)}: give the "
-        f"unit with reading.unit=mm, cm, m or millimetres to a unit as a number (about {rig_mm / max(found_mm, 1e-30):.3g} times "
-        f"as much fits)"
+        f"{clip.path}: with {taken} its mesh measures {_length(found_mm)}, and that of rig '{rig}' {_length(rig_mm)}: give "
+        f"the unit with reading.unit=mm, cm, m or millimetres to a unit as a number (about {rig_mm / max(found_mm, 1e-30):.3g} "
+        f"times as much fits)"
     )
 
 

@@ -1,4 +1,4 @@
-"""The vertices that rigid motion is told by: some of them, spread over the mesh, each counting by how still the rig keeps it."""
+"""The vertices that rigid motion is told by: some, spread over the mesh, each counting by how still the rig keeps it."""
 
 import torch
 from torch import Tensor

@@ -1,6 +1,5 @@
 """A rig of which some controls are held: only the others are left to find."""
 
-import torch
 from torch import Tensor
 
 from riginv.geometry.jacobian import Jacobian

@@ -53,7 +53,7 @@ def vertex_weights(rig: RigBackend, weights: Mapping[str, Any], own: Mapping[str
 
     Args:
         weights: region or glob of regions to weight; later ones overrule earlier ones.
-        own: further regions: name to a file of vertex numbers (.txt, .json, .npy), or of a weight for each vertex (.npy floats).
+        own: further regions: name to a file of vertex numbers (.txt, .json, .npy), or of all vertices' weights (.npy).
         default: of vertices that no name takes in.
 
     Raises:

@@ -59,7 +59,7 @@ def invert_clip(
         advance: told what is done, and how many frames are.
     """
     controls, motions, present = [], [], []
-    for start, vertices in clip.pieces(window):
+    for _, vertices in clip.pieces(window):
         found = inverter.invert(vertices)
         judge.judge(found)
         controls.append(found.controls)

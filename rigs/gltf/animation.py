@@ -1,4 +1,4 @@
-"""An avatar's animation: the transforms of nodes and the morph weights at any time. Source: glTF 2.0, section 3.11, appendix C."""
+"""An avatar's animation: the transforms of nodes and the morph weights at any time (glTF 2.0, section 3.11 and appendix C)."""
 
 from typing import Any, NamedTuple
 
@@ -107,11 +107,11 @@ def _channel(file: GltfFile, sampler: dict[str, Any], target: dict[str, Any], we
     width = weights_of.get(node, 0) if what == "weights" else values.shape[1]
     each = TANGENTS if how == CUBIC else 1
     if what == "weights" and not width:
-        raise InputError(f"{file.path}: {user} moves morph weights of node {node}, which has no morph targets: export it again")
+        raise InputError(f"{file.path}: {user} moves morph weights of node {node}, which has no targets: export it again")
     if values.size != keys * each * width:
         raise InputError(
-            f"{file.path}: output of {user} holds {values.size} numbers, expected {keys * each * width} for {keys} keys: export "
-            f"it again"
+            f"{file.path}: output of {user} holds {values.size} numbers, expected {keys * each * width} for {keys} keys: "
+            f"export it again"
         )
     if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) >= 0).all()):
         raise InputError(f"{file.path}: {user}: its times do not rise, or are no numbers: the file is damaged; export it again")
