@@ -120,15 +120,19 @@ function drawPlot() {
 }
 
 function drawTimeline() {
-  const { pen, w, h } = context($("timeline")), most = Math.max(...facts.axis_mm, 1e-6);
-  const height = (mm) => h - 6 - (h - 22) * Math.min(mm / most, 1);
+  const { pen, w, h } = context($("timeline"));
+  const height = (mm, most) => h - 7 - (h - 23) * Math.min(mm / Math.max(most, 1e-9), 1);
   pen.fillStyle = "#e3a857";
   for (const row of flagged) pen.fillRect(across(row, w) - 0.75, h - 5, 1.5, 5);
   pen.lineWidth = 1;
-  pen.strokeStyle = "#5b626d"; line(pen, w, (row) => height(errors.max[row]));
-  pen.strokeStyle = "#d9634a"; line(pen, w, (row) => height(errors.mean[row]));
-  pen.fillStyle = "#8d949f";
-  pen.fillText(`error, mm: mean (red), maximum (grey), up to ${most.toPrecision(3)}; frames with a flag marked below`, EDGE, 12);
+  const said = (text, color, left) => { pen.fillStyle = color; pen.fillText(text, left, 12); return left + pen.measureText(text).width + 16; };
+  let left = EDGE;
+  for (const [name, values, most, color] of [["maximum", errors.max, facts.axis_mm[1], "#747c88"], ["mean", errors.mean, facts.axis_mm[0], "#d9634a"]]) {
+    pen.strokeStyle = color;
+    line(pen, w, (row) => height(values[row], most));
+    left = said(`${name} error, up to ${most.toPrecision(2)} mm`, color, left);
+  }
+  if (flagged.length) said("with a flag", "#e3a857", left);
   playhead(pen, w, h);
 }
 

@@ -169,7 +169,7 @@ def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
         ],
         "fps": animation.fps,
         "numbers": animation.frame_numbers.tolist(),
-        "axis_mm": [_rounded(float(most.nan_to_num().quantile(0.995)))],
+        "axis_mm": [_rounded(float(values.nan_to_num().quantile(0.999))) for values in (mean, most)],
         "controls": [{"name": c.name, "lower": c.lower, "upper": c.upper, "unit": c.unit} for c in rig.controls],
         "errors": _frame_facts(animation, errors),
     }

@@ -28,7 +28,7 @@ function makeScene(canvas, faces, colors, facts) {
   let moved = () => {};
   reset();
 
-  function reset() { Object.assign(camera, { turn: 0.3, tilt: 0.06, away: 3.4 * facts.radius, x: 0, y: 0 }); }
+  function reset() { Object.assign(camera, { turn: 0.3, tilt: 0.06, away: 3.7 * facts.radius, x: 0, y: 0.05 * facts.radius }); }
 
   // Put both meshes between two kept frames, each `target, recovered` from a place in `meshes`.
   function pose(meshes, one, other, part, state) {
