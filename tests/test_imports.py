@@ -26,7 +26,7 @@ FLOORS = [
     {"evaluation", "methods"},
     {"callbacks", "baselines", "inversion"},
     {"assemble"},
-    {"train", "evaluate", "check", "contact_sheet", "compare", "invert"},
+    {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx"},
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 SOURCES = [path for folder in ("riginv", "rigs") for path in sorted((ROOT / folder).rglob("*.py"))]

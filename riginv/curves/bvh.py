@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from riginv.curves.animation import Animation
 from riginv.curves.resampling import unbroken
 from riginv.curves.skeletons import LocalPoses, local_poses
+from riginv.curves.text import without_jumps
 from riginv.errors import InputError
 from riginv.files import write_text
 from riginv.geometry.skeleton import Skeleton
@@ -34,7 +35,7 @@ def write(path: Path, animation: Animation) -> None:
     skeleton = animation.rig.skeleton()
     poses = local_poses(skeleton, unbroken(animation))
     turns = Rotation.from_matrix(poses.rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True)
-    turns = turns.reshape(*poses.rotations.shape[:2], 3)
+    turns = without_jumps(turns.reshape(*poses.rotations.shape[:2], 3))
     moving = _moving(poses)
     order = _order(skeleton)
     columns = []

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from riginv.curves import blender_script, bvh, live_link, maya
+from riginv.curves import blender_script, bvh, glb, live_link, maya, usd
 from riginv.curves.animation import Animation, FrameErrors
 from riginv.curves.table import CURVES, FRAMES, SIDECAR, write_curves, write_frames, write_sidecar
 from riginv.errors import InputError
@@ -27,6 +27,8 @@ class Format(NamedTuple):
 
 FORMATS = {
     "livelink": Format(live_link.FILE, live_link.check, live_link.write),
+    "glb": Format(glb.FILE, glb.check, glb.write),
+    "usd": Format(usd.FILE, usd.check, usd.write),
     "anim": Format(maya.FILE, maya.check, maya.write),
     "bvh": Format(bvh.FILE, bvh.check, bvh.write),
     "blender": Format(blender_script.FILE, blender_script.check, blender_script.write),

@@ -24,4 +24,21 @@ def moves_and_turns(animation: Animation) -> np.ndarray | None:
         return None
     motion = animation.motion.detach().cpu().double().numpy()
     turns = Rotation.from_matrix(motion[:, :3, :3]).as_euler("xyz", degrees=True)
-    return np.concatenate([motion[:, :3, 3], np.unwrap(turns, axis=0, period=360)], axis=1)
+    return np.concatenate([motion[:, :3, 3], without_jumps(turns)], axis=1)
+
+
+def without_jumps(turns: np.ndarray) -> np.ndarray:
+    """Three angles each `(frame, ..., 3)`, degrees, of turns about three axes, as near to those of the frame before as can be.
+
+    Whole turns may be added to each; and where the middle angle passes 90 degrees, a, b, c is the same as a + 180, 180 - b,
+    c + 180.
+    """
+    smooth = turns.copy()
+    for frame in range(1, len(turns)):
+        before = smooth[frame - 1]
+        first, middle, last = np.moveaxis(turns[frame], -1, 0)
+        choices = np.stack([turns[frame], np.stack([first + 180, 180 - middle, last + 180], axis=-1)])
+        choices += 360 * np.round((before - choices) / 360)
+        change = np.abs(choices - before).sum(axis=-1)
+        smooth[frame] = np.where((change[0] <= change[1])[..., None], choices[0], choices[1])
+    return smooth

@@ -120,7 +120,7 @@ class BodyRig(LinearRig):
     def _rotations(self, angles: Tensor) -> Tensor:
         """Angles `(batch, 3 * joint)`, radians, to the rotation of each joint against its parent."""
         frames = self.frames.to(angles)
-        return frames @ roma.euler_to_rotmat(ORDER, angles.unflatten(1, (-1, 3))) @ frames.mT
+        return frames @ roma.euler_to_rotmat(ORDER, angles.unflatten(1, (-1, 3)).unbind(-1)) @ frames.mT
 
     def features(self, coefficients: Tensor) -> Tensor:
         """Where the root is, in metres, how it is turned, and the angles of each joint against the one above it, radians."""
@@ -147,7 +147,7 @@ class BodyRig(LinearRig):
 
     def _worlds(self, rotations: Tensor, move: Tensor) -> Tensor:
         """The world transforms of all joints, `(batch, joint, 3, 4)`."""
-        offsets = self.offsets.to(rotations).expand(len(rotations), -1, -1)
+        offsets = self.offsets.to(rotations).expand(rotations.shape[0], -1, -1)
         offsets = torch.cat([offsets[:, :1] + move[:, None], offsets[:, 1:]], dim=1)  # the root is the first joint
         return forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
 
