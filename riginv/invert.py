@@ -14,10 +14,11 @@ from riginv.cli.inversion import InversionProgress, show
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
 from riginv.curves.animation import Animation
-from riginv.curves.formats import check_formats, write_formats
+from riginv.curves.formats import check_formats
 from riginv.errors import InputError
 from riginv.files import sha256, written_beside
 from riginv.inverse import load_inverse
+from riginv.inversion.results import check_after, write_results
 from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
 from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method, open_clip
 from riginv.recorded_rig import RecordedRig
@@ -34,6 +35,7 @@ def invert(config: DictConfig) -> None:
     true_rig = build_true_rig(plain, rig)
     true_rig = rig if isinstance(true_rig, RecordedRig) else true_rig
     check_formats(true_rig, plain["formats"])
+    check_after(plain["after"], plain["look"])
     clip, notes = open_clip(plain, rig)
     parts = build_parts(plain, clip, rig, true_rig, inverse)
     with InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
@@ -44,19 +46,13 @@ def invert(config: DictConfig) -> None:
             found = invert_smoothly(*arguments, how)
         else:
             found = invert_clip(*arguments)
-    animation = Animation(
-        true_rig,
-        found.controls,
-        clip.fps,
-        clip.frame_numbers,
-        found.motion,
-        Path(plain["clip"]).name,
-        made_by(plain, parts.method),
-    )
-    with written_beside(out) as beside:
-        beside.mkdir()
-        files = [path.name for path in write_formats(beside, animation, found.errors, plain["formats"])]
-    show(animation, found.errors, true_rig, out, files)
+        facts = made_by(plain, parts.method)
+        source = Path(plain["clip"]).name
+        animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
+        with written_beside(out) as beside:
+            beside.mkdir()
+            files, remarks = write_results(beside, clip, animation, found.errors, plain, progress.advance)
+    show(animation, found.errors, true_rig, out, files, remarks)
 
 
 def free_folder(out: Any) -> Path:

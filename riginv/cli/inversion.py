@@ -58,7 +58,9 @@ class InversionProgress:
         self.bar.advance(self.passes[what], frames)
 
 
-def show(animation: Animation, errors: FrameErrors, judge: RigBackend, folder: Path, files: Sequence[str]) -> None:
+def show(
+    animation: Animation, errors: FrameErrors, judge: RigBackend, folder: Path, files: Sequence[str], notes: Sequence[str]
+) -> None:
     """Show how good the frames are, which to look at, and what was written."""
     console = Console()
     known = ~errors.mean_mm.isnan()
@@ -76,6 +78,8 @@ def show(animation: Animation, errors: FrameErrors, judge: RigBackend, folder: P
         console.print(f"  [yellow]{flag}[/]: {count} frames: {MEANINGS[flag]}", highlight=False, soft_wrap=True)
     if not counts:
         console.print("  No frame is flagged.", highlight=False)
+    for note in notes:
+        console.print(f"  {note}", highlight=False, soft_wrap=True, markup=False)
     console.print(f"  {folder}: {', '.join(files)}", highlight=False, soft_wrap=True, markup=False)
 
 
