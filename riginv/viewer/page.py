@@ -110,7 +110,7 @@ def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int
     count = len(animation)
     if count <= most:
         return list(range(count))
-    looked_at = _rows_of(animation, errors)
+    looked_at = judged_rows(animation, errors)
     wanted = [looked_at[row] for row in [*errors.worst(WORST), *errors.flagged] if looked_at[row] is not None]
     kept = set(wanted[: most // 4])
     spread = np.linspace(0, count - 1, most - len(kept)).round().astype(int).tolist()
@@ -138,7 +138,7 @@ def _meshes(
     return both, max(float(f"{top:.2g}"), 1e-3)
 
 
-def _rows_of(animation: Animation, errors: FrameErrors) -> list[int | None]:
+def judged_rows(animation: Animation, errors: FrameErrors) -> list[int | None]:
     """For each frame that was judged its row in the animation; None where it has none."""
     if errors.frame_numbers is None:
         return list(range(len(animation)))
