@@ -6,10 +6,12 @@ import sys
 import pytest
 import torch
 
+from riginv.bundle import write_bundle
 from riginv.errors import InputError
 from riginv.export_onnx import check_packages, random_meshes, write_onnx
 from riginv.inverse import Inverse
 from riginv.networks.inverse import DirectInverse, StagedInverse
+from tests.conftest import ROOT
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -63,6 +65,26 @@ def test_what_cannot_be_traced_is_a_sentence(toy, tmp_path):
     with pytest.raises(InputError, match="cannot be traced into ONNX"):
         write_onnx(tmp_path / "toy.onnx", inverse_of(Looking(toy, hidden=(8,))))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def bundle(toy, tmp_path):
+    network = {"_target_": "riginv.networks.inverse.DirectInverse", "hidden": [8]}
+    inverse = inverse_of(DirectInverse(toy, hidden=(8,)))
+    config = {"model": {"network": network}, "rig": {"_target_": "tests.toys.ToyRig"}}
+    write_bundle(tmp_path / "bundle", "inverse", inverse.network, toy, config, {})
+    return tmp_path / "bundle"
+
+
+def test_the_command(run, bundle, tmp_path):
+    out = tmp_path / "toy.onnx"
+    found = run("export_onnx", f"bundle={bundle}", f"out={out}", "rig=toy", f"--config-dir={ROOT / 'tests/conf'}", "poses=5")
+    assert found.code == 0, found.text
+    assert out.is_file() and "on 5 random poses" in found.text
+    found = run("export_onnx", f"bundle={bundle}", "out=toy.txt", "rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
+    assert found.code == 1 and "out=toy.txt: expected the name of a file that ends in .onnx" in found.text
+    found = run("export_onnx", "bundle=nowhere", "out=toy.onnx")
+    assert found.code == 1 and "nowhere: no bundle there" in found.text and "Traceback" not in found.text
 
 
 def test_missing_packages_are_named(monkeypatch):

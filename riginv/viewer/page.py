@@ -176,11 +176,8 @@ def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
 
 
 def _frame_facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
-    """The errors at each row of the animation: of the frame that was judged nearest to it."""
-    judged = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
-    nearest = np.abs(np.subtract.outer(np.linspace(0, 1, len(animation)), np.linspace(0, 1, len(judged)))).argmin(axis=1)
-    if errors.frame_numbers is None:
-        nearest = np.arange(len(animation))
+    """The errors at each row of the animation; after resampling those of the nearest frame that was judged."""
+    nearest = np.linspace(0, len(errors.mean_mm) - 1, len(animation)).round().astype(int)
     back = {int(place): row for row, place in reversed(list(enumerate(nearest.tolist())))}
     return {
         "mean": [_rounded(value) for value in errors.mean_mm[nearest].tolist()],
