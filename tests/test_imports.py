@@ -24,9 +24,9 @@ FLOORS = [
     {"clips", "judge", "inverse", "modules", "recorded_rig"},
     {"optimum"},
     {"evaluation", "methods"},
-    {"callbacks", "baselines"},
+    {"callbacks", "baselines", "inversion"},
     {"assemble"},
-    {"train", "evaluate", "check", "contact_sheet", "compare", "export_onnx"},
+    {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx"},
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 SOURCES = [path for folder in ("riginv", "rigs") for path in sorted((ROOT / folder).rglob("*.py"))]

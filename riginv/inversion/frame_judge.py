@@ -1,0 +1,92 @@
+"""Every frame judged by the true rig: how far off, where, and why to look at it."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from riginv.curves.animation import (
+    MISSING_VERTICES,
+    NOT_CONVERGED,
+    OUTSIDE_REACH,
+    OUTSIDE_TRAINING_RANGE,
+    FrameErrors,
+)
+from riginv.inversion.solving import Solving
+from riginv.inversion.training_range import TrainingRange
+from riginv.inversion.window import Found
+from riginv.mesh_space import MeshSpace
+from riginv.rig import RigBackend
+
+
+class FrameJudge:
+    """Judges windows, and keeps what it found, frame by frame.
+
+    Args:
+        true_rig: who judges.
+        rig: whose meshes are in what was found; where it is the true rig itself, they serve.
+        space: its mesh space, unweighted.
+        solving: who says whether it was done.
+        training: what the network has seen; None without a network.
+        believed: the vertices to judge by, `(vertex,)`; None: all.
+        regions: of each vertex, by name.
+        reach_mm: how far a mesh may lie from anything that the rig can make.
+        range_mm: how far it may lie outside what the network has seen.
+    """
+
+    def __init__(
+        self,
+        true_rig: RigBackend,
+        rig: RigBackend,
+        space: MeshSpace,
+        solving: Solving,
+        training: TrainingRange | None,
+        believed: Tensor | None,
+        regions: Sequence[str],
+        reach_mm: float,
+        range_mm: float,
+    ) -> None:
+        self.true_rig, self.rig, self.space, self.solving, self.training = true_rig, rig, space, solving, training
+        self.believed, self.regions, self.reach_mm, self.range_mm = believed, regions, reach_mm, range_mm
+        self.mean, self.worst, self.vertex, self.flags = [], [], [], []
+
+    @torch.no_grad()
+    def judge(self, found: Found) -> None:
+        """Judge the frames of a window, in order."""
+        results = found.results if self.true_rig is self.rig else self.true_rig(found.controls)
+        distance = (results - found.still).norm(dim=2)
+        seen = torch.isfinite(distance)
+        if self.believed is not None:
+            seen &= self.believed
+        distance = torch.where(seen, distance, 0.0)
+        counts = seen.sum(dim=1)
+        mean = torch.where(counts > 0, distance.sum(dim=1) / counts.clamp_min(1), torch.nan)
+        worst, vertex = distance.max(dim=1)
+        self.mean.append(mean)
+        self.worst.append(torch.where(counts > 0, worst, torch.nan))
+        self.vertex.append(vertex)
+        self.flags += self._flags(found, mean)
+
+    def _flags(self, found: Found, mean: Tensor) -> list[list[str]]:
+        coordinates = self.space.encode(found.complete)
+        away = (found.complete - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
+        unreachable = (away.clamp_min(0) / self.space.vertex_count).sqrt() > self.reach_mm
+        settled = self.solving.settled(found.complete, found.controls)
+        unusual = torch.zeros_like(settled)
+        if self.training is not None:
+            unusual = self.training.outside_mm(coordinates) > self.range_mm
+        holes = ~torch.isfinite(found.still).all(dim=2).all(dim=1)
+        named = {
+            OUTSIDE_TRAINING_RANGE: unusual & found.present,
+            OUTSIDE_REACH: (unreachable | (mean > self.reach_mm)) & found.present,
+            NOT_CONVERGED: ~settled & found.present,
+            MISSING_VERTICES: holes,
+        }
+        rows = zip(*(flagged.tolist() for flagged in named.values()))
+        return [[name for name, flagged in zip(named, row) if flagged] for row in rows]
+
+    def errors(self, frame_numbers: Tensor) -> FrameErrors:
+        """What was found, frame by frame."""
+        vertices = torch.cat(self.vertex)
+        regions = [self.regions[vertex] for vertex in vertices.tolist()]
+        return FrameErrors(torch.cat(self.mean), torch.cat(self.worst), vertices, regions, self.flags, frame_numbers)
