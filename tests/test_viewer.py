@@ -11,6 +11,8 @@ from PIL import Image
 
 from riginv.curves.animation import Animation
 from riginv.viewer.page import shown_rows, write_viewer
+from riginv.viewer.sheet import sheet_rows, write_sheet
+from riginv.viewer.tensorboard import write_tensorboard
 from riginv.viewer.thinning import thin
 from tests.animations import errors_of, moving
 from tests.toys import ToyRig
@@ -172,3 +174,26 @@ def test_large_meshes_are_thinned_to_what_they_look_like():
     volume = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
     assert volume == pytest.approx(4 / 3 * np.pi * 50**3, rel=0.02)
     assert thin(vertices, faces, len(vertices)).kept.tolist() == list(range(len(vertices)))
+
+
+def test_the_contact_sheet_shows_the_worst_and_the_rest(tmp_path, written):
+    _, animation, _ = written
+    meshes = animation.rig(animation.controls) + 1.0
+    write_sheet(tmp_path / "sheet.png", animation, errors_of(animation), lambda rows: meshes[list(rows)])
+    rows = sheet_rows(animation, errors_of(animation))
+    assert next(iter(rows.items())) == (11, "worst 1") and rows[0] == "of the clip" and len(rows) >= 4
+    picture = Image.open(tmp_path / "sheet.png")
+    assert picture.size == (3 * 240, len(rows) * 290)
+
+
+def test_tensorboard_reads_the_curves(tmp_path, written):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    _, animation, _ = written
+    write_tensorboard(tmp_path, animation, errors_of(animation))
+    events = EventAccumulator(str(tmp_path))
+    events.Reload()
+    found = events.Scalars("controls/side")
+    assert [event.step for event in found] == animation.frame_numbers.tolist()
+    assert [event.value for event in found] == pytest.approx(animation.controls[:, 5].tolist())
+    assert events.Scalars("errors/mean_vertex_error_mm")[-1].value == pytest.approx(0.4)

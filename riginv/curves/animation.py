@@ -102,5 +102,5 @@ class FrameErrors:
         return [row for row, flags in enumerate(self.flags) if flags]
 
     def worst(self, count: int) -> list[int]:
-        """The rows of the `count` frames with the largest mean errors, worst first."""
-        return self.mean_mm.nan_to_num(-1.0).argsort(descending=True)[:count].tolist()
+        """The rows of the `count` frames with the largest mean errors, worst first, those that nobody knows last."""
+        return self.mean_mm.nan_to_num(nan=-1.0).argsort(descending=True)[:count].tolist()

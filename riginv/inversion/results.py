@@ -14,11 +14,11 @@ from riginv.curves.reduction import reduced
 from riginv.curves.resampling import resampled
 from riginv.errors import InputError
 from riginv.inversion.rigid import unmoved
-from riginv.pictures import Pair, comparison
 from riginv.viewer.page import write_viewer
+from riginv.viewer.sheet import write_sheet
+from riginv.viewer.tensorboard import write_tensorboard
 
 PAGE, SHEET = "look.html", "frames.png"
-PICTURED = 4  # frames
 
 
 def check_after(after: Mapping[str, Any], look: Mapping[str, Any]) -> None:
@@ -72,9 +72,9 @@ def write_results(
         notes.append(f"{PAGE}: {write_viewer(folder / PAGE, animation, errors, targets).note}")
     if look["sheet"]:
         paths.append(folder / SHEET)
-        _write_sheet(folder / SHEET, animation, errors, targets)
+        write_sheet(folder / SHEET, animation, errors, targets)
     if look["tensorboard"]:
-        _write_events(folder, animation, errors)
+        write_tensorboard(folder, animation, errors, folder / SHEET if look["sheet"] else None)
         paths.append(folder)
     return [path.name for path in paths if path != folder], [note for note in notes if note]
 
@@ -87,29 +87,3 @@ def _targets(clip: Clip, animation: Animation) -> Callable[[Sequence[int]], Tens
         return meshes if animation.motion is None else unmoved(animation.motion[list(rows)], meshes)
 
     return targets
-
-
-@torch.no_grad()
-def _write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: Callable[[Sequence[int]], Tensor]) -> None:
-    """A picture of the worst frames and one in the middle: what was asked for, what was found, and the error."""
-    known = [row for row in errors.worst(len(animation)) if not bool(errors.mean_mm[row].isnan())]
-    rows = [*known[: PICTURED - 1], known[len(known) // 2]]
-    rows = [row for row in dict.fromkeys(rows) if bool(targets([row]).isfinite().all())]
-    labels = {row: f"frame {int(animation.frame_numbers[row])}, {float(errors.mean_mm[row]):.2g} mm" for row in rows}
-    pairs = [
-        Pair(label, targets([row])[0], animation.rig(animation.controls[row : row + 1])[0]) for row, label in labels.items()
-    ]
-    if pairs:
-        comparison(animation.rig, pairs).save(path, format="PNG")
-
-
-def _write_events(folder: Path, animation: Animation, errors: FrameErrors) -> None:
-    """Errors and controls over the frames, for TensorBoard."""
-    from torch.utils.tensorboard import SummaryWriter
-
-    with SummaryWriter(str(folder)) as writer:
-        for row, frame in enumerate(animation.frame_numbers.tolist()):
-            writer.add_scalar("error/mean_mm", float(errors.mean_mm[row]), frame)
-            writer.add_scalar("error/max_mm", float(errors.max_mm[row]), frame)
-            for name, value in zip(animation.rig.control_names, animation.controls[row].tolist()):
-                writer.add_scalar(f"controls/{name}", value, frame)

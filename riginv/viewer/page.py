@@ -110,7 +110,7 @@ def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int
     count = len(animation)
     if count <= most:
         return list(range(count))
-    looked_at = _rows_of(animation, errors)
+    looked_at = judged_rows(animation, errors)
     wanted = [looked_at[row] for row in [*errors.worst(WORST), *errors.flagged] if looked_at[row] is not None]
     kept = set(wanted[: most // 4])
     spread = np.linspace(0, count - 1, most - len(kept)).round().astype(int).tolist()
@@ -138,7 +138,7 @@ def _meshes(
     return both, max(float(f"{top:.2g}"), 1e-3)
 
 
-def _rows_of(animation: Animation, errors: FrameErrors) -> list[int | None]:
+def judged_rows(animation: Animation, errors: FrameErrors) -> list[int | None]:
     """For each frame that was judged its row in the animation; None where it has none."""
     if errors.frame_numbers is None:
         return list(range(len(animation)))
@@ -176,11 +176,8 @@ def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
 
 
 def _frame_facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
-    """The errors at each row of the animation: of the frame that was judged nearest to it."""
-    judged = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
-    nearest = np.abs(np.subtract.outer(np.linspace(0, 1, len(animation)), np.linspace(0, 1, len(judged)))).argmin(axis=1)
-    if errors.frame_numbers is None:
-        nearest = np.arange(len(animation))
+    """The errors at each row of the animation; after resampling those of the nearest frame that was judged."""
+    nearest = np.linspace(0, len(errors.mean_mm) - 1, len(animation)).round().astype(int)
     back = {int(place): row for row, place in reversed(list(enumerate(nearest.tolist())))}
     return {
         "mean": [_rounded(value) for value in errors.mean_mm[nearest].tolist()],
