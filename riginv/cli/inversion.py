@@ -18,7 +18,7 @@ WORST = 5  # frames that are named
 MEANINGS = {
     "outside_training_range": "unlike anything that the network was trained on",
     "outside_reach": "the rig cannot make this mesh",
-    "not_converged": "more solver steps would still help (refine=N, solver.steps)",
+    "not_converged": "solver steps, or more of them, would help (refine=N, solver.steps)",
     "missing_vertices": "some vertices are not known, or the frame was excluded",
 }
 
