@@ -48,7 +48,9 @@ def label(regions: Mapping[str, Tensor], vertices: int) -> list[str]:
     return labels
 
 
-def vertex_weights(rig: RigBackend, weights: Mapping[str, Any], own: Mapping[str, str], default: float) -> Tensor | None:
+def vertex_weights(
+    rig: RigBackend, weights: Mapping[str, Any] | None, own: Mapping[str, str] | None, default: float
+) -> Tensor | None:
     """How much each vertex counts, `(vertex,)`; None where all count alike.
 
     Args:
@@ -60,6 +62,7 @@ def vertex_weights(rig: RigBackend, weights: Mapping[str, Any], own: Mapping[str
         InputError: a name fits no region, a weight is none, a file is wrong, or no vertex is left.
     """
     _check_weight("vertices.default", default)
+    weights, own = _mapping("vertices.weights", weights), _mapping("vertices.regions", own)
     regions = {name: members.float() for name, members in regions_of(rig).items()}
     regions |= {name: read_region(Path(path), len(rig.rest_vertices)) for name, path in own.items()}
     if not weights and default == 1:
@@ -76,6 +79,12 @@ def vertex_weights(rig: RigBackend, weights: Mapping[str, Any], own: Mapping[str
     if not bool((result > 0).sum() >= 3):
         raise InputError("vertices.weights leaves fewer than three vertices with a weight above 0: there is nothing to fit")
     return None if bool((result == 1).all()) else result / result.max()
+
+
+def _mapping(key: str, value: Any) -> Mapping[str, Any]:
+    if value is not None and not isinstance(value, Mapping):
+        raise InputError(f"{key} is {value!r}, expected names, each with a value: {key}={{mouth: 2}}")
+    return {str(name): given for name, given in (value or {}).items()}
 
 
 def _check_weight(key: str, weight: Any) -> None:

@@ -17,7 +17,7 @@ from riginv.inversion.frame_judge import FrameJudge
 from riginv.inversion.held_rig import HeldRig
 from riginv.inversion.preferences import PreferringObjective
 from riginv.inversion.regions import label, regions_of, vertex_weights
-from riginv.inversion.solving import ByNetwork, BySolver, Solving
+from riginv.inversion.solving import ByNetwork, BySolver
 from riginv.inversion.static_controls import static_values
 from riginv.inversion.stillness import moves_itself, stillness
 from riginv.inversion.training_range import TrainingRange
@@ -105,10 +105,12 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
     anchors = _anchors(config["motion"], in_space, true_rig, notes)
     if bool(wishes.static.any()):
-        solving = _solver(config, in_space, wishes, weights, inverse, REFINED if inverse else EACH_FRAME)
+        solving = build_solver(config, in_space, wishes, weights, inverse, REFINED if inverse else EACH_FRAME)
         inverter = WindowInverter(rig, solving, anchors, None, config["turns"])
         wishes = wishes.with_held(wishes.static, static_values(clip, inverter, solving, wishes.static))
-    solving = ByNetwork(inverse, wishes) if method == NETWORK else _solver(config, in_space, wishes, weights, inverse, method)
+    solving = (
+        ByNetwork(inverse, wishes) if method == NETWORK else build_solver(config, in_space, wishes, weights, inverse, method)
+    )
     inverter = WindowInverter(rig, solving, anchors, weights if method == NETWORK else None, config["turns"])
     judge = FrameJudge(
         true_rig,
@@ -141,9 +143,15 @@ def _anchors(motion: Any, rig: RigInMeshSpace, true_rig: RigBackend, notes: list
     return None if motion == "keep" else Anchors(rig.rig, stillness(true_rig))
 
 
-def _solver(
+def build_solver(
     config: Config, rig: RigInMeshSpace, wishes: Wishes, weights: Tensor | None, inverse: Inverse | None, method: str
-) -> Solving:
+) -> BySolver:
+    """The solver of a method, over the controls that are free.
+
+    Args:
+        weights: of the vertices, `(vertex,)`; None: all count alike.
+        inverse: whose answers it starts from; None: it starts from scratch.
+    """
     options = config["solver"]
     held = HeldRig(rig.rig, wishes.free.nonzero()[:, 0], wishes.held)
     space = rig.space if weights is None else weighted_space(rig.rig, weights)

@@ -71,10 +71,10 @@ def resolve_wishes(rig: RigBackend, options: Mapping[str, Any]) -> Wishes:
         for number, weight in names.mask(Path(options["mask"])).items():
             free[number] &= weight > 0
             dearness[number] /= weight or 1.0
-    for glob, weight in options["weights"].items():
+    for glob, weight in _mapping(options, "weights").items():
         _check_number(f"controls.weights.{glob}", weight, 0.0, 1e12)
         dearness[names.fitting([glob], "controls.weights")] = float(weight)
-    for glob, value in options["hold"].items():
+    for glob, value in _mapping(options, "hold").items():
         for number in names.fitting([glob], "controls.hold"):
             control = rig.controls[number]
             _check_number(f"controls.hold.{glob}", value, control.lower, control.upper)
@@ -93,6 +93,13 @@ def resolve_wishes(rig: RigBackend, options: Mapping[str, Any]) -> Wishes:
         dearness, pairs["symmetric"], pairs["exclusive"], options["symmetric_mm2"], options["exclusive_mm2"]
     )
     return Wishes(free, held, static & free, preferences)
+
+
+def _mapping(options: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = options[key]
+    if value is not None and not isinstance(value, Mapping):
+        raise InputError(f"controls.{key} is {value!r}, expected names, each with a value: controls.{key}={{jawOpen: 1}}")
+    return {str(name): given for name, given in (value or {}).items()}
 
 
 def _check_number(key: str, value: Any, least: float, most: float) -> None:
