@@ -63,10 +63,11 @@ def export_onnx(config: DictConfig) -> None:
     with console.status("tracing the network, through the rig's own derivative where it has one; up to minutes"):
         parity = write_onnx(out, inverse, plain["poses"])
     table = Table(title=f"{out}: {out.stat().st_size / 1e6:.1f} MB", box=box.SIMPLE, title_justify="left")
-    for column in ("largest difference", "of a control", "of a vertex", "PyTorch", "onnxruntime"):
-        table.add_column(column, justify="left" if column == "largest difference" else "right")
-    row = [f"{parity.control_share:.1e} of its range", f"{parity.vertex_mm:.5f} mm"]
-    table.add_row(f"on {plain['poses']} random poses", *row, *(f"{ms:.2f} ms" for ms in (parity.torch_ms, parity.onnx_ms)))
+    table.add_column("")
+    for column in ("largest difference\nof a vertex", "of a control,\nof its range", "a mesh in\nPyTorch", "in onnx-\nruntime"):
+        table.add_column(column, justify="right")
+    times = [f"{ms:.2f} ms" for ms in (parity.torch_ms, parity.onnx_ms)]
+    table.add_row(f"{plain['poses']} random poses", f"{parity.vertex_mm:.5f} mm", f"{parity.control_share:.1e}", *times)
     console.print(table)
     console.print(
         "vertices (mesh, vertex, 3) in mm -> controls (mesh, control); names and limits are in its metadata", style="dim"
@@ -95,7 +96,8 @@ def write_onnx(path: Path, inverse: Inverse, poses: int = 64) -> Parity:
     with written_beside(path) as beside:
         named = beside.with_name(f"{beside.name}.onnx")
         try:
-            program.save(named, external_data=False)
+            with _quietly():
+                program.save(named, external_data=False)
             parity = compare(named, inverse, meshes[:poses])
             named.replace(beside)
         finally:
@@ -168,6 +170,7 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
     try:
         with fixed_iterations(), torch.enable_grad(), _quietly():
             traced = make_fx(_Plain(inverse), tracing_mode="symbolic", _allow_non_fake_inputs=True)(coordinates)
+            _settle_clamps(traced.graph)
             traced.graph.eliminate_dead_code()
             traced.recompile()
             dynamic = ({0: torch.export.Dim("mesh", min=1)},)
@@ -180,6 +183,13 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
             f"this inverse of rig '{inverse.rig.name}' cannot be traced into ONNX: {reason}; a network that does not look at "
             f"the rig can be (model/network=direct)"
         ) from error
+
+
+def _settle_clamps(graph: Any) -> None:
+    """Make both limits of a clamp floats where one is: the exporter stumbles over `clamp(0, 0.5)`."""
+    for node in graph.nodes:
+        if node.target is torch.ops.aten.clamp.default and any(isinstance(limit, float) for limit in node.args[1:]):
+            node.args = (node.args[0], *(None if limit is None else float(limit) for limit in node.args[1:]))
 
 
 def _metadata(inverse: Inverse) -> dict[str, str]:
@@ -196,15 +206,18 @@ def _timed(work: Any, count: int) -> tuple[Any, float]:
 
 @contextlib.contextmanager
 def _quietly() -> Any:
-    """Without the exporter's chatter."""
-    level = logging.getLogger("torch.onnx").level
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    """Without the exporters' chatter."""
+    loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
     try:
         with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
             yield
     finally:
-        logging.getLogger("torch.onnx").setLevel(level)
+        for logger, level in zip(loggers, levels):
+            logger.setLevel(level)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,12 @@ from riginv.clips.live_link import read_live_link
 from riginv.curves.animation import Animation
 from riginv.curves.formats import FORMATS, check_formats, write_formats
 from riginv.curves.live_link import SHAPES, nearest_weights, timecode
+from riginv.curves.reduction import reduced
 from riginv.errors import InputError
 from riginv.rig import Control
+from rigs.blender.twin import blueprint_of, write_blend
 from tests.animations import NUMBERS, UPRIGHT, errors_of, in_blender, meshes_of, moving
+from tests.blends import blender
 from tests.toys import BlackBox, ToyRig
 
 
@@ -396,3 +399,38 @@ def test_usd_without_its_package_is_a_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
     with pytest.raises(InputError, match=r"pip install 'riginv\[usd\]'"):
         check_formats(ToyRig(), ["usd"])
+
+
+def test_the_script_keys_reduced_curves_as_they_are(tmp_path):
+    animation = reduced(moving(ToyRig(), numbers=torch.arange(10, 70), with_motion=False), 0.3).animation
+    write_formats(tmp_path, animation, errors_of(animation), ["blender"])
+    names, path = list(animation.rig.control_names), str(tmp_path / "key_in_blender.py")
+    script = RUN_SCRIPT.replace(', bpy.data.objects["toy motion"]', ', bpy.data.objects["head"]') + COUNT_KEYS
+    found = in_blender(tmp_path, script, path=path, frames=animation.frame_numbers.tolist(), names=names)
+    np.testing.assert_allclose(found["controls"], animation.controls.numpy(), atol=1e-5)
+    assert int(found["keys"]) == sum(map(len, animation.keys))
+
+
+COUNT_KEYS = """
+owners = [panel, head.data.shape_keys]
+found["keys"] = sum(len(curve.keyframe_points) for owner in owners for curve in owner.animation_data.action.fcurves)
+"""
+
+
+@pytest.mark.slow
+def test_the_script_plays_the_face_that_was_exported_to_blender(tmp_path, face):
+    """The whole way: curves on the .blend of `python -m rigs.blender.export` make the meshes that the rig makes."""
+    write_blend(blueprint_of(face), tmp_path / "face.blend", blender())
+    animation = moving(face, numbers=torch.arange(3), with_motion=False)
+    write_formats(tmp_path, animation, errors_of(animation), ["blender"])
+    script = """
+bpy.ops.wm.open_mainfile(filepath=facts["blend"])
+scene = bpy.context.scene
+import runpy
+sys.argv = ["blender"]
+runpy.run_path(facts["path"], run_name="__main__")
+found["meshes"] = np.stack([(at(frame), points(bpy.data.objects["face"]))[1] for frame in range(3)])
+"""
+    blend, path = str(tmp_path / "face.blend"), str(tmp_path / "key_in_blender.py")
+    found = in_blender(tmp_path, script, blend=blend, path=path)
+    near(1000 * found["meshes"], meshes_of(animation) @ UPRIGHT.T, mm=0.01)

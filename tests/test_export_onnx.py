@@ -80,7 +80,7 @@ def test_the_command(run, bundle, tmp_path):
     out = tmp_path / "toy.onnx"
     found = run("export_onnx", f"bundle={bundle}", f"out={out}", "rig=toy", f"--config-dir={ROOT / 'tests/conf'}", "poses=5")
     assert found.code == 0, found.text
-    assert out.is_file() and "on 5 random poses" in found.text
+    assert out.is_file() and "5 random poses" in found.text
     found = run("export_onnx", f"bundle={bundle}", "out=toy.txt", "rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
     assert found.code == 1 and "out=toy.txt: expected the name of a file that ends in .onnx" in found.text
     found = run("export_onnx", "bundle=nowhere", "out=toy.onnx")

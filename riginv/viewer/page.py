@@ -200,7 +200,7 @@ def _note(frames: int, all_frames: int, vertices: int, all_vertices: int, step: 
         parts.insert(0, f"{vertices:,} of {all_vertices:,} vertices")
     if frames < all_frames:
         parts.insert(0, f"meshes of {frames:,} of {all_frames:,} frames, all curves and errors")
-    return "shown: " + ", ".join(parts)
+    return ", ".join(parts)
 
 
 def _changes(rows: np.ndarray) -> bytes:

@@ -7,7 +7,7 @@ import torch
 
 from riginv.curves.animation import Animation, FrameErrors
 from riginv.files import written_beside
-from riginv.pictures import Pair, comparison
+from riginv.render import Camera, grid, heat_colors
 from riginv.viewer.page import Targets, judged_rows
 
 WORST, SPREAD = 3, 3  # frames
@@ -15,7 +15,9 @@ WORST, SPREAD = 3, 3  # frames
 
 @torch.no_grad()
 def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: Targets) -> None:
-    """Write a PNG: for each frame target, recovered, and the error as heat; unknown vertices are drawn where the rig has them.
+    """Write a PNG: for each frame target, recovered, and the error as heat, one scale for all.
+
+    Unknown vertices are drawn where the rig has them.
 
     Args:
         targets: the meshes that were asked for, by the rows of the animation, as for `write_viewer`.
@@ -24,12 +26,18 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
     recovered = animation.rig(animation.controls[list(rows)])
     wanted = targets(list(rows)).to(recovered)
     wanted = torch.where(wanted.isnan(), recovered, wanted)
-    pairs = [
-        Pair(f"frame {int(animation.frame_numbers[row])}: {name}", target, mesh)
-        for (row, name), target, mesh in zip(rows.items(), wanted, recovered)
-    ]
+    distances = (wanted - recovered).norm(dim=2)
+    top = float(distances.max().clamp_min(0.01))
+    camera, faces, colors = Camera(animation.rig.rest_vertices), animation.rig.faces, animation.rig.vertex_colors()
+    pictures, labels = [], []
+    for (row, name), target, mesh, distance in zip(rows.items(), wanted, recovered, distances):
+        view = camera.following(target, mesh)
+        pictures += [view.picture(target, faces, colors), view.picture(mesh, faces, colors)]
+        pictures.append(view.picture(mesh, faces, heat_colors(distance, top)))
+        labels += [f"frame {int(animation.frame_numbers[row])}: {name}", "result"]
+        labels.append(f"error: mean {float(distance.mean()):.2g}, max {float(distance.max()):.2g}, red {top:.2g} mm")
     with written_beside(path) as beside:
-        comparison(animation.rig, pairs).save(beside, format="PNG", optimize=True)
+        grid(pictures, labels, columns=3).save(beside, format="PNG", optimize=True)
 
 
 def sheet_rows(animation: Animation, errors: FrameErrors) -> dict[int, str]:
