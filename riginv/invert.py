@@ -36,7 +36,7 @@ def invert(config: DictConfig) -> None:
     true_rig = rig if isinstance(true_rig, RecordedRig) else true_rig
     check_formats(true_rig, plain["formats"])
     check_after(plain["after"], plain["look"])
-    clip, notes = open_clip(plain, rig)
+    clip, notes = open_clip(plain, true_rig)
     parts = build_parts(plain, clip, rig, true_rig, inverse)
     with InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
         arguments = (clip, parts.inverter, parts.judge, plain["window"], progress.advance)

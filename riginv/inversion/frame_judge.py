@@ -73,8 +73,11 @@ class FrameJudge:
         self.flags += self._flags(found, mean, settled)
 
     def _flags(self, found: Found, mean: Tensor, settled: Tensor) -> list[list[str]]:
-        coordinates = self.space.encode(found.complete)
-        away = (found.complete - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
+        complete = found.complete
+        if self.believed is not None:
+            complete = torch.where(self.believed[:, None], complete, found.results)
+        coordinates = self.space.encode(complete)
+        away = (complete - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
         unreachable = (away.clamp_min(0) / self.space.vertex_count).sqrt() > self.reach_mm
         poor = mean > self.reach_mm
         if isinstance(self.solving, ByNetwork):  # what is poor may be the network's fault: a solver would tell
