@@ -10,7 +10,6 @@ from riginv.assemble import build_rig, build_true_rig
 from riginv.build import build
 from riginv.bundle import SUMS, read_bundle
 from riginv.cli.command import command
-from riginv.cli.inversion import InversionProgress, show
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
 from riginv.curves.animation import Animation
@@ -21,6 +20,7 @@ from riginv.inverse import load_inverse
 from riginv.inversion.results import check_after, write_results
 from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
 from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method, open_clip
+from riginv.inversion.table import InversionProgress, show
 from riginv.recorded_rig import RecordedRig
 
 
@@ -36,7 +36,7 @@ def invert(config: DictConfig) -> None:
     true_rig = rig if isinstance(true_rig, RecordedRig) else true_rig
     check_formats(true_rig, plain["formats"])
     check_after(plain["after"], plain["look"])
-    clip, notes = open_clip(plain, rig)
+    clip, notes = open_clip(plain, true_rig)
     parts = build_parts(plain, clip, rig, true_rig, inverse)
     with InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
         arguments = (clip, parts.inverter, parts.judge, plain["window"], progress.advance)

@@ -244,6 +244,22 @@ def test_what_is_not_there_is_said(name, rig, tmp_path):
         opened(tmp_path / name, rig)
 
 
+def test_a_clip_without_frames_or_with_meshes_of_no_vertex_is_refused(rig, tmp_path):
+    for shape in ((0, 162, 3), (3, 0, 3)):
+        np.save(tmp_path / "a.npy", np.zeros(shape, np.float32))
+        with pytest.raises(InputError, match=r"a.npy: (no frames|meshes of 0 vertices)"):
+            opened(tmp_path / "a.npy", rig)
+    for shape in ((162, 3), (3, 162, 2)):
+        np.save(tmp_path / "a.npy", np.zeros(shape, np.float32))
+        with pytest.raises(InputError, match=r"expected floats \(frame, vertex, 3\)"):
+            opened(tmp_path / "a.npy", rig)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty"):
+        opened(tmp_path / "empty", rig)
+    with pytest.raises(InputError, match=r"shot.*: no frames"):
+        opened(tmp_path / "shot.*.obj", rig)
+
+
 def test_windows_bound_what_is_held(rig, meshes, tmp_path):
     """A large stored array is read in place: a window costs no more than itself."""
     import tracemalloc

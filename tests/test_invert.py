@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from riginv.clips.open import open_sequence
 from tests.clips import obj_sequence, performance, write_npz
 from tests.conftest import ROOT
 from tests.toys import ToyRig
@@ -50,6 +51,22 @@ def test_a_clip_becomes_curves_and_judged_frames(run, clip, tmp_path):
     ):
         assert said in outcome.text
     assert not list(tmp_path.glob(".*.part"))
+
+
+def test_what_is_written_as_an_avatar_is_the_clip_again(run, rig, tmp_path):
+    """Out as glTF, in as a clip, rigid motion included: the meshes that were asked for."""
+    meshes = performance(rig, 20)
+    angle = np.linspace(0, 1.2, 20)
+    turn = np.stack([np.cos(angle), 0 * angle, np.sin(angle), 0 * angle, 1 + 0 * angle, 0 * angle], axis=1).reshape(20, 2, 3)
+    turn = np.concatenate([turn, np.cross(turn[:, :1], turn[:, 1:])], axis=1)
+    world = meshes @ turn.transpose(0, 2, 1) + 300 * np.stack([angle, 0 * angle, angle], axis=1)[:, None]
+    clip = write_npz(tmp_path / "take.npz", world, rig.faces.numpy())
+    outcome = run("invert", *TOY, *PLAIN, f"clip={clip}", "out=o", "formats=[glb]", "method=levenberg_marquardt")
+    assert outcome.code == 0, outcome.text
+    assert "turns of " in outcome.text
+    options = {"mesh": None, "missing_frames": "error", "fps": None, "interpreter": None}
+    again = open_sequence(str(tmp_path / "o/animation.glb"), rig, options)
+    assert len(again) == 20 and np.linalg.norm(1000 * again.read(0, 20) - world, axis=2).mean() < 0.1
 
 
 @pytest.mark.parametrize("method", ["levenberg_marquardt", "clip"])

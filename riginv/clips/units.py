@@ -148,4 +148,4 @@ def _length(mm: float) -> str:
     for unit, size in (("km", 1e6), ("m", 1e3)):
         if mm >= 10 * size:
             return f"{mm / size:.3g} {unit}"
-    return f"{mm:.3g} mm"
+    return f"{mm:.0f} mm" if mm >= 100 else f"{mm:.3g} mm"

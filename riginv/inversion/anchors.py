@@ -34,5 +34,7 @@ class Anchors:
 
     def for_window(self, known: Tensor) -> "Anchors":
         """Anchors that are enough where only some vertices are known, `(frame, vertex)`."""
-        enough = self.stride == 1 or not len(known) or int(known[:, self.some].sum(dim=1).min()) >= FEWEST
+        enough = (
+            self.stride == 1 or not len(known) or int((known[:, self.some] & (self.weights > 0)).sum(dim=1).min()) >= FEWEST
+        )
         return self if enough else Anchors(self.rig, self.stillness, stride=1)

@@ -12,7 +12,7 @@ from riginv.curves.animation import (
     OUTSIDE_TRAINING_RANGE,
     FrameErrors,
 )
-from riginv.inversion.solving import Solving
+from riginv.inversion.solving import ByNetwork, Solving
 from riginv.inversion.training_range import TrainingRange
 from riginv.inversion.window import Found
 from riginv.mesh_space import MeshSpace
@@ -51,8 +51,12 @@ class FrameJudge:
         self.mean, self.worst, self.vertex, self.flags = [], [], [], []
 
     @torch.no_grad()
-    def judge(self, found: Found) -> None:
-        """Judge the frames of a window, in order."""
+    def judge(self, found: Found, settled: Tensor | None = None) -> None:
+        """Judge the frames of a window, in order.
+
+        Args:
+            settled: whether the solving was done with each, `(frame,)`, where it is known; else it is asked.
+        """
         results = found.results if self.true_rig is self.rig else self.true_rig(found.controls)
         distance = (results - found.still).norm(dim=2)
         seen = torch.isfinite(distance)
@@ -65,20 +69,26 @@ class FrameJudge:
         self.mean.append(mean)
         self.worst.append(torch.where(counts > 0, worst, torch.nan))
         self.vertex.append(vertex)
-        self.flags += self._flags(found, mean)
+        settled = self.solving.settled(found.complete, found.controls) if settled is None else settled
+        self.flags += self._flags(found, mean, settled)
 
-    def _flags(self, found: Found, mean: Tensor) -> list[list[str]]:
-        coordinates = self.space.encode(found.complete)
-        away = (found.complete - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
+    def _flags(self, found: Found, mean: Tensor, settled: Tensor) -> list[list[str]]:
+        complete = found.complete
+        if self.believed is not None:
+            complete = torch.where(self.believed[:, None], complete, found.results)
+        coordinates = self.space.encode(complete)
+        away = (complete - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
         unreachable = (away.clamp_min(0) / self.space.vertex_count).sqrt() > self.reach_mm
-        settled = self.solving.settled(found.complete, found.controls)
+        poor = mean > self.reach_mm
+        if isinstance(self.solving, ByNetwork):  # what is poor may be the network's fault: a solver would tell
+            settled = settled & (~poor | unreachable)
         unusual = torch.zeros_like(settled)
         if self.training is not None:
             unusual = self.training.outside_mm(coordinates) > self.range_mm
         holes = ~torch.isfinite(found.still).all(dim=2).all(dim=1)
         named = {
             OUTSIDE_TRAINING_RANGE: unusual & found.present,
-            OUTSIDE_REACH: (unreachable | (mean > self.reach_mm)) & found.present,
+            OUTSIDE_REACH: (unreachable | (poor & settled)) & found.present,
             NOT_CONVERGED: ~settled & found.present,
             MISSING_VERTICES: holes,
         }
@@ -88,5 +98,6 @@ class FrameJudge:
     def errors(self, frame_numbers: Tensor) -> FrameErrors:
         """What was found, frame by frame."""
         vertices = torch.cat(self.vertex)
-        regions = [self.regions[vertex] for vertex in vertices.tolist()]
-        return FrameErrors(torch.cat(self.mean), torch.cat(self.worst), vertices, regions, self.flags, frame_numbers)
+        mean = torch.cat(self.mean)
+        regions = ["" if gone else self.regions[vertex] for vertex, gone in zip(vertices.tolist(), mean.isnan().tolist())]
+        return FrameErrors(mean, torch.cat(self.worst), vertices, regions, self.flags, frame_numbers)

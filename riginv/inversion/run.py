@@ -84,16 +84,17 @@ def invert_smoothly(
     solving = inverter.solving
     if not isinstance(solving, BySolver):
         raise TypeError("a whole clip is for solvers")
-    coordinates, units, motions, present = [], [], [], []
+    coordinates, units, motions, present, settled = [], [], [], [], []
     for _, vertices in clip.pieces(window):
         found = inverter.invert(vertices)
         seen = found.present[:, None]
         coordinates.append(torch.where(seen, solving.space.encode(found.complete), torch.nan))
         units.append(solving.units(found.controls))
+        settled.append(solving.settled(found.complete, found.controls))  # before smoothness has its say
         motions.append(found.motion)
         present.append(found.present)
         advance("each frame", len(vertices))
-    known = torch.cat(present)
+    known, done = torch.cat(present), torch.cat(settled)
     start = Solution.at_neutral(solving.objective, len(known))
     start.units, start.skipped = torch.cat(units), ~known
     advance("the whole clip", 0)
@@ -101,7 +102,7 @@ def invert_smoothly(
     controls = solving.controls(smooth)
     for first, vertices in clip.pieces(window):
         rows = slice(first, first + len(vertices))
-        judge.judge(_placed(vertices, controls[rows], inverter, known[rows]))
+        judge.judge(_placed(vertices, controls[rows], inverter, known[rows]), done[rows])
         advance("judging", len(vertices))
     return _finished(clip, controls, motions, known, judge, bridge=False)
 

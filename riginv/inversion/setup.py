@@ -98,12 +98,12 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
     """
     method, notes = chosen_method(config), []
     wishes = resolve_wishes(rig, config["controls"])
-    weights = vertex_weights(rig, *(config["vertices"][key] for key in ("weights", "regions", "default")))
+    weights = vertex_weights(true_rig, *(config["vertices"][key] for key in ("weights", "regions", "default")))
     if method == NETWORK:
         _refuse_for_network(wishes, config)
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
-    anchors = _anchors(config["motion"], in_space, true_rig, notes)
+    anchors = _anchors(config["motion"], in_space, true_rig, weights, notes)
     if bool(wishes.static.any()):
         solving = build_solver(config, in_space, wishes, weights, inverse, REFINED if inverse else EACH_FRAME)
         inverter = WindowInverter(rig, solving, anchors, None, config["turns"])
@@ -119,7 +119,7 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
         solving,
         TrainingRange(in_space) if inverse else None,
         None if weights is None else weights > 0,
-        label(regions_of(rig), len(rig.rest_vertices)),
+        label(regions_of(true_rig), len(rig.rest_vertices)),
         **config["flags"],
     )
     return Parts(clip, inverter, judge, method, notes)
@@ -131,7 +131,9 @@ def _refuse_for_network(wishes: Wishes, config: Config) -> None:
         raise InputError(f"{key} is for solvers, and method={NETWORK} is none: add refine=5, or method={WHOLE_CLIP}")
 
 
-def _anchors(motion: Any, rig: RigInMeshSpace, true_rig: RigBackend, notes: list[str]) -> Anchors | None:
+def _anchors(
+    motion: Any, rig: RigInMeshSpace, true_rig: RigBackend, weights: Tensor | None, notes: list[str]
+) -> Anchors | None:
     """What rigid motion is told by; None where that is left to the rig's own controls."""
     if motion not in MOTIONS:
         raise InputError(f"motion is {motion!r}, expected one of {', '.join(MOTIONS)}")
@@ -140,7 +142,10 @@ def _anchors(motion: Any, rig: RigInMeshSpace, true_rig: RigBackend, notes: list
             f"rigid motion is left to the controls of rig '{rig.rig.name}' that move all of it (motion=remove takes it out)"
         )
         return None
-    return None if motion == "keep" else Anchors(rig.rig, stillness(true_rig))
+    if motion == "keep":
+        return None
+    still = stillness(true_rig)
+    return Anchors(rig.rig, still if weights is None else still * weights)
 
 
 def build_solver(

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
+import roma
+import torch
 from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -18,7 +20,7 @@ WORST = 5  # frames that are named
 MEANINGS = {
     "outside_training_range": "unlike anything that the network was trained on",
     "outside_reach": "the rig cannot make this mesh",
-    "not_converged": "more solver steps would still help (refine=N, solver.steps)",
+    "not_converged": "solver steps, or more of them, would help (refine=N, solver.steps)",
     "missing_vertices": "some vertices are not known, or the frame was excluded",
 }
 
@@ -71,8 +73,10 @@ def show(
     for name, values in (("mean over a frame's vertices", errors.mean_mm), ("worst vertex of a frame", errors.max_mm)):
         table.add_row(name, *_figures(values[known]))
     console.print(table)
-    worst = ", ".join(_frame(animation, errors, row) for row in errors.worst(min(WORST, int(known.sum()))))
+    worst = ", ".join(_frame(animation, errors, row) for row in _worst(animation, errors, known))
     console.print(f"  Judged by the true rig, [bold]{judge.name}[/]. Worst frames: {worst}", highlight=False, soft_wrap=True)
+    if animation.motion is not None:
+        console.print(f"  Rigid motion was taken out: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
     counts = Counter(flag for flags in errors.flags for flag in flags)
     for flag, count in counts.most_common():
         console.print(f"  [yellow]{flag}[/]: {count} frames: {MEANINGS[flag]}", highlight=False, soft_wrap=True)
@@ -81,6 +85,24 @@ def show(
     for note in notes:
         console.print(f"  {note}", highlight=False, soft_wrap=True, markup=False)
     console.print(f"  {folder}: {', '.join(files)}", highlight=False, soft_wrap=True, markup=False)
+
+
+def _worst(animation: Animation, errors: FrameErrors, known: Tensor) -> list[int]:
+    """The rows of the worst frames, none within half a second of another."""
+    chosen: list[int] = []
+    for row in errors.worst(int(known.sum())):
+        if len(chosen) < WORST and all(abs(row - other) > animation.fps / 2 for other in chosen):
+            chosen.append(row)
+    return chosen
+
+
+def _extent(motion: Tensor) -> str:
+    """How far motions `(frame, 4, 4)` go from the one in the middle of them."""
+    middle = motion[len(motion) // 2]
+    turns = torch.rad2deg(roma.rotmat_geodesic_distance(motion[:, :3, :3], middle[:3, :3].expand(len(motion), -1, -1)))
+    return (
+        f"turns of {float(turns.max()):.3g} degrees and ways of {float((motion - middle)[:, :3, 3].norm(dim=1).max()):.3g} mm"
+    )
 
 
 def _figures(values: Tensor) -> list[str]:
