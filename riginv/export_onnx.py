@@ -170,7 +170,7 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
     try:
         with fixed_iterations(), torch.enable_grad(), _quietly():
             traced = make_fx(_Plain(inverse), tracing_mode="symbolic", _allow_non_fake_inputs=True)(coordinates)
-            _settle_clamps(traced.graph)
+            _settle(traced.graph)
             traced.graph.eliminate_dead_code()
             traced.recompile()
             dynamic = ({0: torch.export.Dim("mesh", min=1)},)
@@ -185,11 +185,18 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
         ) from error
 
 
-def _settle_clamps(graph: Any) -> None:
-    """Make both limits of a clamp floats where one is: the exporter stumbles over `clamp(0, 0.5)`."""
-    for node in graph.nodes:
-        if node.target is torch.ops.aten.clamp.default and any(isinstance(limit, float) for limit in node.args[1:]):
+def _settle(graph: Any) -> None:
+    """Say in other words what the exporter stumbles over: a clamp between 0 and 0.5, the length of two sides."""
+    aten = torch.ops.aten
+    for node in list(graph.nodes):
+        if node.target is aten.clamp.default and any(isinstance(limit, float) for limit in node.args[1:]):
             node.args = (node.args[0], *(None if limit is None else float(limit) for limit in node.args[1:]))
+        if node.target is aten.hypot.default:
+            with graph.inserting_before(node):
+                squares = [graph.call_function(aten.mul.Tensor, (side, side)) for side in node.args]
+                length = graph.call_function(aten.sqrt.default, (graph.call_function(aten.add.Tensor, tuple(squares)),))
+            node.replace_all_uses_with(length)
+            graph.erase_node(node)
 
 
 def _metadata(inverse: Inverse) -> dict[str, str]:
