@@ -34,6 +34,8 @@ def invert(config: DictConfig) -> None:
     rig = inverse.rig if inverse else build_rig(named_in(plain))
     true_rig = build_true_rig(plain, rig)
     true_rig = rig if isinstance(true_rig, RecordedRig) else true_rig
+    if not isinstance(plain["formats"], list):
+        raise InputError(f"formats is {plain['formats']!r}, expected a list: formats=[csv,glb]")
     check_formats(true_rig, plain["formats"])
     check_after(plain["after"], plain["look"])
     clip, notes = open_clip(plain, true_rig)

@@ -10,6 +10,7 @@ import torch
 from riginv.clips.clip import Clip
 from riginv.clips.obj_text import read_points
 from riginv.clips.open import open_sequence
+from riginv.clips.picked import PickedVertices
 from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
@@ -258,6 +259,29 @@ def test_a_clip_without_frames_or_with_meshes_of_no_vertex_is_refused(rig, tmp_p
         opened(tmp_path / "empty", rig)
     with pytest.raises(InputError, match=r"shot.*: no frames"):
         opened(tmp_path / "shot.*.obj", rig)
+
+
+def test_vertices_are_picked_out_of_a_larger_mesh(rig, meshes, tmp_path):
+    order = np.random.default_rng(0).permutation(200)[:162]
+    larger = np.zeros((len(meshes), 200, 3))
+    larger[:, order] = meshes
+    sequence = opened(write_npz(tmp_path / "a.npz", larger, np.zeros((0, 3), int)), rig)
+    order[7] = -1
+    (tmp_path / "order.txt").write_text(" ".join(map(str, order)))
+    picked = PickedVertices(sequence, tmp_path / "order.txt")
+    check_topology(picked, rig)
+    found = picked.read(2, 5)
+    assert np.isnan(found[:, 7]).all() and np.abs(np.delete(found - meshes[2:5], 7, axis=1)).max() < 1e-4
+    for wrong in ("1 2 200", "1.5", "", "-2"):
+        (tmp_path / "order.txt").write_text(wrong)
+        with pytest.raises(InputError, match="order.txt: expected for each vertex"):
+            PickedVertices(sequence, tmp_path / "order.txt")
+
+
+def test_frames_that_do_not_rise_are_refused(rig, meshes, tmp_path):
+    np.savez(tmp_path / "a.npz", vertices=meshes.astype(np.float32), frame_numbers=np.zeros(len(meshes), int))
+    with pytest.raises(InputError, match="do not rise"):
+        opened(tmp_path / "a.npz", rig)
 
 
 def test_windows_bound_what_is_held(rig, meshes, tmp_path):

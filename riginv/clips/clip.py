@@ -76,6 +76,8 @@ class Clip(MeshSet):
 
 def _excluded(path: str, numbers: Tensor, exclude: Sequence[Any]) -> Tensor:
     gone = torch.zeros(len(numbers), dtype=torch.bool)
+    if not isinstance(exclude, list | tuple):
+        raise InputError(f"frames.exclude is {exclude!r}, expected a list of frames: frames.exclude=[17,120-135]")
     for entry in exclude:
         low, dash, high = str(entry).partition("-")
         try:

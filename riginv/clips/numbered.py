@@ -50,14 +50,13 @@ def find_frames(path: str, suffixes: tuple[str, ...], bridge: bool = False) -> F
     if given.is_file():
         return FrameFiles(np.array([_number(given.stem, 0)]), [given])
     if given.is_dir():
-        found = sorted(file for file in given.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith("."))
+        found = sorted(file for file in _inside(given) if file.suffix.lower() in suffixes and not file.name.startswith("."))
         expected = f"files ending in {' or '.join(suffixes)}"
     elif match := PLACE.search(given.name):
         found = _numbered(given, match)
         expected = f"files as {given.name} in {given.parent}"
     else:
-        inside = given.parent.iterdir() if given.parent.is_dir() else []
-        found = sorted(file for file in inside if fnmatchcase(file.name, given.name) and file.is_file())
+        found = sorted(file for file in _inside(given.parent) if fnmatchcase(file.name, given.name) and file.is_file())
         expected = "files of that pattern"
     if not found:
         raise InputError(f"{path}: no frames: expected {expected}, found none")
@@ -67,7 +66,14 @@ def find_frames(path: str, suffixes: tuple[str, ...], bridge: bool = False) -> F
 def _numbered(given: Path, place: re.Match) -> list[Path]:
     before, after = re.escape(given.name[: place.start()]), re.escape(given.name[place.end() :])
     name = re.compile(before + r"\d+" + after)
-    return sorted(file for file in given.parent.iterdir() if name.fullmatch(file.name)) if given.parent.is_dir() else []
+    return sorted(file for file in _inside(given.parent) if name.fullmatch(file.name))
+
+
+def _inside(folder: Path) -> list[Path]:
+    try:
+        return list(folder.iterdir()) if folder.is_dir() else []
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be looked into: {error}") from None
 
 
 def _number(stem: str, otherwise: int) -> int:

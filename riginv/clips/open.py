@@ -62,7 +62,7 @@ def open_sequence(path: str, rig: RigBackend, options: Mapping[str, Any]) -> Mes
     given = Path(path)
     suffix = given.suffix.lower()
     bridge = options["missing_frames"] == "bridge"
-    if given.is_dir():
+    if _is_folder(given):
         inside = {file.suffix.lower() for file in given.iterdir()} & set(FRAMES)
         if len(inside) != 1:
             raise InputError(f"{path}: a folder, expected to hold OBJ or PLY files, one for each frame, and not both")
@@ -79,3 +79,10 @@ def open_sequence(path: str, rig: RigBackend, options: Mapping[str, Any]) -> Mes
         plug_in = PLUG_INS[suffix]
         return build({"_target_": plug_in, "path": path, **{name: options[name] for name in TAKEN[plug_in]}}, only=OURS)
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{str(path)[:200]}: cannot be looked for: {error}") from None

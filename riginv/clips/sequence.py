@@ -81,6 +81,8 @@ class MeshSequence(ABC):
             raise InputError(f"{path}: no frames in it; expected at least one mesh: export it again")
         if not 1 <= self.vertex_count <= MOST_VERTICES:
             raise InputError(f"{path}: meshes of {self.vertex_count} vertices, expected 1 to {MOST_VERTICES}: export it again")
+        if (np.diff(self.frame_numbers) <= 0).any():
+            raise InputError(f"{path}: its frame numbers do not rise: each frame may stand there once; number them anew")
         if faces is not None:
             faces.check(path, self.vertex_count)
 

@@ -52,7 +52,7 @@ class ControlNames:
         Raises:
             InputError: a glob fits none, and that is not to be ignored.
         """
-        if isinstance(globs, str) or not all(isinstance(glob, str) for glob in globs):
+        if not isinstance(globs, list | tuple) or not all(isinstance(glob, str) for glob in globs):
             raise InputError(f"{key} is {globs!r}, expected a list of names or globs: {key}=[jaw*]")
         found: set[int] = set()
         for glob in globs:

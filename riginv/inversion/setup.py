@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
+from riginv.clips.picked import PickedVertices
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
 from riginv.errors import InputError
@@ -81,6 +83,8 @@ def open_clip(config: Config, rig: RigBackend) -> tuple[Clip, list[str]]:
     if reading["missing_frames"] not in ("error", "bridge"):
         raise InputError(f"reading.missing_frames is {reading['missing_frames']!r}, expected error or bridge")
     sequence = open_sequence(str(config["clip"]), rig, reading)
+    if reading["vertices"] is not None:
+        sequence = PickedVertices(sequence, Path(str(reading["vertices"])))
     note = check_topology(sequence, rig, reading["check_faces"])
     meaning = meaning_of(sequence, rig, reading["unit"], reading["scale"], reading["up"], reading["fps"])
     clip = Clip(sequence, meaning, frames["first"], frames["last"], frames["exclude"])

@@ -68,7 +68,7 @@ def resolve_wishes(rig: RigBackend, options: Mapping[str, Any]) -> Wishes:
     free[names.fitting(options["freeze"], "controls.freeze")] = False
     dearness, held = torch.ones(len(rig.controls)), rig.neutral_controls.clone()
     if options["mask"]:
-        for number, weight in names.mask(Path(options["mask"])).items():
+        for number, weight in names.mask(Path(str(options["mask"]))).items():
             free[number] &= weight > 0
             dearness[number] /= weight or 1.0
     for glob, weight in _mapping(options, "weights").items():

@@ -1,6 +1,7 @@
 """An animated avatar as a clip: its meshes at each frame, morph weights and skins evaluated."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,9 +38,14 @@ class GltfClip(MeshSequence):
     """
 
     def __init__(self, path: str, mesh: str | None = None, fps: float | None = None) -> None:
+        if not Path(path).is_file():
+            raise InputError(f"{path}: no such file; clip=PATH names a clip")
         self.file = open_gltf(path)
         self.scene = read_scene(self.file)
-        chosen = chosen_nodes(self.file, self.scene, [mesh] if mesh else [], [], joints=True)
+        try:
+            chosen = chosen_nodes(self.file, self.scene, [str(mesh)] if mesh else [], [], joints=True)
+        except InputError as error:  # a clip is told so by another key than a rig
+            raise InputError(str(error).replace("rig.include", "reading.mesh")) from None
         self.pieces = pieces(self.file, chosen)
         names = target_names(self.file, sorted({piece.mesh for piece in self.pieces}))
         nodes = self.file.document["nodes"]
