@@ -23,6 +23,7 @@ class FrameJudge:
     """Judges windows, and keeps what it found, frame by frame.
 
     Args:
+        frames: how many there will be.
         true_rig: who judges.
         rig: whose meshes are in what was found; where it is the true rig itself, they serve.
         space: its mesh space, unweighted.
@@ -36,6 +37,7 @@ class FrameJudge:
 
     def __init__(
         self,
+        frames: int,
         true_rig: RigBackend,
         rig: RigBackend,
         space: MeshSpace,
@@ -48,7 +50,9 @@ class FrameJudge:
     ) -> None:
         self.true_rig, self.rig, self.space, self.solving, self.training = true_rig, rig, space, solving, training
         self.believed, self.regions, self.reach_mm, self.range_mm = believed, regions, reach_mm, range_mm
-        self.mean, self.worst, self.vertex, self.flags = [], [], [], []
+        # Made once: small tensors that stay, between large ones that go, would leave memory full of holes.
+        self.mean, self.worst = torch.full((frames,), torch.nan), torch.full((frames,), torch.nan)
+        self.vertex, self.flags = torch.zeros(frames, dtype=torch.long), []
 
     @torch.no_grad()
     def judge(self, found: Found, settled: Tensor | None = None) -> None:
@@ -66,9 +70,9 @@ class FrameJudge:
         counts = seen.sum(dim=1)
         mean = torch.where(counts > 0, distance.sum(dim=1) / counts.clamp_min(1), torch.nan)
         worst, vertex = distance.max(dim=1)
-        self.mean.append(mean)
-        self.worst.append(torch.where(counts > 0, worst, torch.nan))
-        self.vertex.append(vertex)
+        rows = slice(len(self.flags), len(self.flags) + len(mean))
+        self.mean[rows], self.vertex[rows] = mean, vertex
+        self.worst[rows] = torch.where(counts > 0, worst, torch.nan)
         settled = self.solving.settled(found.complete, found.controls) if settled is None else settled
         self.flags += self._flags(found, mean, settled)
 
@@ -97,7 +101,6 @@ class FrameJudge:
 
     def errors(self, frame_numbers: Tensor) -> FrameErrors:
         """What was found, frame by frame."""
-        vertices = torch.cat(self.vertex)
-        mean = torch.cat(self.mean)
-        regions = ["" if gone else self.regions[vertex] for vertex, gone in zip(vertices.tolist(), mean.isnan().tolist())]
-        return FrameErrors(mean, torch.cat(self.worst), vertices, regions, self.flags, frame_numbers)
+        known = zip(self.vertex.tolist(), self.mean.isnan().tolist())
+        regions = ["" if unknown else self.regions[vertex] for vertex, unknown in known]
+        return FrameErrors(self.mean, self.worst, self.vertex, regions, self.flags, frame_numbers)

@@ -58,15 +58,14 @@ def invert_clip(
         window: frames at a time: what bounds the memory.
         advance: told what is done, and how many frames are.
     """
-    controls, motions, present = [], [], []
-    for _, vertices in clip.pieces(window):
+    kept = _Kept(len(clip), inverter)
+    for start, vertices in clip.pieces(window):
         found = inverter.invert(vertices)
         judge.judge(found)
-        controls.append(found.controls)
-        motions.append(found.motion)
-        present.append(found.present)
+        kept.keep(start, found)
         advance("inverting", len(vertices))
-    return _finished(clip, torch.cat(controls), motions, torch.cat(present), judge)
+    kept.check(clip)
+    return kept.finished(bridged(kept.controls, kept.known), clip, judge)
 
 
 def invert_smoothly(
@@ -84,27 +83,28 @@ def invert_smoothly(
     solving = inverter.solving
     if not isinstance(solving, BySolver):
         raise TypeError("a whole clip is for solvers")
-    coordinates, units, motions, present, settled = [], [], [], [], []
-    for _, vertices in clip.pieces(window):
+    kept, size = _Kept(len(clip), inverter), solving.space.size
+    coordinates, done = torch.full((len(clip), size), torch.nan), torch.zeros(len(clip), dtype=torch.bool)
+    for first, vertices in clip.pieces(window):
         found = inverter.invert(vertices)
-        seen = found.present[:, None]
-        coordinates.append(torch.where(seen, solving.space.encode(found.complete), torch.nan))
-        units.append(solving.units(found.controls))
-        settled.append(solving.settled(found.complete, found.controls))  # before smoothness has its say
-        motions.append(found.motion)
-        present.append(found.present)
+        kept.keep(first, found)
+        rows = slice(first, first + len(vertices))
+        coordinates[rows] = torch.where(found.present[:, None], solving.space.encode(found.complete), torch.nan)
+        done[rows] = solving.settled(found.complete, found.controls)  # before smoothness has its say
         advance("each frame", len(vertices))
-    known, done = torch.cat(present), torch.cat(settled)
-    start = Solution.at_neutral(solving.objective, len(known))
-    start.units, start.skipped = torch.cat(units), ~known
+    kept.check(clip)
+    start = Solution.at_neutral(solving.objective, len(clip))
+    start.units, start.skipped = solving.units(kept.controls), ~kept.known
     advance("the whole clip", 0)
-    smooth = solve_clip(solving.objective, torch.cat(coordinates), smoothed(start, how.blur), how.smoothness, how.steps)
+    smooth = solve_clip(solving.objective, coordinates, smoothed(start, how.blur), how.smoothness, how.steps)
     controls = solving.controls(smooth)
     for first, vertices in clip.pieces(window):
         rows = slice(first, first + len(vertices))
-        judge.judge(_placed(vertices, controls[rows], inverter, known[rows]), done[rows])
+        found = _placed(vertices, controls[rows], inverter, kept.known[rows])
+        judge.judge(found, done[rows])
+        kept.keep(first, found)
         advance("judging", len(vertices))
-    return _finished(clip, controls, motions, known, judge, bridge=False)
+    return kept.finished(controls, clip, judge)
 
 
 def _placed(vertices: Tensor, controls: Tensor, inverter: WindowInverter, known: Tensor) -> Found:
@@ -116,12 +116,26 @@ def _placed(vertices: Tensor, controls: Tensor, inverter: WindowInverter, known:
     return inverter.placed(vertices, controls, motion, known)
 
 
-def _finished(
-    clip: Clip, controls: Tensor, motions: list[Tensor | None], known: Tensor, judge: FrameJudge, bridge: bool = True
-) -> Inversion:
-    if not bool(known.any()):
-        raise InputError(f"{clip.sequence.path}: no frame has enough known vertices: there is nothing to invert")
-    motion = None if motions[0] is None else bridged_motion(torch.cat(motions), known)
-    rig = judge.true_rig
-    controls = (bridged(controls, known) if bridge else controls).clamp(rig.lower, rig.upper)
-    return Inversion(controls, motion, judge.errors(clip.frame_numbers))
+class _Kept:
+    """What stays of each frame; made once, so that windows come and go without leaving memory full of holes."""
+
+    def __init__(self, frames: int, inverter: WindowInverter) -> None:
+        self.controls = torch.zeros(frames, len(inverter.rig.controls), dtype=inverter.rig.dtype)
+        self.motion = None if inverter.anchors is None else torch.zeros(frames, 4, 4, dtype=inverter.rig.dtype)
+        self.known = torch.zeros(frames, dtype=torch.bool)
+
+    def keep(self, first: int, found: Found) -> None:
+        """Keep the frames of a window that starts at `first`."""
+        rows = slice(first, first + len(found.controls))
+        self.controls[rows], self.known[rows] = found.controls, found.present
+        if self.motion is not None:
+            self.motion[rows] = found.motion
+
+    def check(self, clip: Clip) -> None:
+        if not bool(self.known.any()):
+            raise InputError(f"{clip.sequence.path}: no frame has enough known vertices: there is nothing to invert")
+
+    def finished(self, controls: Tensor, clip: Clip, judge: FrameJudge) -> Inversion:
+        motion = None if self.motion is None else bridged_motion(self.motion, self.known)
+        rig = judge.true_rig
+        return Inversion(controls.clamp(rig.lower, rig.upper), motion, judge.errors(clip.frame_numbers))

@@ -113,6 +113,7 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
     )
     inverter = WindowInverter(rig, solving, anchors, weights if method == NETWORK else None, config["turns"])
     judge = FrameJudge(
+        len(clip),
         true_rig,
         rig,
         space,
