@@ -51,7 +51,7 @@ def test_onnxruntime_agrees(kind, toy, tmp_path):
 
 def test_a_file_that_answers_otherwise_is_not_written(toy, tmp_path, monkeypatch):
     inverse = inverse_of(DirectInverse(toy, hidden=(8,)))
-    monkeypatch.setattr("riginv.export_onnx.LARGEST_DIFFERENCE_MM", -1.0)
+    monkeypatch.setattr("riginv.export_onnx.LARGEST_DIFFERENCE", -1.0)
     with pytest.raises(InputError, match="not written: onnxruntime's answers differ"):
         write_onnx(tmp_path / "toy.onnx", inverse)
     assert not list(tmp_path.iterdir())
