@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pygltflib
 import pytest
 import torch
 
@@ -15,6 +16,8 @@ from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
 from riginv.errors import InputError
+from rigs.gltf.rig import GltfRig
+from tests.avatars import AvatarWriter, face_avatar
 from tests.clips import (
     obj_sequence,
     performance,
@@ -307,3 +310,32 @@ def test_obj_frames_are_read_fast(face, tmp_path):
     sequence.read(0, 8)
     seconds = time.perf_counter() - began
     assert sum(path.stat().st_size for path in paths) / 1e6 / seconds > 12
+
+
+def test_a_skinned_avatar_turns_by_its_joints(face, tmp_path):
+    """Against the same avatar as a rig, whose joints are controls: a jaw that opens while a target comes and goes."""
+    path = face_avatar(tmp_path / "head.glb", face, 3, joints=True)
+    document = pygltflib.GLTF2().load(str(path))
+    avatar = AvatarWriter()
+    avatar.document, avatar.blob = document, document.binary_blob()
+    nodes = {node.name: number for number, node in enumerate(document.nodes)}
+    degrees = np.array([0.0, 8.0, 16.0])
+    turns = np.zeros((3, 4))
+    turns[:, 0], turns[:, 3] = np.sin(np.radians(degrees) / 2), np.cos(np.radians(degrees) / 2)
+    weights = np.array([[0.0, 0, 0], [0.5, 0, 1], [0, 0.2, 0]])
+    times = avatar.accessor(np.arange(3) / 24)
+    samplers = [pygltflib.AnimationSampler(input=times, output=avatar.accessor(values)) for values in (turns, weights.ravel())]
+    channels = [
+        pygltflib.AnimationChannel(sampler=number, target=pygltflib.AnimationChannelTarget(node=nodes[name], path=what))
+        for number, (name, what) in enumerate((("jaw", "rotation"), ("Head", "weights")))
+    ]
+    document.animations.append(pygltflib.Animation(samplers=samplers, channels=channels))
+    avatar.write(path)
+    rig = GltfRig(str(path), joints=True)
+    controls = rig.neutral_controls.repeat(3, 1)
+    controls[:, rig.control_names.index("jaw.rx")] = torch.tensor(degrees, dtype=torch.float32)
+    controls[:, :3] = torch.tensor(weights, dtype=torch.float32)
+    sequence = opened(path, rig)
+    assert sequence.fps == 24 and not check_topology(sequence, rig)
+    with torch.no_grad():
+        assert np.abs(1000 * sequence.read(0, 3) - rig(controls).numpy()).max() < 5e-3
