@@ -30,9 +30,10 @@ def invert(config: DictConfig) -> None:
     validate(plain)
     chosen_method(plain)
     out = free_folder(plain["out"])
-    inverse = load_inverse(plain["bundle"], named_rig(plain)) if plain["bundle"] else None
+    named = named_rig(plain) if plain["bundle"] else None
+    inverse = load_inverse(plain["bundle"], named) if plain["bundle"] else None
     rig = inverse.rig if inverse else build_rig(named_in(plain))
-    true_rig = build_true_rig(plain, rig)
+    true_rig = build_true_rig(plain, named or rig)
     true_rig = rig if isinstance(true_rig, RecordedRig) else true_rig
     if not isinstance(plain["formats"], list):
         raise InputError(f"formats is {plain['formats']!r}, expected a list: formats=[csv,glb]")

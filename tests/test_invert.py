@@ -148,3 +148,12 @@ def test_a_clip_that_breaks_midway_leaves_nothing(run, rig, tmp_path):
 def test_neither_a_rig_nor_a_bundle(run, clip):
     outcome = run("invert", f"clip={clip}", "out=o")
     assert outcome.code == 1 and "give bundle=DIR" in outcome.text
+
+
+def test_a_rig_without_gradients_goes_through_its_surrogate_and_judges_itself(run, clip, tmp_path):
+    options = ("rig=black_box", "mesh_space.samples=60", "mesh_space.residual_mm=0.5", "data.black_box_poses=40")
+    trained = run("train", *options)
+    assert trained.code == 0, trained.text
+    outcome = run("invert", f"bundle={tmp_path / 'run'}", "rig=black_box", TOY[1], f"clip={clip}", "out=o", *PLAIN, "refine=5")
+    assert outcome.code == 0, outcome.text
+    assert "Judged by the true rig, black box" in outcome.text and len(rows(tmp_path / "o/frames.csv")) == 20
