@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from riginv.errors import InputError
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.jacobian import Jacobian
+from riginv.geometry.skeleton import Skeleton
 
 STEP = 1e-3  # of a control's range, between the two ends of a finite difference
 
@@ -107,6 +108,10 @@ class RigBackend(nn.Module, ABC):
 
     def motion(self) -> Motion | None:
         """A motion to judge an inverse on where no capture is given; None: a simulated performance, where it has shapes."""
+        return None
+
+    def skeleton(self) -> Skeleton | None:
+        """The joints of a rig that is skinned and nothing else, for BVH, glTF and USD; None where there are none to tell."""
         return None
 
     def vertex_colors(self) -> Tensor | None:

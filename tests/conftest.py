@@ -11,7 +11,7 @@ import pytest
 import torch
 from hydra.core.global_hydra import GlobalHydra
 
-from riginv import check, compare, evaluate, train
+from riginv import check, compare, evaluate, export_onnx, invert, train
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
@@ -19,7 +19,14 @@ from rigs.face import FaceRig
 from tests.toys import ToyRig
 
 ROOT = Path(__file__).parent.parent
-COMMANDS = {"train": train.train, "evaluate": evaluate.evaluate, "check": check.check, "compare": compare.compare}
+COMMANDS = {
+    "train": train.train,
+    "evaluate": evaluate.evaluate,
+    "check": check.check,
+    "compare": compare.compare,
+    "invert": invert.invert,
+    "export_onnx": export_onnx.export_onnx,
+}
 SMALL = [
     "rig=toy",
     f"--config-dir={ROOT / 'tests/conf'}",
@@ -82,7 +89,10 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
     def run_command(name: str, *arguments: str, small: bool = True, folder: str = "run") -> Outcome:
         target = tmp_path / folder
         given = [*(SMALL if small and name == "train" else []), *arguments]
-        if not any(argument.startswith(("hydra.run.dir", "hydra.sweep.dir")) for argument in given) and name != "check":
+        if not any(argument.startswith(("hydra.run.dir", "hydra.sweep.dir")) for argument in given) and name not in (
+            "check",
+            "invert",
+        ):
             given.append(f"hydra.run.dir={target}")
         monkeypatch.setattr(sys, "argv", [f"riginv.{name}", *given])
         monkeypatch.chdir(tmp_path)

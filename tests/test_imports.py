@@ -18,15 +18,16 @@ FLOORS = [
     {"sampling", "metrics", "render"},
     {"losses"},
     {"networks"},
-    {"pictures", "cli", "solvers", "encoder"},
+    {"pictures", "cli", "solvers", "curves", "encoder"},
+    {"viewer"},
     {"rig_contract", "bundle", "pairs", "fitted_rig"},
     {"data"},
     {"clips", "judge", "inverse", "modules", "recorded_rig"},
     {"optimum"},
     {"evaluation", "methods"},
-    {"callbacks", "baselines"},
+    {"callbacks", "baselines", "inversion"},
     {"assemble"},
-    {"train", "evaluate", "check", "contact_sheet", "compare"},
+    {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx"},
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 SOURCES = [path for folder in ("riginv", "rigs") for path in sorted((ROOT / folder).rglob("*.py"))]

@@ -17,6 +17,7 @@ WIDTHS: Check = (
     "a list of whole numbers of at least 1",
     lambda value: isinstance(value, list) and all(AT_LEAST_1[1](v) for v in value),
 )
+WHOLE: Check = ("a whole number", lambda value: _is_whole(value))
 BOOLEAN: Check = ("true or false", lambda value: isinstance(value, bool))
 
 # Key in the resolved config (with wildcards) -> what it must be; null is allowed where a default says so.
@@ -69,9 +70,28 @@ RULES: dict[str, Check] = {
     "checkpoint.*": AT_LEAST_1,
     "pictures.*": AT_LEAST_1,
     "random_poses": AT_LEAST_0,
+    "window": AT_LEAST_1,
+    "turns": AT_LEAST_1,
+    "flags.*": POSITIVE,
+    "solver.steps": AT_LEAST_1,
+    "solver.clip_steps": AT_LEAST_1,
+    "solver.key_starts": AT_LEAST_1,
+    "solver.descent_steps": AT_LEAST_0,
+    "solver.*": NOT_NEGATIVE,
+    "frames.first": WHOLE,
+    "frames.last": WHOLE,
+    "reading.check_faces": BOOLEAN,
     "columns": AT_LEAST_1,
 }
-MAY_BE_NULL = ("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations")
+MAY_BE_NULL = (
+    "frames.first",
+    "frames.last",
+    "stop_below_lr",
+    "trainer.max_steps",
+    "data.stored_poses",
+    "sampler*.most",
+    "pictures.every_n_validations",
+)
 
 
 def validate(config: dict[str, Any]) -> None:

@@ -16,7 +16,7 @@ def screen(activations: Tensor, sources: Tensor) -> Tensor:
     Returns:
         `(batch, shape)` in [0, 1].
     """
-    padded = torch.cat([activations, activations.new_zeros(len(activations), 1)], dim=1)
+    padded = torch.cat([activations, activations.new_zeros(activations.shape[0], 1)], dim=1)
     remaining = 1 - padded[:, sources[:, 0]]
     for slot in sources.T[1:]:
         remaining = remaining * (1 - padded[:, slot])
@@ -33,7 +33,7 @@ def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
     Returns:
         `(batch, combination)`.
     """
-    padded = torch.cat([weights, weights.new_ones(len(weights), 1)], dim=1)
+    padded = torch.cat([weights, weights.new_ones(weights.shape[0], 1)], dim=1)
     product = padded[:, members[:, 0]]
     for slot in members.T[1:]:
         product = product * padded[:, slot]
@@ -42,7 +42,7 @@ def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
 
 def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
     """The other rule for combinations: the least of the weights of its shapes; as `combination_weights` otherwise."""
-    padded = torch.cat([weights, weights.new_full((len(weights), 1), torch.inf)], dim=1)
+    padded = torch.cat([weights, weights.new_full((weights.shape[0], 1), torch.inf)], dim=1)
     smallest = padded[:, members[:, 0]]
     for slot in members.T[1:]:
         smallest = torch.minimum(smallest, padded[:, slot])
@@ -51,7 +51,7 @@ def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
 
 def screen_slopes(activations: Tensor, sources: Tensor) -> Tensor:
     """The derivative `(batch, shape, slot)` of each shape of `screen` by the driver in each slot; 0 in empty slots."""
-    padded = torch.cat([activations, activations.new_zeros(len(activations), 1)], dim=1)
+    padded = torch.cat([activations, activations.new_zeros(activations.shape[0], 1)], dim=1)
     remaining = 1 - padded[:, sources]
     slots = range(sources.shape[1])
     others = [remaining[:, :, [other for other in slots if other != slot]].prod(dim=2) for slot in slots]
@@ -60,7 +60,7 @@ def screen_slopes(activations: Tensor, sources: Tensor) -> Tensor:
 
 def combination_slopes(weights: Tensor, members: Tensor) -> Tensor:
     """The derivative `(batch, combination, 3)` of each of `combination_weights` by the weight of each member."""
-    padded = torch.cat([weights, weights.new_ones(len(weights), 1)], dim=1)
+    padded = torch.cat([weights, weights.new_ones(weights.shape[0], 1)], dim=1)
     first, second, third = (padded[:, member] for member in members.T)
     return torch.stack([second * third, first * third, first * second], dim=2) * (members >= 0)
 

@@ -189,7 +189,7 @@ class StagedInverse(InverseNetwork):
     def _best(self, answers: list[Answer], coordinates: Tensor) -> Tensor:
         errors = torch.stack([(answer.coordinates - coordinates).square().sum(dim=1) for answer in answers])
         best = errors.argmin(dim=0)
-        return torch.stack([answer.controls for answer in answers])[best, torch.arange(len(best), device=best.device)]
+        return torch.stack([answer.controls for answer in answers])[best, torch.arange(best.shape[0], device=best.device)]
 
     def _look(self, coordinates: Tensor) -> Tensor:
         """What the perceptrons see of a mesh, `(batch, number)`."""

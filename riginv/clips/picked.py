@@ -1,0 +1,50 @@
+"""A clip of a larger mesh, or of the same in another order: which of its vertices the rig's are."""
+
+from pathlib import Path
+
+import numpy as np
+
+from riginv.clips.sequence import MeshSequence
+from riginv.errors import InputError
+
+UNKNOWN = -1
+
+
+class PickedVertices(MeshSequence):
+    """Some vertices of another sequence, in the order of the rig.
+
+    Args:
+        sequence: the other.
+        path: of a file with, for each vertex of the rig, the number of the clip's vertex, -1 where it has none (.npy or text).
+
+    Raises:
+        InputError: the file holds something else.
+    """
+
+    def __init__(self, sequence: MeshSequence, path: Path) -> None:
+        self.sequence = sequence
+        self.picked = read_picked(path, sequence.vertex_count)
+        facts = sequence.fps, sequence.unit_mm, sequence.up
+        super().__init__(sequence.path, sequence.frame_numbers, len(self.picked), None, *facts)
+
+    def read(self, start: int, stop: int) -> np.ndarray:
+        values = self.sequence.read(start, stop)[:, self.picked]
+        values[:, self.picked == UNKNOWN] = np.nan
+        return values
+
+
+def read_picked(path: Path, vertices: int) -> np.ndarray:
+    """The numbers `(vertex of the rig,)` of a clip's vertices."""
+    expected = f"expected for each vertex of the rig a number from 0 to {vertices - 1}, or -1"
+    try:
+        if path.suffix == ".npy":
+            found = np.load(path, allow_pickle=False)
+        else:
+            found = np.array([int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()])
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file, asked for by reading.vertices") from None
+    except (OSError, ValueError, EOFError, OverflowError) as error:
+        raise InputError(f"{path}: {expected}; it cannot be read: {str(error)[:120]}") from None
+    if found.dtype.kind not in "iu" or found.ndim != 1 or not found.size or found.min() < -1 or found.max() >= vertices:
+        raise InputError(f"{path}: {expected}; found {found.dtype} of shape {found.shape}")
+    return found.astype(np.int64)

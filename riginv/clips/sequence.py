@@ -1,0 +1,98 @@
+"""What every reader of clips gives: a sequence of meshes, read a window at a time, as the file has it."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from riginv.errors import InputError
+
+MOST_VERTICES = 50_000_000  # of one mesh; more is damage
+
+
+@dataclass(frozen=True)
+class Polygons:
+    """The faces of a mesh, of any number of corners.
+
+    Attributes:
+        sizes: how many corners each face has, `(face,)`.
+        corners: the vertex of each corner, face after face, `(corner,)`.
+    """
+
+    sizes: np.ndarray
+    corners: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.sizes)
+
+    def same_as(self, other: "Polygons") -> bool:
+        return np.array_equal(self.sizes, other.sizes) and np.array_equal(self.corners, other.corners)
+
+    def edges(self) -> np.ndarray:
+        """The edges `(edge, 2)`, each once, its lower vertex first."""
+        after = np.arange(1, len(self.corners) + 1)
+        ends = np.cumsum(self.sizes)
+        full = self.sizes > 0
+        after[ends[full] - 1] = ends[full] - self.sizes[full]
+        both = np.sort(np.stack([self.corners, self.corners[after]], axis=1), axis=1)
+        return np.unique(both, axis=0)
+
+    @classmethod
+    def triangles(cls, faces: np.ndarray) -> "Polygons":
+        """From `(face, 3)`."""
+        return cls(np.full(len(faces), 3, np.int64), np.asarray(faces, np.int64).reshape(-1))
+
+    def check(self, path: str | Path, vertices: int) -> None:
+        """Raises InputError where a corner names no vertex."""
+        if len(self.corners) and not 0 <= self.corners.min() <= self.corners.max() < vertices:
+            wrong = self.corners[(self.corners < 0) | (self.corners >= vertices)][0]
+            raise InputError(
+                f"{path}: a face uses vertex {int(wrong)}, expected 0 to {vertices - 1}: the file is damaged; export it again"
+            )
+
+
+class MeshSequence(ABC):
+    """Meshes of one topology, one after the other, in the units and axes of their file; nothing is held but a window.
+
+    Attributes:
+        path: what messages call it.
+        frame_numbers: as the source counts them, `(frame,)`, rising.
+        vertex_count: of each mesh.
+        faces: where the file says them, else None.
+        fps: frames a second, where the file says so, else None.
+        unit_mm: millimetres to a unit, where the file says so, else None.
+        up: the axis that points up, `x`, `y` or `z`, where the file says so, else None.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        frame_numbers: np.ndarray,
+        vertex_count: int,
+        faces: Polygons | None = None,
+        fps: float | None = None,
+        unit_mm: float | None = None,
+        up: str | None = None,
+    ) -> None:
+        self.path, self.frame_numbers, self.vertex_count = str(path), np.asarray(frame_numbers, np.int64), int(vertex_count)
+        self.faces, self.fps, self.unit_mm, self.up = faces, fps, unit_mm, up
+        if not len(self.frame_numbers):
+            raise InputError(f"{path}: no frames in it; expected at least one mesh: export it again")
+        if not 1 <= self.vertex_count <= MOST_VERTICES:
+            raise InputError(f"{path}: meshes of {self.vertex_count} vertices, expected 1 to {MOST_VERTICES}: export it again")
+        if (np.diff(self.frame_numbers) <= 0).any():
+            raise InputError(f"{path}: its frame numbers do not rise: each frame may stand there once; number them anew")
+        if faces is not None:
+            faces.check(path, self.vertex_count)
+
+    def __len__(self) -> int:
+        return len(self.frame_numbers)
+
+    @abstractmethod
+    def read(self, start: int, stop: int) -> np.ndarray:
+        """The meshes `start` to `stop`, `(frame, vertex, 3)` float32; NaN where a vertex is not known.
+
+        Raises:
+            InputError: the file turns out to be damaged there.
+        """

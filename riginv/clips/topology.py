@@ -1,0 +1,66 @@
+"""Whether a clip is the rig's mesh: as many vertices, and faces along the rig's own edges."""
+
+import numpy as np
+
+from riginv.clips.sequence import MeshSequence, Polygons
+from riginv.errors import InputError
+from riginv.rig import RigBackend
+
+
+def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> str:
+    """Compare a clip's mesh with the rig's.
+
+    Every edge of the clip must be one of the rig's, or the other diagonal of two of its triangles: the rig's faces are
+    triangles, the clip's need not be. A clip whose vertices stand in another order fails at once.
+
+    Args:
+        faces: whether to compare them at all.
+
+    Returns:
+        what the user should know, or nothing.
+
+    Raises:
+        InputError: the vertices or the faces differ; the message names both counts.
+    """
+    rig_vertices, rig_faces = len(rig.rest_vertices), rig.faces.cpu().numpy()
+    counts = f"{clip.vertex_count} vertices" + (f" and {len(clip.faces)} faces" if clip.faces else "")
+    if clip.vertex_count != rig_vertices:
+        raise InputError(
+            f"{clip.path}: {counts}, rig '{rig.name}' has {rig_vertices} vertices and {len(rig_faces)} faces: a clip must "
+            f"hold the rig's own mesh, its vertices in the same order"
+        )
+    if not faces or not len(rig_faces):
+        return ""
+    if not clip.faces:
+        return "the clip has no faces to compare: that its vertices stand in the rig's order is taken on trust"
+    wrong = foreign_edges(clip.faces, rig_faces, rig_vertices)
+    if len(wrong):
+        first, second = wrong[0].tolist()
+        raise InputError(
+            f"{clip.path}: {counts}, rig '{rig.name}' has {len(rig_faces)} faces, and {len(wrong)} edges of the clip are none "
+            f"of the rig's, the first from vertex {first} to {second}: the vertices stand in another order, or it is another "
+            f"mesh; reading.check_faces=false lets it pass"
+        )
+    return ""
+
+
+def foreign_edges(polygons: Polygons, rig_faces: np.ndarray, vertices: int) -> np.ndarray:
+    """The edges `(edge, 2)` of polygons that are none of the rig's, nor the other diagonal of two of its triangles."""
+    known = Polygons.triangles(rig_faces).edges()
+    edges = polygons.edges()
+    foreign = edges[~np.isin(_key(edges, vertices), _key(known, vertices))]
+    return foreign[~np.isin(_key(foreign, vertices), _key(_other_diagonals(rig_faces), vertices))] if len(foreign) else foreign
+
+
+def _other_diagonals(faces: np.ndarray) -> np.ndarray:
+    """For every edge that two triangles share, the edge `(edge, 2)` between their far corners."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    far = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    edges, far = edges[order], far[order]
+    same = (edges[1:] == edges[:-1]).all(axis=1)
+    return np.sort(np.stack([far[1:][same], far[:-1][same]], axis=1), axis=1)
+
+
+def _key(edges: np.ndarray, vertices: int) -> np.ndarray:
+    return edges[:, 0] * vertices + edges[:, 1]

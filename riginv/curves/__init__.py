@@ -1,0 +1,1 @@
+"""Controls over time, and the files that hold them."""

@@ -1,0 +1,134 @@
+"""Live Link Face CSV: the 52 shapes of ARKit and the turn of the head, as the app writes them."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from riginv.curves.animation import Animation
+from riginv.curves.table import write_rows
+from riginv.errors import InputError
+from riginv.rig import LinearRig, RigBackend
+
+FILE = "live_link.csv"
+SHAPES = (  # in the order of the app's columns
+    "EyeBlinkLeft EyeLookDownLeft EyeLookInLeft EyeLookOutLeft EyeLookUpLeft EyeSquintLeft EyeWideLeft EyeBlinkRight "
+    "EyeLookDownRight EyeLookInRight EyeLookOutRight EyeLookUpRight EyeSquintRight EyeWideRight JawForward JawRight JawLeft "
+    "JawOpen MouthClose MouthFunnel MouthPucker MouthRight MouthLeft MouthSmileLeft MouthSmileRight MouthFrownLeft "
+    "MouthFrownRight MouthDimpleLeft MouthDimpleRight MouthStretchLeft MouthStretchRight MouthRollLower MouthRollUpper "
+    "MouthShrugLower MouthShrugUpper MouthPressLeft MouthPressRight MouthLowerDownLeft MouthLowerDownRight MouthUpperUpLeft "
+    "MouthUpperUpRight BrowDownLeft BrowDownRight BrowInnerUp BrowOuterUpLeft BrowOuterUpRight CheekPuff CheekSquintLeft "
+    "CheekSquintRight NoseSneerLeft NoseSneerRight TongueOut"
+).split()
+ANGLES = [f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll")]
+TIMECODE_FPS = 60  # the app counts 60 frames a second in its timecode, whatever it records at
+PIECE = 256  # frames at a time
+SWEEPS = 300  # of coordinate descent over the shapes, at most
+SETTLED = 1e-6  # of a weight's change in a sweep
+RIDGE = 1e-5  # of a shape's own size: between shapes that do the same, the weights are shared
+
+
+def check(rig: RigBackend) -> None:
+    """Raises InputError for a rig that has neither controls nor shapes with ARKit's names."""
+    if not rig.arkit_deltas() and not named_controls(rig):
+        raise InputError(
+            f"formats: livelink needs ARKit's shapes, and rig '{rig.name}' has neither shapes nor controls of their names "
+            f"(such as {SHAPES[0]}); choose csv"
+        )
+
+
+def write(path: Path, animation: Animation, swap_mouth: bool = False) -> None:
+    """Write a recording.
+
+    Args:
+        swap_mouth: exchange MouthLeft and MouthRight: some software takes them the other way round than the app.
+    """
+    shapes = dict(zip(SHAPES, arkit_weights(animation).T.tolist()))
+    if swap_mouth:
+        shapes["MouthLeft"], shapes["MouthRight"] = shapes["MouthRight"], shapes["MouthLeft"]
+    angles = np.zeros((len(animation), len(ANGLES)))
+    if animation.motion is not None:
+        turns = Rotation.from_matrix(animation.motion[:, :3, :3].detach().cpu().double().numpy())
+        angles[:, :3] = turns.as_euler("YXZ")  # radians, as in the app
+    values = np.concatenate([np.stack([shapes[name] for name in SHAPES], axis=1), angles], axis=1)
+    first = float(animation.frame_numbers[0]) / animation.fps
+    rows = [
+        [timecode(first + seconds), len(SHAPES) + len(ANGLES), *(f"{value:.10f}" for value in row)]
+        for seconds, row in zip(animation.seconds.tolist(), values.tolist())
+    ]
+    write_rows(path, ["Timecode", "BlendShapeCount", *SHAPES, *ANGLES], rows)
+
+
+def timecode(seconds: float) -> str:
+    """A time as `HH:MM:SS:FF.fff`, with 60 frames in a second."""
+    thousandths = round(seconds * TIMECODE_FPS * 1000)
+    whole, frames = divmod(thousandths, TIMECODE_FPS * 1000)
+    minutes, seconds = divmod(whole, 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours % 24:02d}:{minutes:02d}:{seconds:02d}:{frames / 1000:06.3f}"
+
+
+def named_controls(rig: RigBackend) -> dict[str, int]:
+    """The number of the control that has the name of each ARKit shape; case, underscores and prefixes do not matter."""
+    found: dict[str, int] = {}
+    for number, name in enumerate(rig.control_names):
+        found.setdefault(_plain(name), number)
+    return {shape: found[shape.lower()] for shape in SHAPES if shape.lower() in found}
+
+
+def arkit_weights(animation: Animation) -> Tensor:
+    """Weights `(frame, shape)` in [0, 1] of ARKit's shapes, in the order of `SHAPES`.
+
+    Where every control of the rig is one of ARKit's, or the rig has no shapes of these names, they are the controls. Else
+    other controls move the face, too, and the weights are those whose shapes, added linearly, come nearest to its meshes.
+    """
+    rig, named = animation.rig, named_controls(animation.rig)
+    shapes = {name[0].upper() + name[1:]: delta for name, delta in rig.arkit_deltas().items()}
+    weights = torch.zeros(len(animation), len(SHAPES), dtype=torch.float64)
+    if not shapes or len(named) == len(rig.controls):
+        for name, number in named.items():
+            weights[:, SHAPES.index(name)] = animation.controls[:, number].detach().cpu().double()
+        return weights.clamp(0, 1)
+    nearest = nearest_weights(rig, torch.stack(list(shapes.values())), animation.controls)
+    for name, column in zip(shapes, nearest.T):
+        weights[:, SHAPES.index(name)] = column
+    return weights
+
+
+@torch.no_grad()
+def nearest_weights(rig: RigBackend, deltas: Tensor, controls: Tensor) -> Tensor:
+    """The weights `(frame, shape)` in [0, 1] whose shapes `(shape, vertex, 3)` sum to the nearest of the rig's meshes.
+
+    Coordinate descent on the normal equations, all frames at once.
+    """
+    flat = deltas.flatten(1).double()
+    gram = flat @ flat.T
+    gram.diagonal().mul_(1 + RIDGE)
+    if isinstance(rig, LinearRig):
+        along = rig.basis.flatten(1).double() @ flat.T
+        aims = [(rig.coefficients(piece) - rig.neutral_coefficients()).double() @ along for piece in controls.split(PIECE)]
+    else:
+        aims = [(rig(piece) - rig.rest_vertices).flatten(1).double() @ flat.T for piece in controls.split(PIECE)]
+    aim = torch.cat(aims)
+    weights = torch.zeros_like(aim)
+    movable = (gram.diagonal() > 0).nonzero()[:, 0].tolist()
+    for _ in range(SWEEPS):
+        largest = 0.0
+        for shape in movable:
+            step = (aim[:, shape] - weights @ gram[shape]) / gram[shape, shape]
+            before = weights[:, shape].clone()
+            weights[:, shape] = (before + step).clamp(0, 1)
+            largest = max(largest, float((weights[:, shape] - before).abs().max()))
+        if largest < SETTLED:
+            break
+    return weights.cpu()
+
+
+def _plain(name: str) -> str:
+    stem = re.split(r"[.:]", name)[-1]
+    side = re.fullmatch(r"(.+)[_\- ]([lLrR])", stem)
+    stem = side[1] + {"l": "left", "r": "right"}[side[2].lower()] if side else stem
+    return re.sub(r"[_\- ]", "", stem).lower()

@@ -1,0 +1,114 @@
+"""What riginv.invert shows: its guesses first, a bar while it works, and a table of how good the frames are."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+import roma
+import torch
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+from torch import Tensor
+
+from riginv.curves.animation import Animation, FrameErrors
+from riginv.rig import RigBackend
+
+WORST = 5  # frames that are named
+MEANINGS = {
+    "outside_training_range": "unlike anything that the network was trained on",
+    "outside_reach": "the rig cannot make this mesh",
+    "not_converged": "solver steps, or more of them, would help (refine=N, solver.steps)",
+    "missing_vertices": "some vertices are not known, or the frame was excluded",
+}
+
+
+class InversionProgress:
+    """To be entered; says what was guessed, then shows how far each pass is; without a terminal there is no bar.
+
+    Args:
+        frames: in each pass.
+        notes: what was guessed.
+    """
+
+    def __init__(self, frames: int, notes: Sequence[str]) -> None:
+        self.console, self.frames, self.passes = Console(stderr=True), frames, {}
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(24),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        self.bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
+        for note in notes:
+            self.console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
+
+    def __enter__(self) -> "InversionProgress":
+        self.bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.bar.stop()
+
+    def advance(self, what: str, frames: int) -> None:
+        """So many frames more of a pass are done; none: it has begun, and cannot say how far it is."""
+        if what not in self.passes:
+            self.passes[what] = self.bar.add_task(what, total=self.frames if frames else None)
+        self.bar.advance(self.passes[what], frames)
+
+
+def show(
+    animation: Animation, errors: FrameErrors, judge: RigBackend, folder: Path, files: Sequence[str], notes: Sequence[str]
+) -> None:
+    """Show how good the frames are, which to look at, and what was written."""
+    console = Console()
+    known = ~errors.mean_mm.isnan()
+    title = f"{animation.source}: {len(animation)} frames at {animation.fps:g} a second, vertex errors in mm"
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
+    for heading in ("", "mean", "median", "worst 5 %", "worst frame"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, values in (("mean over a frame's vertices", errors.mean_mm), ("worst vertex of a frame", errors.max_mm)):
+        table.add_row(name, *_figures(values[known]))
+    console.print(table)
+    worst = ", ".join(_frame(animation, errors, row) for row in _worst(animation, errors, known))
+    console.print(f"  Judged by the true rig, [bold]{judge.name}[/]. Worst frames: {worst}", highlight=False, soft_wrap=True)
+    if animation.motion is not None:
+        console.print(f"  Rigid motion was taken out: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
+    counts = Counter(flag for flags in errors.flags for flag in flags)
+    for flag, count in counts.most_common():
+        console.print(f"  [yellow]{flag}[/]: {count} frames: {MEANINGS[flag]}", highlight=False, soft_wrap=True)
+    if not counts:
+        console.print("  No frame is flagged.", highlight=False)
+    for note in notes:
+        console.print(f"  {note}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"  {folder}: {', '.join(files)}", highlight=False, soft_wrap=True, markup=False)
+
+
+def _worst(animation: Animation, errors: FrameErrors, known: Tensor) -> list[int]:
+    """The rows of the worst frames, none within half a second of another."""
+    chosen: list[int] = []
+    for row in errors.worst(int(known.sum())):
+        if len(chosen) < WORST and all(abs(row - other) > animation.fps / 2 for other in chosen):
+            chosen.append(row)
+    return chosen
+
+
+def _extent(motion: Tensor) -> str:
+    """How far motions `(frame, 4, 4)` go from the one in the middle of them."""
+    middle = motion[len(motion) // 2]
+    turns = torch.rad2deg(roma.rotmat_geodesic_distance(motion[:, :3, :3], middle[:3, :3].expand(len(motion), -1, -1)))
+    return (
+        f"turns of {float(turns.max()):.3g} degrees and ways of {float((motion - middle)[:, :3, 3].norm(dim=1).max()):.3g} mm"
+    )
+
+
+def _figures(values: Tensor) -> list[str]:
+    return [f"{float(value):.3g}" for value in (values.mean(), values.median(), values.quantile(0.95), values.max())]
+
+
+def _frame(animation: Animation, errors: FrameErrors, row: int) -> str:
+    region = f" at the {errors.worst_region[row]}" if errors.worst_region[row] else ""
+    return f"{int(animation.frame_numbers[row])} ({float(errors.mean_mm[row]):.2g} mm{region})"

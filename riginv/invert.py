@@ -1,0 +1,98 @@
+"""python -m riginv.invert: a clip of meshes in, animation curves out, judged frame by frame by the true rig."""
+
+import importlib.metadata
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from riginv.assemble import build_rig, build_true_rig
+from riginv.build import build
+from riginv.bundle import SUMS, read_bundle
+from riginv.cli.command import command
+from riginv.cli.run_folder import plain_config
+from riginv.cli.validation import validate
+from riginv.curves.animation import Animation
+from riginv.curves.formats import check_formats
+from riginv.errors import InputError
+from riginv.files import sha256, written_beside
+from riginv.inverse import load_inverse
+from riginv.inversion.results import check_after, write_results
+from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
+from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method, open_clip
+from riginv.inversion.table import InversionProgress, show
+from riginv.recorded_rig import RecordedRig
+
+
+def invert(config: DictConfig) -> None:
+    """Invert `config.clip` and leave a folder `config.out` with its curves, and how good each frame is."""
+    plain = plain_config(config)
+    validate(plain)
+    chosen_method(plain)
+    out = free_folder(plain["out"])
+    named = named_rig(plain) if plain["bundle"] else None
+    inverse = load_inverse(plain["bundle"], named) if plain["bundle"] else None
+    rig = inverse.rig if inverse else build_rig(named_in(plain))
+    true_rig = build_true_rig(plain, named or rig)
+    true_rig = rig if isinstance(true_rig, RecordedRig) else true_rig
+    if not isinstance(plain["formats"], list):
+        raise InputError(f"formats is {plain['formats']!r}, expected a list: formats=[csv,glb]")
+    check_formats(true_rig, plain["formats"])
+    check_after(plain["after"], plain["look"])
+    clip, notes = open_clip(plain, true_rig)
+    parts = build_parts(plain, clip, rig, true_rig, inverse)
+    with InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
+        arguments = (clip, parts.inverter, parts.judge, plain["window"], progress.advance)
+        if parts.method == WHOLE_CLIP:
+            solver = plain["solver"]
+            how = Smoothness(solver["smoothness"], solver["clip_steps"], solver["blur"])
+            found = invert_smoothly(*arguments, how)
+        else:
+            found = invert_clip(*arguments)
+        facts = made_by(plain, parts.method)
+        source = Path(plain["clip"]).name
+        animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
+        with written_beside(out) as beside:
+            beside.mkdir()
+            files, remarks = write_results(beside, clip, animation, found.errors, plain, progress.advance)
+    show(animation, found.errors, true_rig, out, files, remarks)
+
+
+def free_folder(out: Any) -> Path:
+    """The folder for the results.
+
+    Raises:
+        InputError: something is there already.
+    """
+    path = Path(str(out))
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise InputError(f"out={out}: it is there already; give another folder, or remove it")
+    return path
+
+
+def named_rig(config: dict[str, Any]) -> Any:
+    """The rig that was named beside a bundle, or None: the bundle's own."""
+    return build(config["rig"]) if config["rig"].get("_target_") else None
+
+
+def named_in(config: dict[str, Any]) -> dict[str, Any]:
+    """The config, where it names a rig.
+
+    Raises:
+        InputError: it names neither a bundle nor a rig.
+    """
+    if not config["rig"].get("_target_"):
+        raise InputError("give bundle=DIR, a trained inverse, or rig=NAME: what is the clip a mesh of?")
+    return config
+
+
+def made_by(config: dict[str, Any], method: str) -> dict[str, Any]:
+    """What made the curves, for their sidecar."""
+    facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": config["refine"]}
+    if config["bundle"]:
+        facts["bundle"] = sha256(read_bundle(config["bundle"]).folder / SUMS)
+    return facts
+
+
+if __name__ == "__main__":
+    command("invert")(invert)()

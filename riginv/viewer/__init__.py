@@ -1,0 +1,1 @@
+"""Results to look at: a page that needs no network, and a picture."""

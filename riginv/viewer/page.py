@@ -1,0 +1,218 @@
+"""The result of an inversion as one HTML file that needs no network: target, recovered, error, curves, frames to look at."""
+
+import base64
+import gzip
+import html
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.curves.animation import Animation, FrameErrors
+from riginv.files import write_text
+from riginv.render import HEAT_STOPS
+from riginv.viewer.thinning import Thinned, thin
+
+Targets = Callable[[Sequence[int]], Tensor]  # rows of the animation to their target meshes (row, vertex, 3), mm, NaN: unknown
+
+HERE = Path(__file__).parent
+MOST_VERTICES = 20_000
+MOST_NUMBERS = 18_000_000  # of all meshes together: about 20 MB of file
+MOST_FRAMES = 1200
+WORST = 20  # frames in the list
+STEP_MM = 0.02  # positions are kept in whole steps, finer where the mesh is small
+LARGEST = 32_000  # of the whole numbers
+UNKNOWN = -32_768
+PIECE = 64  # meshes at a time
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page holds of an inversion.
+
+    Attributes:
+        frames: how many meshes, of `all_frames`; between them the page interpolates. Curves and errors are all there.
+        vertices: how many, of `all_vertices`.
+        note: the same in words, and how coarse positions are.
+    """
+
+    frames: int
+    all_frames: int
+    vertices: int
+    all_vertices: int
+    note: str
+
+
+def write_viewer(
+    path: Path,
+    animation: Animation,
+    errors: FrameErrors,
+    targets: Targets,
+    advance: Callable[[int], None] | None = None,
+) -> Shown:
+    """Write the page.
+
+    Args:
+        targets: the meshes that were asked for, by the rows of the animation, in the rig's space (rigid motion removed).
+        advance: told how many meshes of `Shown.frames` were added.
+
+    Returns:
+        what it holds; a long clip is shown in fewer meshes, a large mesh in fewer vertices.
+    """
+    rig = animation.rig
+    thinned = thin(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), MOST_VERTICES)
+    rows = shown_rows(animation, errors, min(MOST_FRAMES, max(2, MOST_NUMBERS // (6 * len(thinned.kept)))))
+    both, top_mm = _meshes(animation, targets, rows, thinned, advance)
+    middle = (np.nanmax(both, axis=(0, 1, 2)) + np.nanmin(both, axis=(0, 1, 2))) / 2
+    both -= middle
+    farthest = float(np.nanmax(np.abs(both)))
+    step = max(farthest / LARGEST, min(STEP_MM, farthest / 4000))
+    whole = np.where(np.isnan(both), UNKNOWN, np.round(np.nan_to_num(both) / step)).astype(np.int16)
+    count, kept = len(animation), len(thinned.kept)
+    note = _note(len(rows), count, kept, len(rig.rest_vertices), step)
+    colors = rig.vertex_colors()
+    lower, span = rig.lower.cpu().double(), (rig.upper - rig.lower).cpu().double()
+    values = ((animation.controls.cpu().double() - lower) / span * 65534 - 32767).round().clamp(-32767, 32767)
+    facts = {
+        **_facts(animation, errors),
+        "shown": rows,
+        "vertices": kept,
+        "step": step,
+        "radius": float(np.nanmax(np.linalg.norm(both, axis=-1))),
+        "top_mm": top_mm,
+        "heat": (HEAT_STOPS * 255).round().astype(int).tolist(),
+        "colored": colors is not None,
+        "note": note,
+    }
+    parts = {
+        "STYLE": (HERE / "page.css").read_text(encoding="utf-8"),
+        "SCRIPT": (HERE / "scene.js").read_text(encoding="utf-8") + (HERE / "page.js").read_text(encoding="utf-8"),
+        "FACTS": json.dumps(facts, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+        "MESHES": _packed(_changes(whole.reshape(len(rows), -1))),
+        "VALUES": _packed(_changes(values.numpy().astype(np.int16))),
+        "FACES": _packed(thinned.faces.astype("<u4").tobytes()),
+        "COLORS": _packed(b"" if colors is None else _bytes(colors.cpu().numpy()[thinned.kept])),
+    }
+    page = (HERE / "page.html").read_text(encoding="utf-8").replace("<title>riginv<", f"<title>{html.escape(facts['source'])}<")
+    for name, text in parts.items():
+        page = page.replace(f"/*{name}*/", text, 1)
+    write_text(path, page)
+    return Shown(len(rows), count, kept, len(rig.rest_vertices), note)
+
+
+def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int]:
+    """The rows whose meshes are shown: all, or evenly spread ones and the worst among those with flags and without."""
+    count = len(animation)
+    if count <= most:
+        return list(range(count))
+    looked_at = judged_rows(animation, errors)
+    wanted = [looked_at[row] for row in [*errors.worst(WORST), *errors.flagged] if looked_at[row] is not None]
+    kept = set(wanted[: most // 4])
+    spread = np.linspace(0, count - 1, most - len(kept)).round().astype(int).tolist()
+    return sorted(kept | set(spread))
+
+
+@torch.no_grad()
+def _meshes(
+    animation: Animation, targets: Targets, rows: list[int], thinned: Thinned, advance: Callable[[int], None] | None
+) -> tuple[np.ndarray, float]:
+    """Targets and recovered meshes `(frame, 2, vertex, 3)`, mm, and the error that is to be red."""
+    both = np.empty((len(rows), 2, len(thinned.kept), 3), np.float32)
+    kept = torch.tensor(thinned.kept)
+    for start in range(0, len(rows), PIECE):
+        some = rows[start : start + PIECE]
+        recovered = animation.rig(animation.controls[some])
+        wanted = targets(some).to(recovered)
+        both[start : start + len(some), 0] = wanted[:, kept].cpu().numpy()
+        both[start : start + len(some), 1] = recovered[:, kept].cpu().numpy()
+        if advance:
+            advance(len(some))
+    apart = np.linalg.norm(both[:, 0] - both[:, 1], axis=-1)
+    known = apart[~np.isnan(apart)]
+    top = float(np.quantile(known, 0.995)) if len(known) else 0.0
+    return both, max(float(f"{top:.2g}"), 1e-3)
+
+
+def judged_rows(animation: Animation, errors: FrameErrors) -> list[int | None]:
+    """For each frame that was judged its row in the animation; None where it has none."""
+    if errors.frame_numbers is None:
+        return list(range(len(animation)))
+    places = {number: row for row, number in enumerate(animation.frame_numbers.tolist())}
+    return [places.get(number) for number in errors.frame_numbers.tolist()]
+
+
+def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
+    """What the page says in words and numbers."""
+    rig = animation.rig
+    made_by = [str(animation.made_by[key]) for key in ("method",) if key in animation.made_by]
+    about = [
+        f"rig {rig.name}",
+        *made_by,
+        f"{len(animation):,} frames at {animation.fps:g} fps",
+        f"{len(rig.controls)} controls",
+    ]
+    if animation.keys is not None:
+        about.append(f"{sum(map(len, animation.keys)):,} keys")
+    mean, most = errors.mean_mm.double(), errors.max_mm.double()
+    return {
+        "source": animation.source or rig.name,
+        "about": " · ".join(about),
+        "figures": [
+            ["mm mean error", f"{float(mean.nanmean()):.3g}"],
+            ["mm worst vertex", f"{float(most.nan_to_num().max()):.3g}"],
+            ["frames with a flag", f"{len(errors.flagged):,}"],
+        ],
+        "fps": animation.fps,
+        "numbers": animation.frame_numbers.tolist(),
+        "axis_mm": [_rounded(float(values.nan_to_num().quantile(0.999))) for values in (mean, most)],
+        "controls": [{"name": c.name, "lower": c.lower, "upper": c.upper, "unit": c.unit} for c in rig.controls],
+        "errors": _frame_facts(animation, errors),
+    }
+
+
+def _frame_facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
+    """The errors at each row of the animation; after resampling those of the nearest frame that was judged."""
+    nearest = np.linspace(0, len(errors.mean_mm) - 1, len(animation)).round().astype(int)
+    back = {int(place): row for row, place in reversed(list(enumerate(nearest.tolist())))}
+    return {
+        "mean": [_rounded(value) for value in errors.mean_mm[nearest].tolist()],
+        "max": [_rounded(value) for value in errors.max_mm[nearest].tolist()],
+        "vertex": errors.worst_vertex[nearest].tolist(),
+        "region": [errors.worst_region[row] for row in nearest],
+        "flags": [errors.flags[row] for row in nearest],
+        "worst": [back[row] for row in errors.worst(WORST) if row in back],
+    }
+
+
+def _rounded(value: float) -> float:
+    """Three digits; nothing known counts as 0."""
+    return float(f"{value:.3g}") if np.isfinite(value) else 0.0
+
+
+def _note(frames: int, all_frames: int, vertices: int, all_vertices: int, step: float) -> str:
+    parts = [f"positions to {step / 2:.2g} mm"]
+    if vertices < all_vertices:
+        parts.insert(0, f"{vertices:,} of {all_vertices:,} vertices")
+    if frames < all_frames:
+        parts.insert(0, f"meshes of {frames:,} of {all_frames:,} frames, all curves and errors")
+    return ", ".join(parts)
+
+
+def _changes(rows: np.ndarray) -> bytes:
+    """Whole numbers `(row, number)` as the change of each row from the one before: all low bytes, then all high bytes."""
+    changes = np.diff(rows, axis=0, prepend=np.zeros_like(rows[:1])).astype("<i2")  # wraps around, and back when added up
+    planes = changes.reshape(-1).view(np.uint8).reshape(-1, 2)
+    return np.ascontiguousarray(planes.T).tobytes()
+
+
+def _packed(data: bytes) -> str:
+    return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
+
+
+def _bytes(colors: np.ndarray) -> bytes:
+    return (np.clip(colors, 0, 1) * 255).round().astype(np.uint8).tobytes()

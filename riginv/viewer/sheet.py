@@ -1,0 +1,55 @@
+"""A contact sheet of an inversion: the worst frames, and frames spread over the clip."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from riginv.curves.animation import Animation, FrameErrors
+from riginv.files import written_beside
+from riginv.render import Camera, grid, heat_colors
+from riginv.viewer.page import Targets, judged_rows
+
+WORST, SPREAD = 3, 3  # frames
+
+
+@torch.no_grad()
+def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: Targets) -> None:
+    """Write a PNG: for each frame target, recovered, and the error as heat, one scale for all.
+
+    Unknown vertices are drawn where the rig has them.
+
+    Args:
+        targets: the meshes that were asked for, by the rows of the animation, as for `write_viewer`.
+    """
+    rows = sheet_rows(animation, errors)
+    recovered = animation.rig(animation.controls[list(rows)])
+    wanted = targets(list(rows)).to(recovered)
+    wanted = torch.where(wanted.isnan(), recovered, wanted)
+    distances = (wanted - recovered).norm(dim=2)
+    top = float(distances.max().clamp_min(0.01))
+    camera, faces, colors = Camera(animation.rig.rest_vertices), animation.rig.faces, animation.rig.vertex_colors()
+    pictures, labels = [], []
+    for (row, name), target, mesh, distance in zip(rows.items(), wanted, recovered, distances):
+        view = camera.following(target, mesh)
+        pictures += [view.picture(target, faces, colors), view.picture(mesh, faces, colors)]
+        pictures.append(view.picture(mesh, faces, heat_colors(distance, top)))
+        labels += [f"frame {int(animation.frame_numbers[row])}: {name}", "result"]
+        labels.append(f"error: mean {float(distance.mean()):.2g}, max {float(distance.max()):.2g}, red {top:.2g} mm")
+    with written_beside(path) as beside:
+        grid(pictures, labels, columns=3).save(beside, format="PNG", optimize=True)
+
+
+def sheet_rows(animation: Animation, errors: FrameErrors) -> dict[int, str]:
+    """The rows that are drawn, and why: the worst that lie some way apart, then evenly spread ones."""
+    rows, apart = judged_rows(animation, errors), max(1, len(animation) // 20)
+    chosen: dict[int, str] = {}
+    for judged in errors.worst(len(rows)):
+        row = rows[judged]
+        if row is not None and all(abs(row - other) >= apart for other in chosen):
+            chosen[row] = f"worst {len(chosen) + 1}"
+        if len(chosen) == WORST:
+            break
+    for row in np.linspace(0, len(animation) - 1, SPREAD).round().astype(int).tolist():
+        chosen.setdefault(row, "of the clip")
+    return chosen
