@@ -1,5 +1,7 @@
 """python -m riginv.reproduce: the paper's tables, figures and claims, judged, from one command."""
 
+import time
+
 from omegaconf import DictConfig
 from rich.console import Console
 
@@ -20,6 +22,7 @@ def reproduce(config: DictConfig) -> None:
 
     All that can be wrong is looked at first; the expected time is measured and said; then the steps run.
     """
+    began = time.monotonic()
     plain = plain_config(config)
     validate(plain)
     check_budget(plain["budget"])
@@ -36,7 +39,7 @@ def reproduce(config: DictConfig) -> None:
     with one_thread():
         step_s = measured(trainings(plain["budget"], plain["rig"]), rig)
     plan = Plan(plain, judge, capture, jobs, step_s)
-    graph = Graph(plan.steps, folder.path / "steps", code_of(rig.rig, [plain["rig"], plain["body"], judge]))
+    graph = Graph(plan.steps, folder.path / "steps", *code_of(rig.rig, [plain["rig"], plain["body"], judge]))
     check_folder(folder, rig, plain["budget"], sum(step.work == "train" for step in plan.steps))
     if strangers := graph.strangers():
         say(f"{len(strangers)} kept steps are of another version of riginv or of what it builds on, and will be made anew.")
@@ -45,7 +48,7 @@ def reproduce(config: DictConfig) -> None:
     expected_s = sum(graph.steps[name].expected_s for name in runner.left) / jobs
     say(f"{len(graph.steps)} steps, {jobs} beside each other: about {duration(expected_s)}, by training steps measured here.")
     runner.run()
-    write_report(folder.path, plain, plan, graph, judge_name, why_itself, jobs)
+    write_report(folder.path, plain, plan, graph, judge_name, why_itself, jobs, time.monotonic() - began)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,9 @@ class NormalisedInverse(DirectInverse):
     ) -> None:
         super().__init__(rig, hidden, activation, control_map)
         if normalisation not in NORMALISATIONS:
-            raise InputError(f"network: normalisation '{normalisation}' is not known; choose one of {', '.join(NORMALISATIONS)}")
+            raise InputError(
+                f"network: normalisation '{normalisation}' is not known; choose one of {', '.join(NORMALISATIONS)}"
+            )
         layer = NORMALISATIONS[normalisation]
         if isinstance(self.network, Anchored):
             self.network.network = _normalised(self.network.network, layer)

@@ -51,7 +51,9 @@ def controls_that_matter(task: Task) -> dict[str, Any]:
     neutral, span = rig.neutral_controls, rig.upper - rig.lower
     far = torch.where(rig.upper - neutral >= neutral - rig.lower, rig.upper, rig.lower)
     effects = [
-        float((rig(torch.where(torch.arange(len(far)) == number, far, neutral)[None])[0] - rig.rest_vertices).norm(dim=1).mean())
+        float(
+            (rig(torch.where(torch.arange(len(far)) == number, far, neutral)[None])[0] - rig.rest_vertices).norm(dim=1).mean()
+        )
         for number in range(len(far))
     ]
     found = read_answers(task.inputs["answer"])[POSES]

@@ -140,7 +140,10 @@ class Plan:
     def _solvers(self) -> None:
         first = self.seeds[0]
         optimum = method_config("levenberg_marquardt", **self.budget["optimum"])
-        alone = {"optimum": ("optimum", optimum, "optimum", SETS), "neutral": ("neutral", method_config("neutral"), "network", SETS)}
+        alone = {
+            "optimum": ("optimum", optimum, "optimum", SETS),
+            "neutral": ("neutral", method_config("neutral"), "network", SETS),
+        }
         alone["direct"] = ("direct, programmatic rig", method_config("direct"), "direct", (CLIP,))
         alone["clip"] = ("whole-clip solver", method_config("clip"), "clip", (CLIP,))
         for name, (label, method, pace, sets) in alone.items():
@@ -181,7 +184,9 @@ class Plan:
         measured = {f"controls-{name}": learned[name] for name in ("inverse", "holden", "best")}
         self._columns("figure-controls", "plot_controls", measured)
         judged = {f"judge-{name}-seed{first}": label for name, label in learned.items()} | {"judge-optimum": "optimum"}
-        self._add("figure-maps", "draw_maps", DRAWING_S, {use: use for use in judged}, columns=judged, sets=[CLIP, COMBINATIONS])
+        self._add(
+            "figure-maps", "draw_maps", DRAWING_S, {use: use for use in judged}, columns=judged, sets=[CLIP, COMBINATIONS]
+        )
         best = {"network": f"best-seed{first}"}
         self._add("figure-denoising", "draw_denoising", DRAWING_S, best, judge=self.judge)
         if self.body["_target_"]:

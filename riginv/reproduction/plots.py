@@ -1,6 +1,7 @@
 """The steps that plot."""
 
 import json
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,9 @@ def controls_that_matter(task: Task) -> dict[str, Any]:
     figure, axes = _figure()
     for label, use in task.config["columns"].items():
         rows = json.loads((Path(task.inputs[use]) / CONTROLS_FILE).read_text(encoding="utf-8"))
-        axes.scatter([row["effect_mm"] for row in rows], [100 * row["error_share"] for row in rows], s=16, label=label, alpha=0.8)
+        axes.scatter(
+            [row["effect_mm"] for row in rows], [100 * row["error_share"] for row in rows], s=16, label=label, alpha=0.8
+        )
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("what a control moves over its range: mean over the vertices, mm")
@@ -83,6 +86,7 @@ def controls_that_matter(task: Task) -> dict[str, Any]:
 
 def _curves(run: Path) -> dict[str, list[tuple[int, float]]]:
     """Points (step, mm) by set, from TensorBoard's events of a run, across its restarts."""
+    logging.getLogger("tensorboard").setLevel(logging.ERROR)  # it complains of the end of each file
     events = EventAccumulator(str(run))
     events.Reload()
     result = {}

@@ -20,7 +20,11 @@ from riginv.reproduction.sets import the_clip
 from riginv.rig import LinearRig
 
 PACKAGE = Path(__file__).parent.parent
-MAKE_NO_FIGURES = ("cli", "report", "tables", "claims", "reading", "paper", "machine", "preflight", "running", "workers", "reproduce")
+DRAWING = ("pictures", "plots", "render")
+MAKE_NO_FIGURES = (  # files and folders of the package that no result of a step depends on but through its config
+    *("cli", "callbacks", "reproduce", "compare", "evaluate", "check", "contact_sheet", "summary", "templates", "wording"),
+    *("report", "tables", "claims", "paper", "machine", "preflight", "running", "workers", "plan", "recipes", "expected"),
+)
 DISTRIBUTIONS = ("torch", "numpy", "scipy", "lightning", "anny")
 NETWORK_BYTES = 80_000_000  # of weights and a checkpoint of the largest network
 SPARE = 1.2
@@ -29,7 +33,9 @@ SPARE = 1.2
 def check_budget(budget: Config) -> None:
     """Raises InputError where a budget's seeds are not usable."""
     seeds = budget["seeds"]
-    whole = isinstance(seeds, list) and all(isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0 for seed in seeds)
+    whole = isinstance(seeds, list) and all(
+        isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0 for seed in seeds
+    )
     if not whole or not seeds or len(set(seeds)) < len(seeds):
         raise InputError(f"budget.seeds is {seeds!r}, expected different whole numbers of at least 0, such as [0,1,2]")
     for name, variant in budget["variants"].items():
@@ -87,19 +93,24 @@ def check_folder(folder: RunFolder, rig: RigInMeshSpace, budget: Config, trainin
     kept = sum(path.stat().st_size for path in (folder.path / "steps").rglob("*") if path.is_file())
     if free < needed - kept:
         raise InputError(
-            f"{folder.path}: {free / 1e9:.1f} GB are free there, and the steps still need about {(needed - kept) / 1e9:.1f} GB: "
+            f"{folder.path}: {free / 1e9:.1f} GB are free there, and the steps still need {(needed - kept) / 1e9:.1f} GB: "
             f"free some, or choose another disk with hydra.run.dir=DIR"
         )
 
 
-def code_of(rig: LinearRig, configs: list[Config]) -> str:
-    """A key of all that makes figures: the code of riginv and of the rigs, the libraries, the rig as it is built, Blender."""
-    sources = [path for path in sorted(PACKAGE.rglob("*.py")) if not {path.stem, path.parent.name} & set(MAKE_NO_FIGURES)]
+def code_of(rig: LinearRig, configs: list[Config]) -> tuple[str, str]:
+    """Keys of all that makes figures, and of what draws them.
+
+    The former: the code of riginv and of the rigs, the libraries, the rig as it is built, Blender.
+    """
+    left_out = {*MAKE_NO_FIGURES, *DRAWING}
+    sources = [path for path in sorted(PACKAGE.rglob("*.py")) if not {path.stem, path.parent.name} & left_out]
     for config in configs:
         if config.get("_target_"):
-            sources += sorted(_package(config["_target_"]).rglob("*.py"))
+            sources += sorted(Path(inspect.getfile(class_of(config["_target_"]))).parent.rglob("*.py"))
     blender = os.environ.get("RIGINV_BLENDER", "") if _version("bpy") == "-" else _version("bpy")
-    return "-".join([code_key(sources, DISTRIBUTIONS), fingerprint(rig).hex()[:16], blender])
+    drawing = [path for path in sorted(PACKAGE.rglob("*.py")) if path.stem in DRAWING]
+    return f"{code_key(sources, DISTRIBUTIONS)}-{fingerprint(rig).hex()[:16]}-{blender}", code_key(drawing, ["matplotlib"])
 
 
 def versions() -> dict[str, str]:
@@ -112,10 +123,6 @@ def check_rig(config: Config) -> None:
     """Raises InputError where a rig that is only drawn cannot be built."""
     if config.get("_target_"):
         build(config)
-
-
-def _package(target: str) -> Path:
-    return Path(inspect.getfile(class_of(target))).parent
 
 
 def _version(name: str) -> str:

@@ -119,7 +119,7 @@ class Runner:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One thread for all arithmetic of this process, and of those that it starts: sums then do not depend on the machine's cores."""
+    """One thread for all arithmetic of this process and of those that it starts: sums then do not depend on the cores."""
     threads, names = torch.get_num_threads(), ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     torch.set_num_threads(1)

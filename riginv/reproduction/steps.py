@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from riginv.files import write_json
 
 FORMAT = 1  # of what a step leaves; another one is not read
+DRAWING = ("draw", "plot")  # how the works begin that draw
 DONE, LOG = "done.json", "log.txt"
 
 
@@ -58,16 +59,18 @@ class Graph:
     Args:
         steps: each after those that it reads.
         folder: that holds a folder for each of them.
-        code: a key of the code that makes the results.
+        code: a key of the code that makes figures.
+        drawing_code: a key of the code that draws them, which no other steps depend on.
     """
 
-    def __init__(self, steps: Sequence[Step], folder: Path, code: str) -> None:
+    def __init__(self, steps: Sequence[Step], folder: Path, code: str, drawing_code: str = "") -> None:
         self.steps = {step.name: step for step in steps}
         self.folder = folder
         self.keys: dict[str, str] = {}
         for step in steps:
             read = {use: self.keys[name] for use, name in step.inputs.items()}
-            facts = json.dumps([FORMAT, code, step.work, step.config, read], sort_keys=True)
+            made_by = code + drawing_code if step.work.startswith(DRAWING) else code
+            facts = json.dumps([FORMAT, made_by, step.work, step.config, read], sort_keys=True)
             self.keys[step.name] = hashlib.sha256(facts.encode()).hexdigest()[:12]
 
     def path(self, name: str) -> Path:

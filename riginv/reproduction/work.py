@@ -9,7 +9,6 @@ from typing import Any
 from riginv.reproduction import answers, judging, measures, pictures, plots, training
 from riginv.reproduction.steps import LOG, Task, write_done
 
-
 WORKS: dict[str, Callable[[Task], dict[str, Any]]] = {
     "sample": judging.sample,
     "train": training.train,
@@ -27,9 +26,7 @@ WORKS: dict[str, Callable[[Task], dict[str, Any]]] = {
 }
 
 
-def run_step(
-    work: str, config: Mapping[str, Any], places: Mapping[str, Any], inputs: Mapping[str, str], folder: str
-) -> None:
+def run_step(work: str, config: Mapping[str, Any], places: Mapping[str, Any], inputs: Mapping[str, str], folder: str) -> None:
     """Run a step in its folder, and mark it as finished.
 
     What it would print goes into the folder's log.txt.
