@@ -6,12 +6,20 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from riginv.cli.command import command, run_directory
-from riginv.cli.run_folder import find_run_folder, plain_config
+from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
 from riginv.reproduction.cast import rig_in_space
 from riginv.reproduction.expected import measured
 from riginv.reproduction.plan import Plan, trainings
-from riginv.reproduction.preflight import check_budget, check_capture, check_folder, check_rig, choose_judge, code_of
+from riginv.reproduction.preflight import (
+    check_budget,
+    check_capture,
+    check_folder,
+    check_rig,
+    choose_judge,
+    code_of,
+    find_folder,
+)
 from riginv.reproduction.report import write_report
 from riginv.reproduction.running import Runner, duration, jobs_here, one_thread
 from riginv.reproduction.steps import Graph
@@ -27,7 +35,7 @@ def reproduce(config: DictConfig) -> None:
     validate(plain)
     check_budget(plain["budget"])
     jobs = jobs_here(plain.pop("jobs"))
-    folder = find_run_folder(run_directory(), plain, config.resume)
+    folder, note = find_folder(run_directory(), plain, config.resume)
     say = Console(stderr=True, highlight=False, soft_wrap=True).print
 
     rig = rig_in_space(plain["rig"])
@@ -36,14 +44,16 @@ def reproduce(config: DictConfig) -> None:
     judge, judge_name, why_itself = choose_judge(plain["true_rig"], rig.rig)
     if why_itself:
         say(f"The programmatic rig judges itself: {why_itself}.", markup=False)
-    with one_thread():
-        step_s = measured(trainings(plain["budget"], plain["rig"]), rig)
-    plan = Plan(plain, judge, capture, jobs, step_s)
-    graph = Graph(plan.steps, folder.path / "steps", *code_of(rig.rig, [plain["rig"], plain["body"], judge]))
+    plan = Plan(plain, judge, capture, jobs)
     check_folder(folder, rig, plain["budget"], sum(step.work == "train" for step in plan.steps))
+    with one_thread():
+        plan.expect(measured(trainings(plain["budget"], plain["rig"]), rig))
+    graph = Graph(plan.steps, folder.path / "steps", *code_of(rig.rig, [plain["rig"], plain["body"], judge]))
     if strangers := graph.strangers():
         say(f"{len(strangers)} kept steps are of another version of riginv or of what it builds on, and will be made anew.")
 
+    if note:
+        say(note, markup=False)
     runner = Runner(graph, jobs)
     expected_s = sum(graph.steps[name].expected_s for name in runner.left) / jobs
     say(f"{len(graph.steps)} steps, {jobs} beside each other: about {duration(expected_s)}, by training steps measured here.")

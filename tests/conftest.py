@@ -11,7 +11,7 @@ import pytest
 import torch
 from hydra.core.global_hydra import GlobalHydra
 
-from riginv import check, compare, evaluate, train
+from riginv import check, compare, evaluate, reproduce, train
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
@@ -19,7 +19,13 @@ from rigs.face import FaceRig
 from tests.toys import ToyRig
 
 ROOT = Path(__file__).parent.parent
-COMMANDS = {"train": train.train, "evaluate": evaluate.evaluate, "check": check.check, "compare": compare.compare}
+COMMANDS = {
+    "train": train.train,
+    "evaluate": evaluate.evaluate,
+    "check": check.check,
+    "compare": compare.compare,
+    "reproduce": reproduce.reproduce,
+}
 SMALL = [
     "rig=toy",
     f"--config-dir={ROOT / 'tests/conf'}",

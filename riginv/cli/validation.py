@@ -64,9 +64,19 @@ RULES: dict[str, Check] = {
     "checkpoint.*": AT_LEAST_1,
     "pictures.*": AT_LEAST_1,
     "random_poses": AT_LEAST_0,
+    "jobs": AT_LEAST_1,
+    "budget.samples": AT_LEAST_1,
+    "budget.meshes": AT_LEAST_1,
+    "budget.frames": ("a whole number of at least 3", lambda value: _is_whole(value) and value >= 3),
+    "budget.networks.*.steps": AT_LEAST_1,
+    "budget.optimum.descent_steps": AT_LEAST_0,
+    "budget.optimum.*": AT_LEAST_1,
     "columns": AT_LEAST_1,
 }
-MAY_BE_NULL = ("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations")
+MAY_BE_NULL = (
+    *("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations"),
+    *("jobs", "budget.frames", "budget.networks.*.steps"),
+)
 
 
 def validate(config: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """From a config to the graph of steps, and to the rows of the tables that they fill."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -46,26 +47,17 @@ class Plan:
         judge: the config of the rig that judges.
         capture: the path of the recording and the hash of its content, or None twice.
         jobs: steps beside each other.
-        step_s: what a training step takes, by the name of its network.
 
     Attributes:
         steps: in an order in which they can be run.
         rows: by key.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        judge: Config,
-        capture: tuple[str | None, str | None],
-        jobs: int,
-        step_s: Mapping[str, float] | None = None,
-    ) -> None:
+    def __init__(self, config: Config, judge: Config, capture: tuple[str | None, str | None], jobs: int) -> None:
         self.budget, self.rig, self.body, self.judge = config["budget"], config["rig"], config["body"], judge
         self.seeds: list[int] = self.budget["seeds"]
         self.sets = {"meshes": self.budget["meshes"], "frames": self.budget["frames"], "capture": capture[1]}
         self.places = {"capture": capture[0], "jobs": jobs}
-        self.step_s = step_s or {}
         self.steps: list[Step] = []
         self.rows: dict[str, Row] = {}
         self._sample()
@@ -74,6 +66,16 @@ class Plan:
         self._variants()
         self._measures()
         self._figures()
+
+    def expect(self, step_s: Mapping[str, float]) -> None:
+        """Reckon what trainings will take: `step_s` is what a training step takes, s, by the name of its network."""
+        for number, step in enumerate(self.steps):
+            if step.work == "train":
+                network = step.name.partition("-seed")[0]
+                variant = self.budget["variants"].get(step.name.removeprefix("variant-"), {})
+                pace = 3 * step_s["best"] if network == "body" else step_s[variant.get("of", network)]
+                expected_s = TRAINING_S + pace * expected_steps(step.config["training"])
+                self.steps[number] = dataclasses.replace(step, expected_s=expected_s)
 
     def _add(self, name: str, work: str, expected_s: float, inputs: Mapping[str, str], about: str = "", **config: Any) -> str:
         given = {"rig": self.rig, "sets": self.sets, **config}
@@ -107,7 +109,7 @@ class Plan:
         return self._add(
             step or f"{name}-seed{seed}",
             "train",
-            TRAINING_S + self.step_s.get(name, 0.03) * expected_steps(config),
+            TRAINING_S,
             inputs,
             f"{steps:,} steps" if steps else "until the learning rate has fallen",
             training=through_surrogate(config) if inputs else config,
@@ -199,11 +201,10 @@ class Plan:
     def _body(self, seed: int) -> None:
         config = training_config(network_settings(self.budget, "body"), self.body, seed)
         steps = config["trainer"]["max_steps"]
-        expected_s = TRAINING_S + 3 * self.step_s.get("best", 0.05) * expected_steps(config)
         given = {"rig": self.body, "training": config, "frames": None}
         places = {**self.places, "capture": None}
         sets = {**self.sets, "capture": None}
-        self.steps.append(Step("body", "train", given, {}, places, expected_s, f"{steps or 0:,} steps"))
+        self.steps.append(Step("body", "train", given, {}, places, TRAINING_S, f"{steps or 0:,} steps"))
         given = {"rig": self.body, "sets": sets, "judge": self.judge}
         self.steps.append(Step("figure-body", "draw_body", given, {"network": "body"}, places, DRAWING_S))
 

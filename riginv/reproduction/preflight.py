@@ -9,7 +9,7 @@ from pathlib import Path
 
 from riginv.build import build, class_of
 from riginv.cache import code_key
-from riginv.cli.run_folder import RunFolder
+from riginv.cli.run_folder import CONFIG, METRICS, RunFolder, find_run_folder
 from riginv.errors import InputError
 from riginv.files import discard, sha256
 from riginv.judge import build_judge
@@ -62,6 +62,24 @@ def choose_judge(config: Config, rig: LinearRig) -> tuple[Config, str, str]:
     return given, judge.name, ""
 
 
+def find_folder(path: Path, config: Config, resume: bool) -> tuple[RunFolder, str]:
+    """The folder of a reproduction, and what to say of it.
+
+    An unfinished one may be gone on with under another config: what does not depend on the difference is kept.
+
+    Raises:
+        InputError: the folder holds something else, or a finished reproduction of another config.
+    """
+    try:
+        return find_run_folder(path, config, resume), ""
+    except InputError as error:
+        unfinished = (path / "steps").is_dir() and (path / CONFIG).is_file() and not (path / METRICS).is_file()
+        if not (resume and unfinished):
+            raise
+        reason = str(error).partition(": ")[2].partition(";")[0]
+        return RunFolder(path, config, resumed=False), f"Going on with another config than before ({reason})."
+
+
 def check_capture(capture: str | None, rig: LinearRig, frames: int | None) -> str | None:
     """The hash of a recording that the rig can follow, or None where none is given.
 
@@ -80,22 +98,23 @@ def check_folder(folder: RunFolder, rig: RigInMeshSpace, budget: Config, trainin
     """
     numbers = (rig.space.size + 2 * test_samples(budget) / max(trainings, 1)) * 3 * rig.space.vertex_count
     needed = SPARE * trainings * (4 * numbers + 4 * rig.linear_map.numel() + NETWORK_BYTES * min(1.0, rig.space.size / 600))
-    try:
-        folder.begin()
-        probe = folder.path / ".probe"
-        probe.write_bytes(b"riginv" * 1000)
-        discard(probe)
-        free = shutil.disk_usage(folder.path).free
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        what = "its disk is full" if full else error.strerror or str(error)
-        raise InputError(f"{folder.path} cannot be written: {what}; choose another folder with hydra.run.dir=DIR") from None
+    there = next(path for path in (folder.path.absolute(), *folder.path.absolute().parents) if path.exists())
+    free = shutil.disk_usage(there).free
     kept = sum(path.stat().st_size for path in (folder.path / "steps").rglob("*") if path.is_file())
     if free < needed - kept:
         raise InputError(
             f"{folder.path}: {free / 1e9:.1f} GB are free there, and the steps still need {(needed - kept) / 1e9:.1f} GB: "
             f"free some, or choose another disk with hydra.run.dir=DIR"
         )
+    try:
+        folder.begin()
+        probe = folder.path / ".probe"
+        probe.write_bytes(b"riginv" * 1000)
+        discard(probe)
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        what = "its disk is full" if full else error.strerror or str(error)
+        raise InputError(f"{folder.path} cannot be written: {what}; choose another folder with hydra.run.dir=DIR") from None
 
 
 def code_of(rig: LinearRig, configs: list[Config]) -> tuple[str, str]:

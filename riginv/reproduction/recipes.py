@@ -1,5 +1,7 @@
 """From the settings of a budget to the configs of trainings and methods."""
 
+import copy
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,10 +24,14 @@ def training_config(settings: Sequence[str], rig: Mapping[str, Any], seed: int) 
         HydraException: a setting cannot be read, or there is no such key.
     """
     last = {setting.partition("=")[0]: setting for setting in settings}
-    plain = plain_config(compose("train", list(last.values())))
-    plain |= {"rig": dict(rig), "true_rig": ITSELF, "seed": seed, "capture": None}
+    plain = copy.deepcopy(_composed(*last.values())) | {"rig": dict(rig), "true_rig": ITSELF, "seed": seed, "capture": None}
     validate(plain)
     return plain
+
+
+@functools.lru_cache(maxsize=64)
+def _composed(*settings: str) -> Config:
+    return plain_config(compose("train", list(settings)))
 
 
 def through_surrogate(config: Config) -> Config:

@@ -1,5 +1,6 @@
 """The meshes that a reproduction judges on, and parts of sets."""
 
+import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -54,8 +55,11 @@ def evenly(count: int, of: int) -> Tensor:
     return torch.linspace(0, of - 1, min(count, of), dtype=torch.float64).round().long()
 
 
+@functools.lru_cache(maxsize=4)
 def the_clip(rig: LinearRig, capture: str | None, frames: int | None) -> MeshSet | None:
-    """The clip: the recording, or a simulated performance; `frames` in a row from its middle. None: the rig has no shapes.
+    """The clip, read once in a process: the recording, or a simulated performance; `frames` in a row from its middle.
+
+    None: the rig has no shapes to make one of.
 
     Raises:
         InputError: the recording cannot be read, moves what the rig lacks, or is shorter than three frames.

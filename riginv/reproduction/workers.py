@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import shutil
 import threading
 import traceback
 from collections.abc import Mapping
@@ -11,6 +12,8 @@ from typing import Any, NamedTuple
 from riginv.cli.quiet import hush
 from riginv.errors import InputError, NonFiniteLossError
 from riginv.reproduction.work import run_step
+
+FULL_BYTES = 2_000_000  # a disk with less room than this is full
 
 
 class Failure(NamedTuple):
@@ -69,6 +72,8 @@ def attempt(job: Mapping[str, Any]) -> Failure | None:
     except OSError as error:
         return Failure(f"{error}; free or unlock what it names, then type the same command again", traceback.format_exc())
     except Exception:
+        if shutil.disk_usage(job["folder"]).free < FULL_BYTES:  # libraries tell of a full disk in words of their own
+            return Failure("the disk is full: free some of it, then type the same command again", traceback.format_exc())
         return Failure(None, traceback.format_exc())
     return None
 
