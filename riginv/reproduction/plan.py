@@ -1,8 +1,7 @@
 """From a config to the graph of steps, and to the rows of the tables that they fill."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from riginv.reproduction.recipes import (
@@ -75,7 +74,7 @@ class Plan:
                 variant = self.budget["variants"].get(step.name.removeprefix("variant-"), {})
                 pace = 3 * step_s["best"] if network == "body" else step_s[variant.get("of", network)]
                 expected_s = TRAINING_S + pace * expected_steps(step.config["training"])
-                self.steps[number] = dataclasses.replace(step, expected_s=expected_s)
+                self.steps[number] = replace(step, expected_s=expected_s)
 
     def _add(self, name: str, work: str, expected_s: float, inputs: Mapping[str, str], about: str = "", **config: Any) -> str:
         given = {"rig": self.rig, "sets": self.sets, **config}

@@ -53,7 +53,9 @@ def training_curves(task: Task) -> dict[str, Any]:
     """The errors of each network while it learned, as validation saw them."""
     curves = {label: _curves(Path(task.inputs[use]) / RUN) for label, use in task.config["columns"].items()}
     shown = [name for name in NAMES if any(name in one for one in curves.values())]
-    figure, *all_axes = _figure(len(shown))
+    figure, *all_axes = _figure(max(len(shown), 1))
+    if not shown:
+        all_axes[0].set_title("too few steps: validation never looked", fontsize=10)
     for name, axes in zip(shown, all_axes):
         for label, one in curves.items():
             if name in one:
@@ -100,7 +102,7 @@ def _curves(run: Path) -> dict[str, list[tuple[int, float]]]:
 def _figure(columns: int = 1) -> tuple[Figure | Axes, ...]:
     figure = Figure(figsize=(8 if columns == 1 else 4.2 * columns, 5.2 if columns == 1 else 4), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = [figure.add_subplot(1, max(columns, 1), number + 1) for number in range(max(columns, 1))]
+    axes = [figure.add_subplot(1, columns, number + 1) for number in range(columns)]
     for one in axes:
         one.grid(alpha=0.3)
     return figure, *axes
