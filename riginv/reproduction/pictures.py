@@ -22,6 +22,7 @@ from riginv.rig import RigBackend
 
 PICTURE = "picture.png"
 DENOISED, BODIES, BODY_FRAMES = 2, 3, 40
+ROOM = 1.15
 RED_SHARE = 0.995  # of the vertices lie below the error that is drawn in the darkest red
 
 
@@ -58,6 +59,7 @@ def error_maps(task: Task) -> dict[str, Any]:
     """The mean error of each vertex on the rest mesh: a row for each set, a head for each method."""
     rig = rig_in_space(task.config["rig"]).rig
     camera, pictures, labels = Camera(rig.rest_vertices), [], []
+    camera.half_height *= ROOM  # for labels above
     columns: Mapping[str, str] = task.config["columns"]
     errors = {use: read_errors(task.inputs[use]) for use in columns}
     sets = [name for name in task.config["sets"] if all(f"{name}/vertex" in one for one in errors.values())]

@@ -32,10 +32,12 @@ def error_and_roughness(task: Task) -> dict[str, Any]:
         if rough and error:
             points[label] = (float(np.mean(rough)), float(np.mean(error)))
     figure, axes = _figure()
+    middle = float(np.median([rough for rough, _ in points.values()])) if points else 0.0
     for number, (label, place) in enumerate(sorted(points.items(), key=lambda item: item[1][1])):
         axes.scatter(*place, s=45)
-        offset = (6, 5) if number % 2 else (6, -12)  # of two that lie side by side, one above and one below
-        axes.annotate(label, place, xytext=offset, textcoords="offset points", fontsize=9)
+        side, over = -1 if place[0] > middle else 1, 5 if number % 2 else -12  # of two side by side, one above and one below
+        given = {"textcoords": "offset points", "ha": "right" if side < 0 else "left", "fontsize": 9}
+        axes.annotate(label, place, xytext=(6 * side, over), **given)
     if points:
         least = min((rough for rough, _ in points.values() if rough > 0), default=1.0)
         axes.set_xscale("symlog" if any(rough <= 0 for rough, _ in points.values()) else "log")
