@@ -13,9 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import OmegaConf
 from PIL import Image
 from safetensors.torch import load_file
 
+from riginv.cli.explain import CONFIGS
+from riginv.cli.run_folder import register_folder_resolvers
+from riginv.reproduction.plan import Plan, expected_steps
 from riginv.reproduction.sets import Rows, the_clip
 from riginv.reproduction.steps import DONE
 from tests.conftest import ROOT
@@ -35,6 +41,7 @@ TINY = [
     "budget.settings=['trainer=cpu','model.network.hidden=[32]','data.steps_per_epoch=6','data.batch_size=8',"
     "'judging.validation_poses=4','pictures.every_n_validations=null','trainer.log_every_n_steps=1']",
     *(f"budget.networks.{name}.steps=12" for name in ("surrogate", "inverse", "holden", "best", "body")),
+    "budget.others=[blendshape_ridge,quadratic]",
     "budget.optimum={starts: 2, key_starts: 1, steps: 6, descent_steps: 10}",
 ]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -195,6 +202,26 @@ def test_a_killed_run_loses_the_step_in_progress_alone(tmp_path):
 def test_figures_do_not_depend_on_how_many_steps_run_beside_each_other(made, tmp_path):
     finished(start(tmp_path / "run", "jobs=2"))
     assert tables(tmp_path / "run") == tables(made)
+
+
+def test_the_papers_budget_is_its_protocol_and_its_time_is_reckoned():
+    register_folder_resolvers()
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        plain = OmegaConf.to_container(compose("reproduce", ["budget=paper"]), resolve=True)
+        plan = Plan(plain, {"_target_": None}, (None, None), 1)
+    steps = {step.name: step for step in plan.steps}
+    assert steps["sample"].config["poses"] == 10_000
+    assert steps["surrogate-seed2"].config["training"]["data"]["stored_poses"] == 90_000
+    inverse = steps["trained-seed1"].config["training"]
+    assert inverse["data"] == {"batch_size": 64, "steps_per_epoch": 10_000, "stored_poses": None, "black_box_poses": 8000}
+    assert (inverse["model"]["optimizer"]["lr"], inverse["stop_below_lr"]) == (1e-4, 1e-6)
+    assert inverse["model"]["network"]["control_map"] == "range_tanh" and inverse["seed"] == 1
+    assert expected_steps(inverse) == 7 * 21 * 10_000  # seven halvings from 1e-4 to below 1e-6, 21 epochs each at the least
+    plan.expect({"surrogate": 0.001, "inverse": 0.003, "trained": 0.004, "holden": 0.002, "best": 0.005})
+    expected = {step.name: step.expected_s for step in plan.steps}
+    assert expected["inverse-seed0"] == pytest.approx(1.47e6 * 0.003, rel=0.01)
+    assert sum(expected.values()) > 20 * 3600
 
 
 def test_mistakes_are_told_of_before_anything_starts(run, tmp_path):

@@ -8,7 +8,8 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from riginv.build import build
+from riginv.build import build, class_of
+from riginv.errors import InputError
 from riginv.files import written_beside
 from riginv.methods.base import Method
 from riginv.methods.judging import Clocked
@@ -31,6 +32,8 @@ def answer(task: Task) -> dict[str, Any]:
     config = dict(task.config["method"])
     if "network" in task.inputs:
         config["bundle"] = str(bundle_of(task.inputs["network"]))
+    if reason := class_of(config["_target_"]).unsuited(rig.rig):
+        raise InputError(f"it cannot invert rig '{rig.rig.name}', for {reason}: leave it out of budget.others")
     method: Method = build(config, programmatic if "network" in task.inputs else rig)
     torch.manual_seed(task.config["seed"])
     method.prepare(task.config["seed"])

@@ -150,6 +150,9 @@ class Plan:
         for name, (label, method, pace, sets) in alone.items():
             self.rows[name] = Row(label)
             self._row(name, name, method, pace, sets, {}, first)
+        for name in self.budget["others"]:
+            self.rows[name] = Row(name.replace("_", " "))
+            self._row(name, name, method_config(name), "clip", (CLIP,), {}, first)
         self.rows["direct_trained"] = Row("direct, trained rig", seeds=self.seeds)
         for seed in self.seeds:
             through = {"surrogate": f"surrogate-seed{seed}"}

@@ -26,7 +26,7 @@ MAKE_NO_FIGURES = (  # files and folders of the package that no result of a step
     *("report", "tables", "claims", "paper", "machine", "preflight", "running", "workers", "plan", "recipes", "expected"),
 )
 DISTRIBUTIONS = ("torch", "numpy", "scipy", "lightning", "anny")
-NETWORK_BYTES = 80_000_000  # of weights and a checkpoint of the largest network
+NETWORK_BYTES = 30_000_000  # of the largest network's weights
 SPARE = 1.2
 
 
