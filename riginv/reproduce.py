@@ -57,7 +57,11 @@ def reproduce(config: DictConfig) -> None:
     runner = Runner(graph, jobs)
     expected_s = sum(graph.steps[name].expected_s for name in runner.left) / jobs
     say(f"{len(graph.steps)} steps, {jobs} beside each other: about {duration(expected_s)}, by training steps measured here.")
-    runner.run()
+    try:
+        runner.run()
+    except KeyboardInterrupt:
+        say(f"Stopped with {len(runner.left)} of {len(graph.steps)} steps left: the same command goes on from here.")
+        raise SystemExit(130) from None
     write_report(folder.path, plain, plan, graph, judge_name, why_itself, jobs, time.monotonic() - began)
 
 

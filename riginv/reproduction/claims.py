@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from riginv.reproduction.sets import CLIP, COMBINATIONS, POSES
-from riginv.reproduction.tables import Results
+from riginv.reproduction.tables import MEAN, Results
 
 HELD, NOT_HELD, DEPENDS, UNTESTED = "held", "not held", "depends", "not tested"
 SAME_SEEDS = 0.05  # a spread over seeds below this share of the mean counts as consistent
@@ -23,9 +23,12 @@ def claims(results: Results) -> list[dict[str, Any]]:
 
 
 def _better(results: Results, ours: str, theirs: str, sets: tuple[str, ...]) -> Verdict:
-    """Whether a row's errors are below another's: on every set, on none, or it depends."""
-    pairs = {name: (results.mean(ours, name), results.mean(theirs, name)) for name in sets}
-    pairs = {name: pair for name, pair in pairs.items() if None not in pair}
+    """Whether a row's errors are below another's, on the seeds that both have: on every set, on none, or it depends."""
+    pairs = {}
+    for name in sets if {ours, theirs} <= results.plan.rows.keys() else ():
+        both = list(zip(results.judged(ours, name), results.judged(theirs, name)))
+        if both:
+            pairs[name] = tuple(statistics.fmean(values) for values in zip(*both))
     shown = ", ".join(f"{_called(results, name)} {a:.3g} against {b:.3g} mm" for name, (a, b) in pairs.items())
     return _all_or_none([a < b for a, b in pairs.values()]), shown
 
@@ -47,10 +50,7 @@ def _normalisation(results: Results) -> Verdict:
 
 
 def _ranges(results: Results) -> Verdict:
-    bounded, free = (
-        results.agreement(True, "mean_vertex_error_mm"),
-        results.one("agree-unbounded_surrogate", "mean_vertex_error_mm"),
-    )
+    bounded, free = results.agreement(True, MEAN), results.one("agree-unbounded_surrogate", MEAN)
     inverse, figures = _better(results, "trained", "unbounded", (COMBINATIONS, CLIP))
     if free is None:
         return inverse, figures
@@ -67,7 +67,7 @@ def _seeds(results: Results) -> Verdict:
         for name in (COMBINATIONS, CLIP)
         if len(values := results.judged(row, name)) > 1
     }
-    surrogates = results.agreement(True, "mean_vertex_error_mm")
+    surrogates = results.agreement(True, MEAN)
     if len(surrogates) > 1:
         spreads["trained rig"] = statistics.stdev(surrogates) / statistics.fmean(surrogates)
     if not spreads:

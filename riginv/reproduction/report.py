@@ -54,7 +54,7 @@ def write_report(
         "budget_about": config["budget"]["about"],
         "judge": judge,
         "judged_itself": why_itself,
-        "captured_data": config["capture"] or "simulated: no recording was given",
+        "captured_data": Path(config["capture"]).name if config["capture"] else "simulated: no recording was given",
         "seeds": plan.seeds,
         "made": datetime.datetime.now().astimezone().isoformat(timespec="minutes"),
         "versions": versions(),

@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import shutil
+import signal
 import threading
 import traceback
 from collections.abc import Mapping
@@ -52,7 +53,7 @@ class Worker:
             return Failure(f"its process ended by itself (exit code {self.process.exitcode}): was there too little memory?", "")
 
     def end(self) -> None:
-        self.process.terminate()
+        self.process.kill()  # what it was at is begun anew, or gone on with from a checkpoint; nothing is left half-written
         self.process.join(5)
         self.connection.close()
 
@@ -79,17 +80,15 @@ def attempt(job: Mapping[str, Any]) -> Failure | None:
 
 
 def _serve(connection: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is for the process that started this one to stop it
     threading.Thread(target=_end_with_parent, daemon=True).start()
     hush()
     while True:
         try:
             job = connection.recv()
-        except (EOFError, KeyboardInterrupt):
+        except EOFError:
             return
-        try:
-            connection.send(attempt(job))
-        except KeyboardInterrupt:
-            return
+        connection.send(attempt(job))
 
 
 def _end_with_parent() -> None:
