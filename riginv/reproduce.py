@@ -10,7 +10,7 @@ from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
 from riginv.reproduction.cast import rig_in_space
 from riginv.reproduction.expected import measured
-from riginv.reproduction.plan import Plan, trainings
+from riginv.reproduction.plan import Plan, open_ended, trainings
 from riginv.reproduction.preflight import (
     check_budget,
     check_capture,
@@ -56,7 +56,8 @@ def reproduce(config: DictConfig) -> None:
         say(note, markup=False)
     runner = Runner(graph, jobs)
     expected_s = sum(graph.steps[name].expected_s for name in runner.left) / jobs
-    say(f"{len(graph.steps)} steps, {jobs} beside each other: about {duration(expected_s)}, by training steps measured here.")
+    word = "at least" if any(open_ended(step) for step in plan.steps) else "about"
+    say(f"{len(graph.steps)} steps, {jobs} beside each other: {word} {duration(expected_s)}, by training steps measured here.")
     try:
         runner.run()
     except KeyboardInterrupt:

@@ -21,7 +21,7 @@ from safetensors.torch import load_file
 
 from riginv.cli.explain import CONFIGS
 from riginv.cli.run_folder import register_folder_resolvers
-from riginv.reproduction.plan import Plan, expected_steps
+from riginv.reproduction.plan import Plan, expected_steps, open_ended
 from riginv.reproduction.sets import Rows, the_clip
 from riginv.reproduction.steps import DONE
 from tests.conftest import ROOT
@@ -218,6 +218,7 @@ def test_the_papers_budget_is_its_protocol_and_its_time_is_reckoned():
     assert (inverse["model"]["optimizer"]["lr"], inverse["stop_below_lr"]) == (1e-4, 1e-6)
     assert inverse["model"]["network"]["control_map"] == "range_tanh" and inverse["seed"] == 1
     assert expected_steps(inverse) == 7 * 21 * 10_000  # seven halvings from 1e-4 to below 1e-6, 21 epochs each at the least
+    assert [name for name, step in steps.items() if open_ended(step)][:2] == ["surrogate-seed0", "surrogate-seed1"]
     plan.expect({"surrogate": 0.001, "inverse": 0.003, "trained": 0.004, "holden": 0.002, "best": 0.005})
     expected = {step.name: step.expected_s for step in plan.steps}
     assert expected["inverse-seed0"] == pytest.approx(1.47e6 * 0.003, rel=0.01)

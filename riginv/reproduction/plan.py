@@ -217,6 +217,11 @@ def trainings(budget: Mapping[str, Any], rig: Mapping[str, Any]) -> dict[str, Co
     return {name: training_config(network_settings(budget, name), rig, budget["seeds"][0]) for name in names}
 
 
+def open_ended(step: Step) -> bool:
+    """Whether a step trains until its schedule ends it."""
+    return step.work == "train" and step.config["training"]["trainer"]["max_steps"] is None
+
+
 def expected_steps(config: Config) -> int:
     """The steps that a training takes; where a plateau schedule ends it, the fewest that it can take."""
     if config["trainer"]["max_steps"]:
