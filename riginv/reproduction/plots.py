@@ -19,6 +19,7 @@ from riginv.reproduction.steps import Task, read_done
 from riginv.reproduction.training import RUN
 
 ERROR = "mean_vertex_error_mm"
+COLOURS = 10  # that matplotlib goes round
 NAMES = {CLIP: "clip", COMBINATIONS: "random combinations", POSES: "poses of the rig"}
 
 
@@ -32,19 +33,16 @@ def error_and_roughness(task: Task) -> dict[str, Any]:
         if rough and error:
             points[label] = (float(np.mean(rough)), float(np.mean(error)))
     figure, axes = _figure()
-    middle = float(np.median([rough for rough, _ in points.values()])) if points else 0.0
     for number, (label, place) in enumerate(sorted(points.items(), key=lambda item: item[1][1])):
-        axes.scatter(*place, s=45)
-        side, over = -1 if place[0] > middle else 1, 5 if number % 2 else -12  # of two side by side, one above and one below
-        given = {"textcoords": "offset points", "ha": "right" if side < 0 else "left", "fontsize": 9}
-        axes.annotate(label, place, xytext=(6 * side, over), **given)
+        axes.scatter(*place, s=50, color=f"C{number % COLOURS}", marker="o" if number < COLOURS else "s", label=label)
+    figure.legend(loc="outside right center", fontsize=9, title="least error first")
     if points:
         least = min((rough for rough, _ in points.values() if rough > 0), default=1.0)
         axes.set_xscale("symlog" if any(rough <= 0 for rough, _ in points.values()) else "log")
         if axes.get_xscale() == "symlog":
             axes.set_xscale("symlog", linthresh=least)
         axes.set_yscale("log")
-    axes.margins(x=0.2, y=0.12)
+    axes.margins(x=0.08, y=0.08)
     axes.set_xlabel("roughness (mean squared second difference of the controls)")
     axes.set_ylabel("mean vertex error on the clip, mm")
     _save(task, figure)
@@ -80,7 +78,7 @@ def controls_that_matter(task: Task) -> dict[str, Any]:
             [row["effect_mm"] for row in rows], [100 * row["error_share"] for row in rows], s=16, label=label, alpha=0.8
         )
     axes.set_xscale("log")
-    axes.set_yscale("log")
+    axes.set_ylim(bottom=0)
     axes.set_xlabel("what a control moves over its range: mean over the vertices, mm")
     axes.set_ylabel("mean error of the control, % of its range")
     axes.legend(fontsize=8)
