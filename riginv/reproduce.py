@@ -39,7 +39,7 @@ def reproduce(config: DictConfig) -> None:
     say = Console(stderr=True, highlight=False, soft_wrap=True).print
 
     rig = rig_in_space(plain["rig"])
-    capture = plain["capture"], check_capture(plain["capture"], rig.rig, plain["budget"]["frames"])
+    capture = plain["capture"], check_capture(plain["capture"], rig.rig)
     check_rig(plain["body"])
     judge, judge_name, why_itself = choose_judge(plain["true_rig"], rig.rig)
     if why_itself:

@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Callable
 from typing import Any
 
-from riginv.reproduction.sets import CLIP, COMBINATIONS, POSES
+from riginv.reproduction.sets import CAPTURED, CLIP, COMBINATIONS, POSES
 from riginv.reproduction.tables import MEAN, Results
 
 HELD, NOT_HELD, DEPENDS, UNTESTED = "held", "not held", "depends", "not tested"
@@ -34,8 +34,8 @@ def _better(results: Results, ours: str, theirs: str, sets: tuple[str, ...]) -> 
 
 
 def _mesh_loss(results: Results) -> Verdict:
-    verdict, shown = _better(results, "inverse", "holden", (COMBINATIONS, CLIP))
-    alike, same_data = _better(results, "on_holdens_poses", "holden", (COMBINATIONS, CLIP, POSES))
+    verdict, shown = _better(results, "inverse", "holden", (COMBINATIONS, CAPTURED))
+    alike, same_data = _better(results, "on_holdens_poses", "holden", (COMBINATIONS, CAPTURED, POSES))
     if alike == UNTESTED:
         return verdict, shown
     together = verdict if verdict == alike else DEPENDS
@@ -44,14 +44,14 @@ def _mesh_loss(results: Results) -> Verdict:
 
 def _normalisation(results: Results) -> Verdict:
     kinds = {"batch_normalised": "batch", "layer_normalised": "layer"}
-    tests = {kind: _better(results, "inverse", row, (COMBINATIONS, CLIP)) for row, kind in kinds.items()}
+    tests = {kind: _better(results, "inverse", row, (COMBINATIONS, CAPTURED)) for row, kind in kinds.items()}
     shown = "; ".join(f"none against {kind} normalisation: {figures}" for kind, (_, figures) in tests.items() if figures)
     return _together([verdict for verdict, _ in tests.values()]), shown
 
 
 def _ranges(results: Results) -> Verdict:
     bounded, free = results.agreement(True, MEAN), results.one("agree-unbounded_surrogate", MEAN)
-    inverse, figures = _better(results, "trained", "unbounded", (COMBINATIONS, CLIP))
+    inverse, figures = _better(results, "trained", "unbounded", (COMBINATIONS, CAPTURED))
     if free is None:
         return inverse, figures
     sigmoid = HELD if bounded[0] < free else NOT_HELD
@@ -64,7 +64,7 @@ def _seeds(results: Results) -> Verdict:
     spreads = {
         f"{results.plan.rows[row].label} on {_called(results, name)}": statistics.stdev(values) / statistics.fmean(values)
         for row in rows
-        for name in (COMBINATIONS, CLIP)
+        for name in (COMBINATIONS, CAPTURED)
         if len(values := results.judged(row, name)) > 1
     }
     surrogates = results.agreement(True, MEAN)
@@ -90,18 +90,14 @@ def _smoothness(results: Results) -> Verdict:
 
 
 def _sparsity(results: Results) -> Verdict:
-    known = {
-        row: results.answered(row, f"{CLIP}/nonzero_controls")
-        for row in ("inverse", "tanh", "gelu")
-        if row in results.plan.rows
-    }
+    known = {row: results.answered(row, f"{CLIP}/nonzero_controls") for row in ("inverse", "tanh") if row in results.plan.rows}
     used = {row: values[0] for row, values in known.items() if values}
-    if len(used) < 2 or "inverse" not in used:
+    if len(used) < 2:
         return UNTESTED, ""
-    names = {"inverse": "leaky ReLU", "gelu": "GELU"}
-    shown = ", ".join(f"{names.get(row, row)} {value:.1f}" for row, value in used.items())
-    verdict = _all_or_none([used["inverse"] < value for row, value in used.items() if row != "inverse"])
-    return verdict, f"controls in use in a frame of the {_called(results, CLIP)}: {shown}"
+    shown = f"leaky ReLU {used['inverse']:.1f}, tanh {used['tanh']:.1f}"
+    return HELD if used["inverse"] < used[
+        "tanh"
+    ] else NOT_HELD, f"controls in use in a frame of the {_called(results, CLIP)}: {shown}"
 
 
 def _noise(results: Results) -> Verdict:
@@ -116,18 +112,18 @@ def _noise(results: Results) -> Verdict:
 
 
 def _reach(results: Results) -> Verdict:
-    least = results.mean("optimum", CLIP)
-    errors = {row: results.mean(row, CLIP) for row in ("inverse", "best")}
+    least = results.mean("optimum", CAPTURED)
+    errors = {row: results.mean(row, CAPTURED) for row in ("inverse", "best")}
     if least is None or None in errors.values():
         return UNTESTED, ""
     shares = {row: least / error for row, error in errors.items()}
     shown = ", ".join(f"{shares[row]:.0%} of that of {results.plan.rows[row].label}" for row in errors)
-    text = f"the optimum's error on the {_called(results, CLIP)}, {least:.3g} mm, is {shown}"
+    text = f"the optimum's error on the {_called(results, CAPTURED)}, {least:.3g} mm, is {shown}"
     return _all_or_none([share > MOSTLY for share in shares.values()]), text
 
 
 def _called(results: Results, name: str) -> str:
-    return (results.clip_name if name == CLIP else name).replace("_", " ")
+    return (results.clip_name if name in (CLIP, CAPTURED) else name).replace("_", " ")
 
 
 def _all_or_none(tests: list[bool]) -> str:

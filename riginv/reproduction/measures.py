@@ -8,7 +8,7 @@ from riginv.files import write_json
 from riginv.inverse import load_inverse
 from riginv.reproduction.answers import read_answers
 from riginv.reproduction.cast import rig_in_space
-from riginv.reproduction.sets import COMBINATIONS, POSES, KeptPoses, evenly, the_sets
+from riginv.reproduction.sets import CAPTURED, COMBINATIONS, POSES, KeptPoses, evenly, the_sets
 from riginv.reproduction.steps import Task
 from riginv.reproduction.training import bundle_of
 from riginv.sampling.seeds import generator_at
@@ -21,13 +21,13 @@ CONTROLS_FILE = "controls.json"
 @torch.no_grad()
 def lipschitz(task: Task) -> dict[str, Any]:
     """The local Lipschitz constant of an inverse, controls' ranges per mm: the greatest change of its controls against that of
-    the mesh, over disturbances of 0.1 mm that the rig's space can see; the mean over meshes of the clip.
+    the mesh, over disturbances of 0.1 mm that the rig's space can see; the mean over meshes of the captured data.
 
     A change of the mesh is the root mean square over its vertices, one of the controls the root of their squares' sum.
     """
     rig = rig_in_space(task.config["rig"])
     sets = the_sets(task.config["sets"], task.places, None, rig.rig)
-    meshes = sets.get("clip") or sets[COMBINATIONS]
+    meshes = sets.get(CAPTURED) or sets[COMBINATIONS]
     network = load_inverse(bundle_of(task.inputs["network"]), rig.rig).network
     span = rig.rig.upper - rig.rig.lower
     generator = generator_at(task.config["seed"], "disturbances")

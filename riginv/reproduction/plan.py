@@ -13,11 +13,12 @@ from riginv.reproduction.recipes import (
     through_surrogate,
     training_config,
 )
-from riginv.reproduction.sets import CLIP, COMBINATIONS, POSES
+from riginv.reproduction.sets import CAPTURED, CLIP, COMBINATIONS, POSES
 from riginv.reproduction.steps import Step
 
 NETWORK = {"_target_": "riginv.methods.network.Network"}
-SETS = (COMBINATIONS, CLIP, POSES)
+SETS = (COMBINATIONS, CAPTURED, POSES)  # of Table 2
+ALL = (*SETS, CLIP)
 START_S, TRAINING_S, DRAWING_S = 2.0, 6.0, 12.0  # what a step takes beside its work
 MESH_S = {"judge": 0.03, "network": 0.002, "optimum": 0.05, "direct": 0.07, "clip": 0.04}  # seconds a mesh
 
@@ -97,7 +98,7 @@ class Plan:
             self.rows[name] = Row(label, seeds=self.seeds)
             for seed in self.seeds:
                 network = self.train(name, seed)
-                self._row(name, f"{name}-seed{seed}", NETWORK, "network", SETS, {"network": network}, seed)
+                self._row(name, f"{name}-seed{seed}", NETWORK, "network", ALL, {"network": network}, seed)
 
     def train(self, name: str, seed: int, more: Sequence[str] = (), step: str | None = None) -> str:
         """A step that trains a network of the budget, with more settings."""
@@ -112,7 +113,6 @@ class Plan:
             inputs,
             f"{steps:,} steps" if steps else "until the learning rate has fallen",
             training=through_surrogate(config) if inputs else config,
-            frames=self.budget["frames"],
         )
 
     def _row(
@@ -142,8 +142,8 @@ class Plan:
         first = self.seeds[0]
         optimum = method_config("levenberg_marquardt", **self.budget["optimum"])
         alone = {
-            "optimum": ("optimum", optimum, "optimum", SETS),
-            "neutral": ("neutral", method_config("neutral"), "network", SETS),
+            "optimum": ("optimum", optimum, "optimum", ALL),
+            "neutral": ("neutral", method_config("neutral"), "network", ALL),
         }
         alone["direct"] = ("direct, programmatic rig", method_config("direct"), "direct", (CLIP,))
         alone["clip"] = ("whole-clip solver", method_config("clip"), "clip", (CLIP,))
@@ -166,7 +166,7 @@ class Plan:
                 self._add(f"agree-{name}", "agree", START_S, {"surrogate": network, "poses": "sample"})
                 continue
             self.rows[name] = Row(name.replace("_", " "), seeds=[first])
-            self._row(name, f"variant-{name}", NETWORK, "network", SETS, {"network": network}, first, ITSELF)
+            self._row(name, f"variant-{name}", NETWORK, "network", ALL, {"network": network}, first, ITSELF)
 
     def _measures(self) -> None:
         first = self.seeds[0]
@@ -189,7 +189,7 @@ class Plan:
         self._columns("figure-controls", "plot_controls", measured)
         judged = {f"judge-{name}-seed{first}": label for name, label in learned.items()} | {"judge-optimum": "optimum"}
         self._add(
-            "figure-maps", "draw_maps", DRAWING_S, {use: use for use in judged}, columns=judged, sets=[CLIP, COMBINATIONS]
+            "figure-maps", "draw_maps", DRAWING_S, {use: use for use in judged}, columns=judged, sets=[CAPTURED, COMBINATIONS]
         )
         best = {"network": f"best-seed{first}"}
         self._add("figure-denoising", "draw_denoising", DRAWING_S, best, judge=self.judge)
@@ -203,7 +203,7 @@ class Plan:
     def _body(self, seed: int) -> None:
         config = training_config(network_settings(self.budget, "body"), self.body, seed)
         steps = config["trainer"]["max_steps"]
-        given = {"rig": self.body, "training": config, "frames": None}
+        given = {"rig": self.body, "training": config}
         places = {**self.places, "capture": None}
         sets = {**self.sets, "capture": None}
         self.steps.append(Step("body", "train", given, {}, places, TRAINING_S, f"{steps or 0:,} steps"))

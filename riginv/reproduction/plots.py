@@ -14,13 +14,13 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from riginv.files import written_beside
 from riginv.reproduction.measures import CONTROLS_FILE
 from riginv.reproduction.pictures import PICTURE
-from riginv.reproduction.sets import CLIP, COMBINATIONS, POSES
+from riginv.reproduction.sets import CAPTURED, CLIP, COMBINATIONS, POSES
 from riginv.reproduction.steps import Task, read_done
 from riginv.reproduction.training import RUN
 
 ERROR = "mean_vertex_error_mm"
 COLOURS = 10  # that matplotlib goes round
-NAMES = {CLIP: "clip", COMBINATIONS: "random combinations", POSES: "poses of the rig"}
+NAMES = {CAPTURED: "captured data", COMBINATIONS: "random combinations", POSES: "poses of the rig"}
 
 
 def error_and_roughness(task: Task) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from riginv.judge import build_judge
 from riginv.mesh_space import RigInMeshSpace
 from riginv.optimum import fingerprint
 from riginv.reproduction.recipes import ITSELF, Config, test_samples
-from riginv.reproduction.sets import the_clip
+from riginv.reproduction.sets import recording
 from riginv.rig import LinearRig
 
 PACKAGE = Path(__file__).parent.parent
@@ -80,13 +80,13 @@ def find_folder(path: Path, config: Config, resume: bool) -> tuple[RunFolder, st
         return RunFolder(path, config, resumed=False), f"Going on with another config than before ({reason})."
 
 
-def check_capture(capture: str | None, rig: LinearRig, frames: int | None) -> str | None:
+def check_capture(capture: str | None, rig: LinearRig) -> str | None:
     """The hash of a recording that the rig can follow, or None where none is given.
 
     Raises:
         InputError: the recording cannot be read, or moves what the rig lacks.
     """
-    the_clip(rig, capture, frames)
+    recording(rig, capture)
     return sha256(Path(capture)) if capture else None
 
 

@@ -16,7 +16,7 @@ from riginv.data.test_sets import random_sets
 from riginv.errors import InputError
 from riginv.rig import LinearRig
 
-COMBINATIONS, POSES, CLIP = "random_combinations", "rig_poses", "clip"
+COMBINATIONS, POSES, CAPTURED, CLIP = "random_combinations", "rig_poses", "captured", "clip"
 CONTROLS_FILE, VERTICES_FILE = "controls.npy", "vertices.npy"
 
 
@@ -56,34 +56,44 @@ def evenly(count: int, of: int) -> Tensor:
 
 
 @functools.lru_cache(maxsize=4)
-def the_clip(rig: LinearRig, capture: str | None, frames: int | None) -> MeshSet | None:
-    """The clip, read once in a process: the recording, or a simulated performance; `frames` in a row from its middle.
-
-    None: the rig has no shapes to make one of.
+def recording(rig: LinearRig, capture: str | None) -> MeshSet | None:
+    """The captured data, read once in a process: the recording, or a simulated performance; None: the rig has no shapes.
 
     Raises:
         InputError: the recording cannot be read, moves what the rig lacks, or is shorter than three frames.
     """
-    whole = live_link_clip(capture, rig) if capture else simulated_performance(rig, **({"frames": frames} if frames else {}))
+    whole = live_link_clip(capture, rig) if capture else simulated_performance(rig)
+    if whole is not None and len(whole) < 3:
+        raise InputError(f"{capture}: {len(whole)} frames, expected at least 3: roughness is a second difference")
+    return whole
+
+
+def captured(rig: LinearRig, capture: str | None, meshes: int) -> MeshSet | None:
+    """Some meshes of the captured data, evenly spread over the whole of it."""
+    whole = recording(rig, capture)
+    return None if whole is None else Rows(whole, evenly(meshes, len(whole)), CAPTURED)
+
+
+def the_clip(rig: LinearRig, capture: str | None, frames: int | None) -> MeshSet | None:
+    """Frames of the captured data in a row, from its middle; None: all of them."""
+    whole = recording(rig, capture)
     if whole is None:
         return None
-    if len(whole) < 3:
-        raise InputError(f"{capture}: {len(whole)} frames, expected at least 3: roughness is a second difference")
     count = min(frames or len(whole), len(whole))
     start = (len(whole) - count) // 2
     return Rows(whole, torch.arange(start, start + count), CLIP, whole.fps)
 
 
 def the_sets(config: Mapping[str, Any], places: Mapping[str, Any], poses: str | None, rig: LinearRig) -> dict[str, MeshSet]:
-    """All sets by name: random combinations, the clip, and poses of the rig that the judge made (`poses`: their folder).
+    """All sets by name; poses of the rig are those that the judge made (`poses`: their folder).
 
     Args:
-        config: `meshes` in each random set, `frames` of the clip, None: all.
+        config: `meshes` in each set but the clip, `frames` of the clip, None: all.
         places: `capture`: the recording, or None.
     """
-    clip = the_clip(rig, places["capture"], config["frames"])
     sets = [one for one in random_sets(rig, config["meshes"]) if one.name != POSES]
-    sets += [clip] if clip else []
+    data = captured(rig, places["capture"], config["meshes"]), the_clip(rig, places["capture"], config["frames"])
+    sets += [one for one in data if one is not None]
     if poses:
         kept = KeptPoses(poses)
         sets.append(Rows(kept, torch.arange(min(config["meshes"], len(kept)))))

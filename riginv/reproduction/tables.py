@@ -6,7 +6,7 @@ from typing import Any
 
 from riginv.reproduction import paper
 from riginv.reproduction.plan import SETS, Plan
-from riginv.reproduction.sets import CLIP
+from riginv.reproduction.sets import CAPTURED, CLIP
 from riginv.reproduction.steps import Graph
 
 TableRow = dict[str, Any]
@@ -71,7 +71,7 @@ def table_2(results: Results) -> list[TableRow]:
             figures = {key: results.judged(row, name, key) for key in (MEAN, MAX)}
             if figures[MEAN]:
                 one = results.plan.rows[row]
-                found = {"set": results.clip_name if name == CLIP else name} | _row(row, one.label, one.seeds, figures)
+                found = {"set": results.clip_name if name == CAPTURED else name} | _row(row, one.label, one.seeds, figures)
                 rows.append(found | _paper(paper.TABLE_2.get(name, {}).get(row)))
     return rows
 
@@ -96,7 +96,7 @@ def orderings(results: Results) -> list[dict[str, Any]]:
         ours = [results.mean(row, name) for row in ("inverse", "trained", "holden")]
         if None not in ours:
             shown = f"programmatic <= trained < Holden: {' / '.join(f'{value:.3g}' for value in ours)} mm"
-            label = results.clip_name if name == CLIP else name
+            label = results.clip_name if name == CAPTURED else name
             found.append({"ordering": f"{label.replace('_', ' ')}: {shown}", "holds": ours[0] <= ours[1] < ours[2]})
     for ours, theirs, rig in (("inverse", "direct", "programmatic"), ("trained", "direct_trained", "trained")):
         rough = [results.answered(row, "roughness") for row in (ours, theirs)]

@@ -7,7 +7,7 @@ from riginv.cli.run_folder import BUNDLE, RunFolder, find_run_folder
 from riginv.errors import InputError
 from riginv.files import discard
 from riginv.reproduction.cast import rig_in_space, trained_rig
-from riginv.reproduction.sets import the_clip
+from riginv.reproduction.sets import captured
 from riginv.reproduction.steps import Task
 from riginv.train import fit_network
 
@@ -25,8 +25,8 @@ def train(task: Task) -> dict[str, Any]:
         bundle = str(bundle_of(task.inputs["surrogate"]))
         rig, config["rig"] = trained_rig(bundle, rig), {**config["rig"], "bundle": bundle}
     folder = _folder(task.folder / RUN, config)
-    clip = the_clip(programmatic.rig, task.places["capture"], task.config["frames"])
-    _, facts = fit_network(config, folder, rig, programmatic.rig, clip)
+    watched = captured(programmatic.rig, task.places["capture"], config["judging"]["validation_poses"])
+    _, facts = fit_network(config, folder, rig, programmatic.rig, watched)
     discard(folder.path / "checkpoints")
     return facts
 
