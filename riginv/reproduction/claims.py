@@ -95,9 +95,8 @@ def _sparsity(results: Results) -> Verdict:
     if len(used) < 2:
         return UNTESTED, ""
     shown = f"leaky ReLU {used['inverse']:.1f}, tanh {used['tanh']:.1f}"
-    return HELD if used["inverse"] < used[
-        "tanh"
-    ] else NOT_HELD, f"controls in use in a frame of the {_called(results, CLIP)}: {shown}"
+    verdict = HELD if used["inverse"] < used["tanh"] else NOT_HELD
+    return verdict, f"controls in use in a frame of the {_called(results, CLIP)}: {shown}"
 
 
 def _noise(results: Results) -> Verdict:
