@@ -45,7 +45,7 @@ TINY = [
     "budget.optimum={starts: 2, key_starts: 1, steps: 6, descent_steps: 10}",
 ]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-FEW = ["budget.seeds=[0]", "budget.variants={}", "rig@body=same", "true_rig=blender_if_here"]
+FEW = ["budget.seeds=[0]", "budget.variants=null", "rig@body=same", "true_rig=blender_if_here"]
 
 
 def start(folder: Path, *more: str) -> subprocess.Popen:

@@ -56,6 +56,7 @@ class Plan:
     def __init__(self, config: Config, judge: Config, capture: tuple[str | None, str | None], jobs: int) -> None:
         self.budget, self.rig, self.body, self.judge = config["budget"], config["rig"], config["body"], judge
         self.seeds: list[int] = self.budget["seeds"]
+        self.variants: dict[str, Any] = self.budget["variants"] or {}
         self.sets = {"meshes": self.budget["meshes"], "frames": self.budget["frames"], "capture": capture[1]}
         self.places = {"capture": capture[0], "jobs": jobs}
         self.steps: list[Step] = []
@@ -72,7 +73,7 @@ class Plan:
         for number, step in enumerate(self.steps):
             if step.work == "train":
                 network = step.name.partition("-seed")[0]
-                variant = self.budget["variants"].get(step.name.removeprefix("variant-"), {})
+                variant = self.variants.get(step.name.removeprefix("variant-"), {})
                 pace = 3 * step_s["best"] if network == "body" else step_s[variant.get("of", network)]
                 expected_s = TRAINING_S + pace * expected_steps(step.config["training"])
                 self.steps[number] = replace(step, expected_s=expected_s)
@@ -160,7 +161,7 @@ class Plan:
 
     def _variants(self) -> None:
         first = self.seeds[0]
-        for name, variant in self.budget["variants"].items():
+        for name, variant in self.variants.items():
             network = self.train(variant["of"], first, variant["settings"], f"variant-{name}")
             if variant["of"] == "surrogate":
                 self._add(f"agree-{name}", "agree", START_S, {"surrogate": network, "poses": "sample"})
@@ -179,7 +180,7 @@ class Plan:
 
     def _figures(self) -> None:
         first = self.seeds[0]
-        shown = [name for name, row in self.rows.items() if name not in self.budget["variants"]]
+        shown = [name for name, row in self.rows.items() if name not in self.variants]
         pairs = {self.rows[name].label: list(zip(self.rows[name].answers, self.rows[name].judgements)) for name in shown}
         read = {step: step for uses in pairs.values() for pair in uses for step in pair}
         self._add("figure-roughness", "plot_roughness", START_S, read, rows=pairs)

@@ -38,7 +38,7 @@ def check_budget(budget: Config) -> None:
     )
     if not whole or not seeds or len(set(seeds)) < len(seeds):
         raise InputError(f"budget.seeds is {seeds!r}, expected different whole numbers of at least 0, such as [0,1,2]")
-    for name, variant in budget["variants"].items():
+    for name, variant in (budget["variants"] or {}).items():
         if variant["of"] not in ("surrogate", "inverse", "trained"):
             raise InputError(f"budget.variants.{name}.of is {variant['of']!r}, expected surrogate, inverse or trained")
 
