@@ -59,7 +59,7 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]
     """
     if not (isinstance(true_rig, LinearRig) and true_rig.differentiable):
         return {}
-    key, objective, found = _fingerprint(true_rig), None, {}
+    key, objective, found = fingerprint(true_rig), None, {}
     for meshes in sets:
         if not len(meshes):
             continue
@@ -86,7 +86,7 @@ def _errors(objective: Objective, vertices: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def _fingerprint(rig: LinearRig) -> bytes:
+def fingerprint(rig: LinearRig) -> bytes:
     """What a rig does, in a few bytes: its basis, its limits, and its coefficients in some poses."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)

@@ -1,5 +1,7 @@
 """python -m riginv.train: from a config to a judged, bundled model."""
 
+from typing import Any
+
 import lightning as L
 from omegaconf import DictConfig
 
@@ -15,12 +17,14 @@ from riginv.assemble import (
     calibrate,
     needs_surrogate,
 )
+from riginv.build import class_of
 from riginv.bundle import write_bundle
 from riginv.callbacks.hparams import log_choices, log_results
 from riginv.cli.command import command, run_directory
 from riginv.cli.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
 from riginv.cli.summary import show
 from riginv.cli.validation import validate
+from riginv.data.mesh_sets import MeshSet
 from riginv.evaluation import judge_model, load_model, surrogate_config, write_results
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig import LinearRig, RigBackend
@@ -42,9 +46,21 @@ def train(config: DictConfig) -> None:
 
 def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> None:
     """From a rig to a judged, bundled model in a run's folder."""
+    is_inverse = class_of(plain["model"]["_target_"]).kind == "inverse"
+    clip = build_clip(plain, true_rig) if is_inverse else None
+    trainer, training = fit_network(plain, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
+    model = load_model(folder.path / BUNDLE, rig)
+    judgements = judge_model(model, true_rig, plain["judging"]["test_poses"], clip)
+    facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": plain["seed"]}
+    log_results(trainer.logger, write_results(folder.path, judgements, true_rig, facts), trainer.global_step)
+
+
+def fit_network(
+    plain: Config, folder: RunFolder, rig: RigInMeshSpace, true_rig: RigBackend, clip: MeshSet | None
+) -> tuple[L.Trainer, dict[str, Any]]:
+    """Train a network and write its bundle into a run's folder; the trainer, and the facts of training in the bundle."""
     L.seed_everything(plain["seed"], verbose=False)
-    module = build_module(plain, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig)
-    clip = build_clip(plain, true_rig) if module.kind == "inverse" else None
+    module = build_module(plain, rig, true_rig)
     data = build_data(plain, module, true_rig, clip)
     calibrate(plain, module, data.sampler)
     trainer, clock = build_trainer(plain, folder)
@@ -54,11 +70,8 @@ def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) 
     trainer.fit(module, data, ckpt_path=folder.checkpoint, weights_only=True)
 
     training = {"steps": trainer.global_step, "seconds": round(clock.seconds, 1), "seed": plain["seed"]}
-    bundle = folder.path / BUNDLE
-    write_bundle(bundle, module.kind, module.network, module.rig, plain, training)
-    judgements = judge_model(load_model(bundle, rig), true_rig, plain["judging"]["test_poses"], clip)
-    facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": plain["seed"]}
-    log_results(trainer.logger, write_results(folder.path, judgements, true_rig, facts), trainer.global_step)
+    write_bundle(folder.path / BUNDLE, module.kind, module.network, module.rig, plain, training)
+    return trainer, training
 
 
 def train_surrogate_first(

@@ -11,7 +11,7 @@ import pytest
 import torch
 from hydra.core.global_hydra import GlobalHydra
 
-from riginv import check, compare, evaluate, export_onnx, invert, train
+from riginv import check, compare, evaluate, export_onnx, invert, reproduce, train
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
@@ -26,6 +26,7 @@ COMMANDS = {
     "compare": compare.compare,
     "invert": invert.invert,
     "export_onnx": export_onnx.export_onnx,
+    "reproduce": reproduce.reproduce,
 }
 SMALL = [
     "rig=toy",

@@ -28,6 +28,8 @@ FLOORS = [
     {"callbacks", "baselines", "inversion"},
     {"assemble"},
     {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx"},
+    {"reproduction"},
+    {"reproduce"},
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 SOURCES = [path for folder in ("riginv", "rigs") for path in sorted((ROOT / folder).rglob("*.py"))]

@@ -1,6 +1,8 @@
 """From an error to the one sentence that a user needs."""
 
 import difflib
+import errno
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -15,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from riginv.errors import InputError, NonFiniteLossError
 
 PACKAGE = Path(__file__).parent.parent
+DISK_FAULTS = (errno.EACCES, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.ENOTDIR)
 CONFIGS = PACKAGE / "conf" if (PACKAGE / "conf").is_dir() else PACKAGE.parent / "conf"  # installed, or in a checkout
 
 
@@ -31,6 +34,10 @@ def explain(error: BaseException, config_name: str) -> str | None:
             return f"cannot read the argument '{cause.override}': expected KEY=VALUE or GROUP=CHOICE"
         if isinstance(cause, ConfigCompositionException) and (key := re.match(r"Could not override '([^']+)'", str(cause))):
             return f"{key[1]}: there is no such key{_near(key[1], _known_keys(config_name))} --cfg job shows them all"
+    for cause in causes:
+        if isinstance(cause, OSError) and cause.errno in DISK_FAULTS:
+            where = f"{cause.filename}: " if cause.filename else ""
+            return f"{where}cannot be written: {os.strerror(cause.errno)}; choose another folder with hydra.run.dir=DIR"
     if any(isinstance(cause, HydraException | OmegaConfBaseException) for cause in causes):
         return " ".join(str(causes[-1]).split("\n")[0].split())
     return None

@@ -81,16 +81,19 @@ RULES: dict[str, Check] = {
     "frames.first": WHOLE,
     "frames.last": WHOLE,
     "reading.check_faces": BOOLEAN,
+    "jobs": AT_LEAST_1,
+    "budget.samples": AT_LEAST_1,
+    "budget.meshes": AT_LEAST_1,
+    "budget.frames": ("a whole number of at least 3", lambda value: _is_whole(value) and value >= 3),
+    "budget.networks.*.steps": AT_LEAST_1,
+    "budget.optimum.descent_steps": AT_LEAST_0,
+    "budget.optimum.*": AT_LEAST_1,
     "columns": AT_LEAST_1,
 }
 MAY_BE_NULL = (
-    "frames.first",
-    "frames.last",
-    "stop_below_lr",
-    "trainer.max_steps",
-    "data.stored_poses",
-    "sampler*.most",
-    "pictures.every_n_validations",
+    *("frames.first", "frames.last"),
+    *("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations"),
+    *("jobs", "budget.frames", "budget.networks.*.steps"),
 )
 
 

@@ -1,0 +1,91 @@
+"""The paper's networks with one thing changed, to test what the paper says of that thing (`riginv.reproduce`)."""
+
+from collections.abc import Sequence
+
+from torch import Tensor, nn
+
+from riginv.errors import InputError
+from riginv.mesh_space import RigInMeshSpace
+from riginv.networks.control_maps import ControlMap
+from riginv.networks.inverse import Answer, DirectInverse
+from riginv.networks.mlp import Anchored
+from riginv.networks.surrogate import ControlMLP
+
+NORMALISATIONS = {"batch": nn.BatchNorm1d, "layer": nn.LayerNorm}
+
+
+class NormalisedInverse(DirectInverse):
+    """The paper's inverse with the normalisation layers that it leaves out, one before each activation.
+
+    Args:
+        normalisation: `batch` or `layer`.
+
+    Raises:
+        InputError: there is no such normalisation.
+    """
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        normalisation: str,
+        hidden: Sequence[int] = (2048, 1024, 512, 256),
+        activation: str = "leaky_relu",
+        control_map: str = "neutral_start",
+    ) -> None:
+        super().__init__(rig, hidden, activation, control_map)
+        if normalisation not in NORMALISATIONS:
+            raise InputError(
+                f"network: normalisation '{normalisation}' is not known; choose one of {', '.join(NORMALISATIONS)}"
+            )
+        layer = NORMALISATIONS[normalisation]
+        if isinstance(self.network, Anchored):
+            self.network.network = _normalised(self.network.network, layer)
+        else:
+            self.network = _normalised(self.network, layer)
+
+
+class UnboundedInverse(DirectInverse):
+    """The paper's inverse without tanh: a linear output, which may leave the rig's limits while it trains.
+
+    Once trained, its answers are cut off to the limits: no rig takes others.
+    """
+
+    def __init__(
+        self, rig: RigInMeshSpace, hidden: Sequence[int] = (2048, 1024, 512, 256), activation: str = "leaky_relu"
+    ) -> None:
+        super().__init__(rig, hidden, activation, "neutral_start")
+        self.control_map = _Linear(rig.rig)
+
+    def forward(self, coordinates: Tensor) -> Tensor:
+        return super().forward(coordinates).clamp(self.control_map.lower, self.control_map.upper)
+
+    def answers(self, coordinates: Tensor) -> list[Answer]:
+        controls = self.control_map(self.network(coordinates))
+        return [Answer(controls, self.rig(controls))]
+
+
+class UnboundedSurrogate(ControlMLP):
+    """The paper's surrogate without sigmoids: its weights may leave [0, 1]."""
+
+    def forward(self, controls: Tensor) -> Tensor:
+        return self.raw(controls) if self.weights else super().forward(controls)
+
+
+class _Linear(ControlMap):
+    """0 maps to the neutral controls, 1 to as much more as each control's range is wide."""
+
+    def forward(self, raw: Tensor) -> Tensor:
+        return self.neutral + (self.upper - self.lower) * raw
+
+    def raw_of(self, controls: Tensor) -> Tensor:
+        return (controls - self.neutral) / (self.upper - self.lower)
+
+
+def _normalised(network: nn.Sequential, layer: type[nn.Module]) -> nn.Sequential:
+    """The same perceptron with a layer of a kind after each of its linear layers but the last."""
+    layers: list[nn.Module] = []
+    for module in network:
+        layers.append(module)
+        if isinstance(module, nn.Linear) and module is not network[-1]:
+            layers.append(layer(module.out_features))
+    return nn.Sequential(*layers)

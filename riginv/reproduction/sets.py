@@ -1,0 +1,100 @@
+"""The meshes that a reproduction judges on, and parts of sets."""
+
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.clips.live_link import live_link_clip
+from riginv.clips.performance import simulated_performance
+from riginv.data.mesh_sets import MeshSet, StoredMeshes
+from riginv.data.test_sets import random_sets
+from riginv.errors import InputError
+from riginv.rig import LinearRig
+
+COMBINATIONS, POSES, CAPTURED, CLIP = "random_combinations", "rig_poses", "captured", "clip"
+CONTROLS_FILE, VERTICES_FILE = "controls.npy", "vertices.npy"
+
+
+class Rows(MeshSet):
+    """Some meshes of another set.
+
+    Args:
+        rows: which, `(mesh,)`.
+        fps: where they are frames in a row, else None.
+    """
+
+    def __init__(self, meshes: MeshSet, rows: Tensor, name: str | None = None, fps: float | None = None) -> None:
+        super().__init__(name or meshes.name, fps, None if meshes.controls is None else meshes.controls[rows])
+        self.meshes, self.rows = meshes, rows.tolist()
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def vertices(self, start: int, stop: int) -> Tensor:
+        return torch.cat([self.meshes.vertices(row, row + 1) for row in self.rows[start:stop]])
+
+
+class KeptPoses(StoredMeshes):
+    """Poses that the judge made, kept as files: read as they are asked for, never all at once."""
+
+    def __init__(self, folder: str | Path) -> None:
+        controls, vertices = (np.load(Path(folder) / name, mmap_mode="r") for name in (CONTROLS_FILE, VERTICES_FILE))
+        super().__init__(POSES, vertices, controls=torch.from_numpy(np.array(controls)))
+
+    def vertices(self, start: int, stop: int) -> Tensor:
+        return torch.from_numpy(np.array(self.meshes[start:stop]))
+
+
+def evenly(count: int, of: int) -> Tensor:
+    """At most `count` rows out of `of`, evenly spread, `(row,)`."""
+    return torch.linspace(0, of - 1, min(count, of), dtype=torch.float64).round().long()
+
+
+@functools.lru_cache(maxsize=4)
+def recording(rig: LinearRig, capture: str | None) -> MeshSet | None:
+    """The captured data, read once in a process: the recording, or a simulated performance; None: the rig has no shapes.
+
+    Raises:
+        InputError: the recording cannot be read, moves what the rig lacks, or is shorter than three frames.
+    """
+    whole = live_link_clip(capture, rig) if capture else simulated_performance(rig)
+    if whole is not None and len(whole) < 3:
+        raise InputError(f"{capture}: {len(whole)} frames, expected at least 3: roughness is a second difference")
+    return whole
+
+
+def captured(rig: LinearRig, capture: str | None, meshes: int) -> MeshSet | None:
+    """Some meshes of the captured data, evenly spread over the whole of it."""
+    whole = recording(rig, capture)
+    return None if whole is None else Rows(whole, evenly(meshes, len(whole)), CAPTURED)
+
+
+def the_clip(rig: LinearRig, capture: str | None, frames: int | None) -> MeshSet | None:
+    """Frames of the captured data in a row, from its middle; None: all of them."""
+    whole = recording(rig, capture)
+    if whole is None:
+        return None
+    count = min(frames or len(whole), len(whole))
+    start = (len(whole) - count) // 2
+    return Rows(whole, torch.arange(start, start + count), CLIP, whole.fps)
+
+
+def the_sets(config: Mapping[str, Any], places: Mapping[str, Any], poses: str | None, rig: LinearRig) -> dict[str, MeshSet]:
+    """All sets by name; poses of the rig are those that the judge made (`poses`: their folder).
+
+    Args:
+        config: `meshes` in each set but the clip, `frames` of the clip, None: all.
+        places: `capture`: the recording, or None.
+    """
+    sets = [one for one in random_sets(rig, config["meshes"]) if one.name != POSES]
+    data = captured(rig, places["capture"], config["meshes"]), the_clip(rig, places["capture"], config["frames"])
+    sets += [one for one in data if one is not None]
+    if poses:
+        kept = KeptPoses(poses)
+        sets.append(Rows(kept, torch.arange(min(config["meshes"], len(kept)))))
+    return {one.name: one for one in sets}
