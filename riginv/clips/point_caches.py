@@ -40,7 +40,9 @@ class PointCache(MeshSequence):
 
     def read(self, start: int, stop: int) -> np.ndarray:
         offset = self.offset + 12 * start * self.vertex_count
-        return read_numbers(self.file, self.dtype, (stop - start, self.vertex_count, 3), offset).astype(np.float32)
+        values = read_numbers(self.file, self.dtype, (stop - start, self.vertex_count, 3), offset)
+        with np.errstate(invalid="ignore"):
+            return values.astype(np.float32)
 
 
 class MddCache(PointCache):
@@ -55,7 +57,8 @@ class MddCache(PointCache):
         _check_counts(path, frames, vertices, "MDD")
         if _size(path) < 8 + 4 * frames:
             raise InputError(f"{path}: {_size(path)} bytes, too few for the times of {frames} frames: truncated, or no MDD")
-        times = read_numbers(path, np.dtype(">f4"), (frames,), 8).astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            times = read_numbers(path, np.dtype(">f4"), (frames,), 8).astype(np.float64)
         super().__init__(path, frames, vertices, ">f4", 8 + 4 * frames, fps=_rate(times))
 
 

@@ -102,5 +102,4 @@ def keyed_range() -> tuple[int, int]:
 
 
 if __name__ == "__main__":
-    sys.modules.setdefault("play", sys.modules["__main__"])
     serve(ClipScene())
