@@ -23,6 +23,8 @@ from riginv.rig import LinearRig, RigBackend
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
 
+WORTH_ROUNDING = 1_000_000  # numbers of a frame: below it there is nothing to gain
+
 
 class Inverse(nn.Module):
     """Maps meshes to the controls of a rig.
@@ -38,7 +40,8 @@ class Inverse(nn.Module):
     def __init__(self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0) -> None:
         super().__init__()
         self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
-        self.encoder = QuickEncoder(network.rig.space, rounded=network.rig.rig.has_blendshapes)
+        space = network.rig.space
+        self.encoder = QuickEncoder(space, network.rig.rig.has_blendshapes and space.frame.numel() >= WORTH_ROUNDING)
 
     @property
     def rig(self) -> LinearRig:

@@ -61,7 +61,7 @@ class UnboundedInverse(DirectInverse):
 
     def answers(self, coordinates: Tensor) -> list[Answer]:
         controls = self.control_map(self.network(coordinates))
-        return [Answer(controls, self.rig(controls))]
+        return [Answer(controls, self.rig)]
 
 
 class UnboundedSurrogate(ControlMLP):
