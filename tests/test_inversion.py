@@ -277,8 +277,7 @@ def test_the_gradient_of_preferences_is_that_of_their_cost(rig):
         rig, weights={"bump*": 50.0}, symmetric=[["bump0", "bump1"]], exclusive=[["bump2", "side"], ["bump3", "all"]]
     ).preferences
     objective = PreferringObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, preferences)
-    objective.sparsity, objective.apart, objective.together = 3.0, 20.0, 30.0
-    objective.sparsity_of = objective.sparsity_of * 1.0
+    objective.apart, objective.together = 20.0, 30.0
     units = 0.2 + 0.6 * torch.rand(3, 7, generator=generator_at(0, "units"), dtype=torch.float64)
     _, gradient, _ = objective._preference(units)
     step = 1e-6

@@ -5,13 +5,14 @@ import pytest
 import torch
 from scipy.optimize import lsq_linear
 
-from riginv.baselines.blendshape_weights import BlendshapeWeights, bounded_least_squares
+from riginv.baselines.blendshape_weights import BlendshapeWeights
 from riginv.baselines.clusters import _threshold, control_reach, find_clusters
 from riginv.baselines.control_lookup import ControlLookup
 from riginv.baselines.gaussian_process import GaussianProcess, PrincipalComponents
 from riginv.baselines.sides import Sides
 from riginv.geometry.spread import spread_points
 from riginv.sampling.seeds import generator_at
+from riginv.solvers.bounded import bounded_least_squares
 
 
 def noise(*shape: int, place: str = "regressions") -> torch.Tensor:
@@ -106,6 +107,21 @@ def test_bounded_least_squares_is_scipys(spread):
         expected = lsq_linear(stacked, np.append(targets[row].numpy(), np.zeros(12)), bounds=(0, 1), method="bvls", tol=1e-14)
         np.testing.assert_allclose(found[row].numpy(), expected.x, atol=1e-5)
     assert found.min() >= 0 and found.max() <= 1
+
+
+def test_bounded_least_squares_ends_where_no_weight_wants_to_move(face):
+    """Shapes that overlap, as a face's do: a guess at which weights end at a limit goes round in circles there."""
+    shapes = torch.stack(list(face.arkit_deltas().values())).flatten(1).double()
+    gram = shapes @ shapes.T
+    gram.diagonal().mul_(1 + 1e-5)
+    controls = (
+        face.lower + (face.upper - face.lower) * torch.rand(300, len(face.controls), generator=generator_at(0, "controls")) ** 3
+    )
+    right = (face(controls) - face.rest_vertices).flatten(1).double() @ shapes.T
+    found = bounded_least_squares(gram, right)
+    gradient = found @ gram - right
+    wanted = torch.where(found <= 0, gradient.clamp(max=0), torch.where(found >= 1, gradient.clamp(min=0), gradient))
+    assert wanted.abs().max() < 1e-6 * right.abs().max()
 
 
 def test_the_lookup_brings_single_controls_back(toy):

@@ -10,33 +10,9 @@ from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
 from riginv.rig import LinearRig
-from riginv.solvers.box_step import box_step
+from riginv.solvers.bounded import bounded_least_squares
 
 PIECE = 256  # meshes at a time
-ROUNDS = 30  # of the active set; it settles after a few
-HALVINGS = 6
-SETTLED = 1e-9  # no weight moves by more
-
-
-def bounded_least_squares(gram: Tensor, right: Tensor) -> Tensor:
-    """Weights `(mesh, shape)` in [0, 1] that minimise half w^T G w - b^T w, for all meshes at once.
-
-    Args:
-        gram: G `(shape, shape)`, positive definite.
-        right: b `(mesh, shape)`.
-    """
-    at = torch.zeros_like(right)
-    matrix = gram.expand(len(right), -1, -1)
-    for _ in range(ROUNDS):
-        gradient = at @ gram - right
-        step = box_step(matrix, gradient, at)
-        for _ in range(HALVINGS):  # pinning is a guess: a step that does not help is halved
-            change = (gradient * step).sum(dim=1) + 0.5 * (step * (step @ gram)).sum(dim=1)
-            step = torch.where((change > 0)[:, None], step / 2, step)
-        at = (at + step).clamp(0, 1)
-        if not bool((step.abs() > SETTLED).any()):
-            break
-    return at
 
 
 class BlendshapeWeights(Method):

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from riginv.curves.live_link import TIMECODE_FPS
 from riginv.data.mesh_sets import WeightedShapes
 from riginv.errors import InputError
 from riginv.rig import RigBackend
 
 TIMECODE = re.compile(r"(\d+):(\d\d):(\d\d):(\d\d(?:\.\d+)?)")
-TIMECODE_FPS = 60  # the app counts 60 frames a second in its timecode, whatever it records at
 NOT_SHAPES = ("Timecode", "BlendShapeCount")
 ANGLES = re.compile(r"(Head|LeftEye|RightEye)(Yaw|Pitch|Roll)")
 

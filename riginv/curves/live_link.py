@@ -12,6 +12,7 @@ from riginv.curves.animation import Animation
 from riginv.curves.table import write_rows
 from riginv.errors import InputError
 from riginv.rig import LinearRig, RigBackend
+from riginv.solvers.bounded import bounded_least_squares
 
 FILE = "live_link.csv"
 SHAPES = (  # in the order of the app's columns
@@ -26,8 +27,6 @@ SHAPES = (  # in the order of the app's columns
 ANGLES = [f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll")]
 TIMECODE_FPS = 60  # the app counts 60 frames a second in its timecode, whatever it records at
 PIECE = 256  # frames at a time
-SWEEPS = 300  # of coordinate descent over the shapes, at most
-SETTLED = 1e-6  # of a weight's change in a sweep
 RIDGE = 1e-5  # of a shape's own size: between shapes that do the same, the weights are shared
 
 
@@ -100,31 +99,20 @@ def arkit_weights(animation: Animation) -> Tensor:
 
 @torch.no_grad()
 def nearest_weights(rig: RigBackend, deltas: Tensor, controls: Tensor) -> Tensor:
-    """The weights `(frame, shape)` in [0, 1] whose shapes `(shape, vertex, 3)` sum to the nearest of the rig's meshes.
-
-    Coordinate descent on the normal equations, all frames at once.
-    """
+    """The weights `(frame, shape)` in [0, 1] whose shapes `(shape, vertex, 3)` sum to the nearest of the rig's meshes."""
     flat = deltas.flatten(1).double()
     gram = flat @ flat.T
-    gram.diagonal().mul_(1 + RIDGE)
-    if isinstance(rig, LinearRig):
-        along = rig.basis.flatten(1).double() @ flat.T
-        aims = [(rig.coefficients(piece) - rig.neutral_coefficients()).double() @ along for piece in controls.split(PIECE)]
-    else:
-        aims = [(rig(piece) - rig.rest_vertices).flatten(1).double() @ flat.T for piece in controls.split(PIECE)]
-    aim = torch.cat(aims)
-    weights = torch.zeros_like(aim)
-    movable = (gram.diagonal() > 0).nonzero()[:, 0].tolist()
-    for _ in range(SWEEPS):
-        largest = 0.0
-        for shape in movable:
-            step = (aim[:, shape] - weights @ gram[shape]) / gram[shape, shape]
-            before = weights[:, shape].clone()
-            weights[:, shape] = (before + step).clamp(0, 1)
-            largest = max(largest, float((weights[:, shape] - before).abs().max()))
-        if largest < SETTLED:
-            break
-    return weights.cpu()
+    size = gram.diagonal()
+    size.copy_(torch.where(size > 0, size * (1 + RIDGE), 1.0))  # a shape without any size takes no part
+    along = rig.basis.flatten(1).double() @ flat.T if isinstance(rig, LinearRig) else None
+    found = []
+    for piece in controls.split(PIECE):
+        if along is None:
+            aim = (rig(piece) - rig.rest_vertices).flatten(1).double() @ flat.T
+        else:
+            aim = (rig.coefficients(piece) - rig.neutral_coefficients()).double() @ along
+        found.append(bounded_least_squares(gram, aim))
+    return torch.cat(found).cpu()
 
 
 def _plain(name: str) -> str:

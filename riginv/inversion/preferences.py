@@ -34,10 +34,8 @@ class PreferringObjective(Objective):
     """
 
     def __init__(self, rig: RigInMeshSpace, prior: float, sparsity: float, preferences: Preferences) -> None:
-        super().__init__(rig, prior, sparsity)
-        dearness = preferences.dearness.to(self.map)
-        self.sparsity_of = self.sparsity * dearness
-        self.prior = self.prior * dearness
+        dearness = preferences.dearness.to(rig.linear_map)
+        super().__init__(rig, prior * dearness, sparsity * dearness)
         self.symmetric, self.exclusive = preferences.symmetric.T, preferences.exclusive.T
         self.together = preferences.symmetric_mm2 * self.vertex_count
         self.apart = preferences.exclusive_mm2 * self.vertex_count
@@ -57,16 +55,9 @@ class PreferringObjective(Objective):
         return away / (away.square() + CORNER**2).sqrt()
 
     def _preference(self, units: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        cost, gradient, curvature = super()._preference(units)
         away = units - self.neutral
         size = (away.square() + CORNER**2).sqrt()
-        inside = (self.neutral > 0) & (self.neutral < 1)
-        cost, gradient = 0.5 * (self.prior * away.square()).sum(dim=1), self.prior * away
-        curvature = self.prior.expand_as(away).clone()
-        if self.sparsity:
-            cost = cost + (self.sparsity_of * torch.where(inside, size - CORNER, away.abs())).sum(dim=1)
-            outward = torch.where(self.neutral <= 0, 1.0, -1.0)
-            gradient = gradient + self.sparsity_of * torch.where(inside, away / size, outward)
-            curvature = curvature + self.sparsity_of * torch.where(inside, 1 / size, 0.0)
         cost = cost + self._symmetric(away, gradient, curvature)
         return cost + self._exclusive(away, size, gradient, curvature), gradient, curvature
 

@@ -41,17 +41,22 @@ class Objective:
 
     Args:
         rig: the rig in its mesh space.
-        prior: mm^2 for one control that leaves neutral by its whole range.
+        prior: mm^2 for one control that leaves neutral by its whole range; or as much for each, `(control,)`.
         sparsity: the same, in proportion to the way.
         dtype: to compute in; that of the rig unless given.
     """
 
     def __init__(
-        self, rig: RigInMeshSpace, prior: float = PRIOR, sparsity: float = 0.0, dtype: torch.dtype | None = None
+        self,
+        rig: RigInMeshSpace,
+        prior: float | Tensor = PRIOR,
+        sparsity: float | Tensor = 0.0,
+        dtype: torch.dtype | None = None,
     ) -> None:
         self.rig = rig
         self.vertex_count = rig.space.vertex_count
         self.prior, self.sparsity = prior * self.vertex_count, sparsity * self.vertex_count
+        self.is_sparse = bool(torch.as_tensor(sparsity).any())
         dtype = dtype or rig.linear_map.dtype
         self.map = rig.linear_map.to(dtype)
         self.metric = _metric(rig, self.map)
@@ -119,12 +124,12 @@ class Objective:
         a rounded corner, whose curvature is that of the parabola through it which lies nowhere below.
         """
         away = units - self.neutral
-        cost, gradient = 0.5 * self.prior * away.square().sum(dim=1), self.prior * away
-        curvature = torch.full_like(away, self.prior)
-        if self.sparsity:
+        cost, gradient = 0.5 * (self.prior * away.square()).sum(dim=1), self.prior * away
+        curvature = torch.zeros_like(away) + self.prior
+        if self.is_sparse:
             rounded = (away.square() + CORNER**2).sqrt()
             inside = (self.neutral > 0) & (self.neutral < 1)
-            cost = cost + self.sparsity * torch.where(inside, rounded - CORNER, away.abs()).sum(dim=1)
+            cost = cost + (self.sparsity * torch.where(inside, rounded - CORNER, away.abs())).sum(dim=1)
             direction = torch.where(self.neutral <= 0, 1.0, -1.0)
             gradient = gradient + self.sparsity * torch.where(inside, away / rounded, direction)
             curvature = curvature + self.sparsity * torch.where(inside, 1 / rounded, 0.0)
