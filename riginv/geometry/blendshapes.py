@@ -17,9 +17,9 @@ def screen(activations: Tensor, sources: Tensor) -> Tensor:
         `(batch, shape)` in [0, 1].
     """
     padded = torch.cat([activations, activations.new_zeros(activations.shape[0], 1)], dim=1)
-    remaining = 1 - padded[:, sources[:, 0]]
+    remaining = 1 - _pick(padded, sources[:, 0])
     for slot in sources.T[1:]:
-        remaining = remaining * (1 - padded[:, slot])
+        remaining = remaining * (1 - _pick(padded, slot))
     return 1 - remaining
 
 
@@ -34,18 +34,18 @@ def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
         `(batch, combination)`.
     """
     padded = torch.cat([weights, weights.new_ones(weights.shape[0], 1)], dim=1)
-    product = padded[:, members[:, 0]]
+    product = _pick(padded, members[:, 0])
     for slot in members.T[1:]:
-        product = product * padded[:, slot]
+        product = product * _pick(padded, slot)
     return product
 
 
 def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
     """The other rule for combinations: the least of the weights of its shapes; as `combination_weights` otherwise."""
     padded = torch.cat([weights, weights.new_full((weights.shape[0], 1), torch.inf)], dim=1)
-    smallest = padded[:, members[:, 0]]
+    smallest = _pick(padded, members[:, 0])
     for slot in members.T[1:]:
-        smallest = torch.minimum(smallest, padded[:, slot])
+        smallest = torch.minimum(smallest, _pick(padded, slot))
     return smallest
 
 
@@ -77,3 +77,8 @@ def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tens
         `(batch, vertex, 3)`, mm.
     """
     return rest_vertices + (weights @ deltas.flatten(1)).unflatten(1, rest_vertices.shape)
+
+
+def _pick(padded: Tensor, places: Tensor) -> Tensor:
+    """As `padded[:, places]`, whose gradient takes far longer; -1 is the last column."""
+    return padded.index_select(1, places % padded.shape[1])

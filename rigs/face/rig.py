@@ -80,13 +80,13 @@ class FaceRig(LinearRig):
 
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, 137)` to the weights `(batch, 628)` of primary shapes, in-betweens and combinations."""
-        driven = evaluate_curves(self.driver_curves.to(controls), controls[:, self.driver_control])
+        driven = evaluate_curves(self.driver_curves.to(controls), controls.index_select(1, self.driver_control))
         primary = screen(driven, self.driver_of_shape)
-        under = evaluate_curves(self.ceiling_curves.to(controls), primary[:, self.ceiling_under])
-        primary = primary.index_copy(1, self.ceiling_shape, torch.minimum(primary[:, self.ceiling_shape], under))
+        under = evaluate_curves(self.ceiling_curves.to(controls), primary.index_select(1, self.ceiling_under))
+        primary = primary.index_copy(1, self.ceiling_shape, torch.minimum(primary.index_select(1, self.ceiling_shape), under))
         yielding = evaluate_curves(self.limit_curves.to(controls), primary @ self.capacity_taken.to(controls))
-        primary = primary * yielding[:, self.region_of_shape]
-        between = evaluate_curves(self.inbetween_curves.to(controls), primary[:, self.inbetween_shape])
+        primary = primary * yielding.index_select(1, self.region_of_shape)
+        between = evaluate_curves(self.inbetween_curves.to(controls), primary.index_select(1, self.inbetween_shape))
         return torch.cat([primary, between, combination_weights(primary, self.combination_members)], dim=1)
 
     @torch.no_grad()
