@@ -17,14 +17,12 @@ class QuickEncoder(nn.Module):
         rounded: whether rounding is allowed at all.
     """
 
-    frame: Tensor | None
-
     def __init__(self, space: MeshSpace, rounded: bool = True) -> None:
         super().__init__()
         self.space = [space]  # in a list: its tensors are not this module's
-        quick = rounded and space.frame.device.type == "cpu" and torch.cpu._is_avx512_bf16_supported()
-        frame = space.frame.flatten(1).T.bfloat16().contiguous() if quick else None
-        self.register_buffer("frame", frame, persistent=False)
+        quick = rounded and space.frame.device.type == "cpu" and _multiplies_bfloat16()
+        # no buffer: a module that is cast to another type must not take it along
+        self.frame = space.frame.flatten(1).T.bfloat16().contiguous() if quick else None
 
     def forward(self, vertices: Tensor) -> Tensor:
         """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`."""
@@ -32,3 +30,8 @@ class QuickEncoder(nn.Module):
         if self.frame is None or vertices.device.type != "cpu":
             return space.encode(vertices)
         return ((vertices - space.rest_vertices).flatten(1).bfloat16() @ self.frame).to(vertices.dtype)
+
+
+def _multiplies_bfloat16() -> bool:
+    ask = getattr(torch.cpu, "_is_avx512_bf16_supported", None)  # not a public name: it may go
+    return ask is not None and ask()

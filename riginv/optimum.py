@@ -9,6 +9,7 @@ from torch import Tensor
 
 from riginv.cache import cached_tensors, code_key
 from riginv.data.mesh_sets import MeshSet
+from riginv.geometry.spread import evenly
 from riginv.judge import Judgement
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig import LinearRig, RigBackend
@@ -63,7 +64,7 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]
     for meshes in sets:
         if not len(meshes):
             continue
-        rows = torch.linspace(0, len(meshes) - 1, min(MESHES, len(meshes)), dtype=torch.float64).round().long()
+        rows = evenly(MESHES, len(meshes))
         vertices = torch.cat([meshes.vertices(row, row + 1) for row in rows.tolist()])
 
         def solve(vertices: Tensor = vertices) -> dict[str, Tensor]:

@@ -60,7 +60,7 @@ RULES: dict[str, Check] = {
     "*.coefficient_share": NOT_NEGATIVE,
     "model.sampled_vertices": AT_LEAST_0,
     "*.network.context": WIDTHS,
-    "model.network.corrections": AT_LEAST_0,
+    "*.network.corrections": AT_LEAST_0,
     **dict.fromkeys(
         (f"*.network.{key}" for key in ("stages", "width", "gate", "drivers", "parents", "corrective_width")), AT_LEAST_1
     ),

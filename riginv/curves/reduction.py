@@ -10,6 +10,7 @@ from torch import Tensor
 
 from riginv.curves.animation import Animation
 from riginv.errors import InputError
+from riginv.geometry.spread import evenly
 from riginv.rig import LinearRig, RigBackend
 
 PIECE = 128  # meshes at a time
@@ -113,7 +114,7 @@ def _farthest(seconds: np.ndarray, values: np.ndarray, allowed: np.ndarray, row:
 def _reach_mm(animation: Animation) -> Tensor:
     """How far each control moves any vertex, `(control,)`, mm for one of its units, at frames spread over the clip."""
     rig, controls = animation.rig, animation.controls
-    rows = torch.linspace(0, len(controls) - 1, min(LOOKED_AT, len(controls))).round().long()
+    rows = evenly(LOOKED_AT, len(controls))
     reach = torch.full((len(rig.controls),), 1e-9, dtype=torch.float64)
     steps = STEP * (rig.upper - rig.lower)
     for pose in (rig.neutral_controls.to(controls), *controls[rows]):

@@ -3,6 +3,7 @@
 import torch
 
 from riginv.data.mesh_sets import MeshSet, PosedRig, WeightedShapes
+from riginv.geometry.spread import evenly
 from riginv.mesh_space import MeshSpace
 from riginv.rig import LinearRig, RigBackend
 from riginv.sampling.controls import sparse_controls
@@ -38,7 +39,7 @@ def watched(sets: list[MeshSet], space: MeshSpace, count: int) -> dict[str, Pose
     """Up to `count` meshes of each set, evenly spread, in mesh coordinates: what training looks at now and then."""
     result = {}
     for mesh_set in sets:
-        rows = torch.linspace(0, len(mesh_set) - 1, min(count, len(mesh_set))).round().long().tolist()
+        rows = evenly(count, len(mesh_set)).tolist()
         batch = PoseBatch(coordinates=torch.cat([space.encode(mesh_set.vertices(row, row + 1)) for row in rows]))
         if mesh_set.controls is not None:
             batch["controls"] = mesh_set.controls[rows]

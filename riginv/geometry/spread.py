@@ -1,7 +1,12 @@
-"""A few of many points, spread as evenly as they lie."""
+"""A few of many, spread as evenly as they lie: rows of a set, or points in space."""
 
 import torch
 from torch import Tensor
+
+
+def evenly(count: int, of: int) -> Tensor:
+    """`count` rows `(row,)` of `of`, in order, from the first to the last; all of them where there are no more."""
+    return torch.linspace(0, of - 1, min(count, of), dtype=torch.float64).round().long()
 
 
 def spread_points(points: Tensor, count: int) -> Tensor:

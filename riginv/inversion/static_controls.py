@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from riginv.clips.clip import Clip
+from riginv.geometry.spread import evenly
 from riginv.inversion.solving import BySolver
 from riginv.inversion.window import WindowInverter
 
@@ -13,7 +14,7 @@ FAINT = 1e-9  # of the curvature, added so that a frame that says nothing of a c
 
 def sample_of(clip: Clip, count: int = FRAMES) -> Tensor:
     """Frames `(frame, vertex, 3)` spread evenly over a clip, in their order."""
-    rows = sorted(set(torch.linspace(0, len(clip) - 1, min(count, len(clip))).round().long().tolist()))
+    rows = evenly(count, len(clip)).tolist()
     return torch.cat([clip.vertices(row, row + 1) for row in rows])
 
 

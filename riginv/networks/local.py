@@ -79,8 +79,6 @@ class LocalSurrogate(SurrogateNetwork):
         if not self.weights:
             self.dense = mlp(controls, hidden, len(rig.basis), "leaky_relu")
             return
-        self.register_buffer("neutral", rig.neutral_controls, persistent=False)
-        self.register_buffer("half_range", (rig.upper - rig.lower) / 2, persistent=False)
         self.primary = LocalPerceptrons(primaries, drivers, width)
         self.corrective = LocalPerceptrons(len(rig.basis) - primaries, parents, corrective_width)
         self.of_product = nn.Parameter(torch.ones(len(rig.basis) - primaries))

@@ -25,9 +25,9 @@ class SurrogateNetwork(RigNetwork, ABC):
     def __init__(self, rig: LinearRig) -> None:
         super().__init__()
         self.weights = rig.has_blendshapes
+        self.register_buffer("neutral", rig.neutral_controls, persistent=False)
+        self.register_buffer("half_range", (rig.upper - rig.lower) / 2, persistent=False)
         if not self.weights:
-            self.register_buffer("neutral", rig.neutral_controls, persistent=False)
-            self.register_buffer("half_range", (rig.upper - rig.lower) / 2, persistent=False)
             self.register_buffer("middle", torch.zeros(len(rig.basis), dtype=rig.dtype))
             self.register_buffer("spread", torch.ones(len(rig.basis), dtype=rig.dtype))
 

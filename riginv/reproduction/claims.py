@@ -5,7 +5,8 @@ from collections.abc import Callable
 from typing import Any
 
 from riginv.reproduction.sets import CAPTURED, CLIP, COMBINATIONS, POSES
-from riginv.reproduction.tables import MEAN, Results
+from riginv.reproduction.tables import SMOOTHER, Results
+from riginv.reproduction.wording import MEAN
 
 HELD, NOT_HELD, DEPENDS, UNTESTED = "held", "not held", "depends", "not tested"
 SAME_SEEDS = 0.05  # a spread over seeds below this share of the mean counts as consistent
@@ -80,11 +81,8 @@ def _seeds(results: Results) -> Verdict:
 
 
 def _smoothness(results: Results) -> Verdict:
-    ratios = {}
-    for ours, theirs, rig in (("inverse", "direct", "programmatic"), ("trained", "direct_trained", "trained")):
-        rough = [results.answered(row, "roughness") for row in (ours, theirs)]
-        if all(rough):
-            ratios[rig] = statistics.fmean(rough[1]) / max(statistics.fmean(rough[0]), 1e-12)
+    ratios = {rig: results.smoother(*rows) for rig, rows in SMOOTHER.items()}
+    ratios = {rig: ratio for rig, ratio in ratios.items() if ratio is not None}
     shown = ", ".join(f"{ratio:.3g} times with the {rig} rig" for rig, ratio in ratios.items())
     return _all_or_none([ratio >= 10 for ratio in ratios.values()]), shown
 

@@ -12,11 +12,12 @@ from torch import Tensor
 from riginv.data.mesh_sets import MeshSet
 from riginv.data.test_sets import random_poses
 from riginv.files import written_beside
+from riginv.geometry.spread import evenly
 from riginv.judge import PIECE
 from riginv.metrics import VertexError
 from riginv.reproduction.answers import read_answers
 from riginv.reproduction.cast import rig_in_space, the_judge, trained_rig
-from riginv.reproduction.sets import CONTROLS_FILE, VERTICES_FILE, KeptPoses, Rows, evenly, the_sets
+from riginv.reproduction.sets import CONTROLS_FILE, VERTICES_FILE, KeptPoses, Rows, the_sets
 from riginv.reproduction.steps import Task
 from riginv.reproduction.training import bundle_of
 from riginv.rig import RigBackend

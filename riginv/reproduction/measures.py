@@ -5,10 +5,11 @@ from typing import Any
 import torch
 
 from riginv.files import write_json
+from riginv.geometry.spread import evenly
 from riginv.inverse import load_inverse
 from riginv.reproduction.answers import read_answers
 from riginv.reproduction.cast import rig_in_space
-from riginv.reproduction.sets import CAPTURED, COMBINATIONS, POSES, KeptPoses, evenly, the_sets
+from riginv.reproduction.sets import CAPTURED, COMBINATIONS, POSES, KeptPoses, the_sets
 from riginv.reproduction.steps import Task
 from riginv.reproduction.training import bundle_of
 from riginv.sampling.seeds import generator_at

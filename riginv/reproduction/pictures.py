@@ -10,12 +10,13 @@ from torch import Tensor
 from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
 from riginv.files import written_beside
+from riginv.geometry.spread import evenly
 from riginv.inverse import load_inverse
 from riginv.pictures import Pair, comparison
 from riginv.render import Camera, grid, heat_colors
 from riginv.reproduction.cast import rig_in_space, the_judge
 from riginv.reproduction.judging import read_errors
-from riginv.reproduction.sets import COMBINATIONS, evenly, the_sets
+from riginv.reproduction.sets import COMBINATIONS, the_sets
 from riginv.reproduction.steps import Task
 from riginv.reproduction.training import bundle_of
 from riginv.rig import RigBackend

@@ -17,8 +17,8 @@ from riginv.reproduction.pictures import PICTURE
 from riginv.reproduction.sets import CAPTURED, CLIP, COMBINATIONS, POSES
 from riginv.reproduction.steps import Task, read_done
 from riginv.reproduction.training import RUN
+from riginv.reproduction.wording import MEAN
 
-ERROR = "mean_vertex_error_mm"
 COLOURS = 10  # that matplotlib goes round
 NAMES = {CAPTURED: "captured data", COMBINATIONS: "random combinations", POSES: "poses of the rig"}
 
@@ -29,7 +29,7 @@ def error_and_roughness(task: Task) -> dict[str, Any]:
     for label, uses in task.config["rows"].items():
         done = [[read_done(Path(task.inputs[use]))["figures"] for use in pair] for pair in uses]
         rough = [answered["roughness"] for answered, _ in done if "roughness" in answered]
-        error = [judged[f"{CLIP}/{ERROR}"] for _, judged in done if f"{CLIP}/{ERROR}" in judged]
+        error = [judged[f"{CLIP}/{MEAN}"] for _, judged in done if f"{CLIP}/{MEAN}" in judged]
         if rough and error:
             points[label] = (float(np.mean(rough)), float(np.mean(error)))
     figure, axes = _figure()
@@ -94,7 +94,7 @@ def _curves(run: Path) -> dict[str, list[tuple[int, float]]]:
     result = {}
     for tag in events.Tags()["scalars"]:
         kind, _, rest = tag.partition("/")
-        if kind == "val" and rest.endswith(f"/{ERROR}"):
+        if kind == "val" and rest.endswith(f"/{MEAN}"):
             result[rest.partition("/")[0]] = [(event.step + 1, event.value) for event in events.Scalars(tag)]
     return result
 

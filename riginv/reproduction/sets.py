@@ -14,6 +14,7 @@ from riginv.clips.performance import simulated_performance
 from riginv.data.mesh_sets import MeshSet, StoredMeshes
 from riginv.data.test_sets import random_sets
 from riginv.errors import InputError
+from riginv.geometry.spread import evenly
 from riginv.rig import LinearRig
 
 COMBINATIONS, POSES, CAPTURED, CLIP = "random_combinations", "rig_poses", "captured", "clip"
@@ -48,11 +49,6 @@ class KeptPoses(StoredMeshes):
 
     def vertices(self, start: int, stop: int) -> Tensor:
         return torch.from_numpy(np.array(self.meshes[start:stop]))
-
-
-def evenly(count: int, of: int) -> Tensor:
-    """At most `count` rows out of `of`, evenly spread, `(row,)`."""
-    return torch.linspace(0, of - 1, min(count, of), dtype=torch.float64).round().long()
 
 
 @functools.lru_cache(maxsize=4)

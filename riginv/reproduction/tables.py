@@ -8,9 +8,10 @@ from riginv.reproduction import paper
 from riginv.reproduction.plan import SETS, Plan
 from riginv.reproduction.sets import CAPTURED, CLIP
 from riginv.reproduction.steps import Graph
+from riginv.reproduction.wording import MAX, MEAN
 
 TableRow = dict[str, Any]
-MEAN, MAX = "mean_vertex_error_mm", "max_vertex_error_mm"
+SMOOTHER = {"programmatic": ("inverse", "direct"), "trained": ("trained", "direct_trained")}  # rows, by the rig they go through
 LABELS_3 = {"clip": "whole-clip solver", "optimum": "frame by frame, many starts"}
 
 
@@ -36,6 +37,11 @@ class Results:
         """The mean over the seeds; None where the row or the set is not there."""
         values = self.judged(row, name, key) if row in self.plan.rows else []
         return statistics.fmean(values) if values else None
+
+    def smoother(self, row: str, than: str) -> float | None:
+        """How many times smoother a row's curves are than another's; None without a clip."""
+        rough = [self.answered(one, "roughness") for one in (row, than)]
+        return statistics.fmean(rough[1]) / max(statistics.fmean(rough[0]), 1e-12) if all(rough) else None
 
     def agreement(self, trained: bool, key: str) -> list[float]:
         """How far the programmatic rig, or each trained one, lies from the judge's test poses."""
@@ -98,10 +104,9 @@ def orderings(results: Results) -> list[dict[str, Any]]:
             shown = f"programmatic <= trained < Holden: {' / '.join(f'{value:.3g}' for value in ours)} mm"
             label = results.clip_name if name == CAPTURED else name
             found.append({"ordering": f"{label.replace('_', ' ')}: {shown}", "holds": ours[0] <= ours[1] < ours[2]})
-    for ours, theirs, rig in (("inverse", "direct", "programmatic"), ("trained", "direct_trained", "trained")):
-        rough = [results.answered(row, "roughness") for row in (ours, theirs)]
-        if all(rough):
-            ratio = statistics.fmean(rough[1]) / max(statistics.fmean(rough[0]), 1e-12)
+    for rig, (ours, theirs) in SMOOTHER.items():
+        ratio = results.smoother(ours, theirs)
+        if ratio is not None:
             text = f"the inverse is at least 5 times smoother than direct optimisation, {rig} rig: {ratio:.3g} times"
             found.append({"ordering": text, "holds": ratio >= 5})
     error = results.agreement(False, MEAN)[0]
