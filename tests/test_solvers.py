@@ -270,3 +270,39 @@ def test_refinement_improves_on_an_untrained_network(toy):
     assert refined < 0.3 * plain
     start = Objective(toy).units(network(toy(controls)).detach())
     assert refine_meshes(Objective(toy), toy(controls), start, 8).steps.max() <= 8
+
+
+def test_the_mean_distance_is_what_it_says_and_so_is_its_gradient(toy):
+    """Against the vertices themselves, and against finite differences in float64."""
+    rig = ToyRig().double()
+    objective = Objective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), prior=0.0).by_mean_distance(corner_mm=0.2)
+    units = 0.1 + 0.8 * torch.rand(3, 7, generator=generator_at(0, "units"), dtype=torch.float64)
+    target = rig(objective.own_units(units.flip(0)))
+    coordinates = objective.rig.space.encode(target)
+    distance = (rig(objective.own_units(units)) - target).norm(dim=2)
+    expected = (0.2 * ((distance.square() + 0.2**2).sqrt() - 0.2)).sum(dim=1)
+    torch.testing.assert_close(objective.cost(units, coordinates), expected)
+    gradient, step = objective.gradient(units, coordinates), 1e-6
+    for control in range(7):
+        moved = units.clone()
+        moved[:, control] += step
+        slope = (objective.cost(moved, coordinates) - objective.cost(units, coordinates)) / step
+        torch.testing.assert_close(slope, gradient[:, control], rtol=1e-3, atol=1e-3)
+
+
+def test_steps_on_the_mean_distance_lower_it(toy):
+    objective = Objective(toy)
+    controls, coordinates = moving(toy, 60)
+    wild = toy.space.decode(coordinates)
+    wild[:, ::9] += 3.0  # what a capture got wrong, everywhere at the same places
+    coordinates = toy.space.encode(wild)
+    start = objective.units(controls)
+
+    def mean_distance_mm(units):
+        return (toy.rig(objective.own_units(units)) - toy.space.decode(coordinates)).norm(dim=2).mean()
+
+    squares = solve_clip(objective, coordinates, start, 1e-3, 12)
+    means = solve_clip(objective, coordinates, start, 1e-3, 12, mean_steps=12)
+    assert mean_distance_mm(means) < 0.99 * mean_distance_mm(squares)
+    again = solve_clip(objective, coordinates, start, 1e-3, 12, mean_steps=0)
+    assert torch.equal(again, squares)

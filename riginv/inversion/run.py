@@ -40,12 +40,13 @@ class Smoothness:
 
     Attributes:
         smoothness: as in `solve_clip`.
-        steps: Gauss-Newton steps.
+        steps, mean_steps: as in `solve_clip`.
         blur: standard deviation, in frames, of what the frames' own answers are smoothed with to a start.
     """
 
     smoothness: float
     steps: int
+    mean_steps: int
     blur: float
 
 
@@ -96,7 +97,8 @@ def invert_smoothly(
     start = Solution.at_neutral(solving.objective, len(clip))
     start.units, start.skipped = solving.units(kept.controls), ~kept.known
     advance("the whole clip", 0)
-    smooth = solve_clip(solving.objective, coordinates, smoothed(start, how.blur), how.smoothness, how.steps)
+    begin = smoothed(start, how.blur)
+    smooth = solve_clip(solving.objective, coordinates, begin, how.smoothness, how.steps, how.mean_steps)
     controls = solving.controls(smooth)
     for first, vertices in clip.pieces(window):
         rows = slice(first, first + len(vertices))

@@ -72,6 +72,7 @@ class Clip(LevenbergMarquardt):
     Args:
         smoothness: as in `solve_clip`.
         clip_steps: Gauss-Newton steps on the whole clip.
+        mean_steps: as many after these, in which every vertex counts by its distance and not by the square.
         blur: standard deviation of the Gaussian that smooths the frames' own answers to a start, frames.
         bundle: a trained inverse whose answers are the start in their place.
     """
@@ -87,11 +88,12 @@ class Clip(LevenbergMarquardt):
         smoothness: float = 1.5,
         clip_steps: int = 4,
         blur: float = 3.0,
+        mean_steps: int = 0,
         bundle: str | None = None,
         **solver: float,
     ) -> None:
         super().__init__(rig, **solver)
-        self.smoothness, self.clip_steps, self.blur = smoothness, clip_steps, blur
+        self.smoothness, self.clip_steps, self.blur, self.mean_steps = smoothness, clip_steps, blur, mean_steps
         self.network = Network(rig, bundle) if bundle else None
         if self.network:
             self.trained_seconds, self.fingerprint = self.network.trained_seconds, self.network.fingerprint
@@ -104,7 +106,7 @@ class Clip(LevenbergMarquardt):
             start = self.objective.units(self.network.invert(meshes))
         else:
             start = smoothed(self.frames(coordinates, rounds=0), self.blur)
-        found = solve_clip(self.objective, coordinates, start, self.smoothness, self.clip_steps)
+        found = solve_clip(self.objective, coordinates, start, self.smoothness, self.clip_steps, self.mean_steps)
         return self.objective.own_units(found)
 
 

@@ -22,6 +22,7 @@ def solve_clip(
     start: Tensor,
     smoothness: float,
     steps: int = 12,
+    mean_steps: int = 0,
     window: int = WINDOW,
     lookahead: int = LOOKAHEAD,
     tolerance: float = 1e-4,
@@ -38,6 +39,7 @@ def solve_clip(
         start: `(frame, control)` in shares of their ranges.
         smoothness: mm^2, as the mean squared vertex distance, for one control with a second difference of its whole range.
         steps: Gauss-Newton steps, at most.
+        mean_steps: as many at most, once that is done, in which every vertex counts by its distance and not by the square.
         window, lookahead: frames.
         tolerance: a window is done once a step lowers its objective by less than this share.
         weights: what the distance of each frame counts, `(frame,)`: less where a capture is to be trusted less, 0 where it only
@@ -48,6 +50,7 @@ def solve_clip(
     """
     found = start.clamp(0, 1)
     weights = found.new_ones(len(found)) if weights is None else weights.to(found)
+    by_mean_distance = objective.by_mean_distance() if mean_steps else None
     for first in range(0, len(found), window):
         stop = min(first + window + lookahead, len(found))
         if len(found) - stop <= lookahead:
@@ -55,6 +58,9 @@ def solve_clip(
         rows, before = slice(first, stop), found[max(first - 2, 0) : first]
         part = _Window(objective, coordinates[rows], weights[rows], before, smoothness * objective.vertex_count)
         found[rows] = part.solve(found[rows], steps, tolerance)
+        if by_mean_distance is not None:
+            part.objective = by_mean_distance
+            found[rows] = part.solve(found[rows], mean_steps, tolerance)
         if stop == len(found):
             break
     return found

@@ -5,7 +5,9 @@ ranges: many rigs have several controls for one motion, and a faint prior says w
 itself leaves fewer controls in use. All of it is taken times the number of vertices.
 """
 
+import copy
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -13,6 +15,7 @@ from torch import Tensor
 
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.features import RigFeatures
+from riginv.solvers.distance import CORNER_MM, Distance, MeanDistance, squared_distance
 
 PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
 SPARSE = 0.1  # the share of entries below which a metric is kept as a sparse matrix
@@ -61,6 +64,7 @@ class Objective:
         self.map = rig.linear_map.to(dtype)
         self.metric = _metric(rig, self.map)
         self.rest = rig.neutral_coefficients.to(dtype)
+        self.distance: Callable[[Tensor], Distance] = squared_distance
         self.lower = rig.rig.lower.to(dtype)
         self.span = rig.rig.upper.to(dtype) - self.lower
         self.neutral = self.units(rig.rig.neutral_controls.to(dtype))
@@ -73,6 +77,12 @@ class Objective:
     def features(self) -> RigFeatures | None:
         """What the rig can tell of its controls without any search, or None where it offers nothing (`LinearRig.features`)."""
         return RigFeatures.fitted(self.rig) if RigFeatures.offered_by(self.rig) else None
+
+    def by_mean_distance(self, corner_mm: float = CORNER_MM) -> "Objective":
+        """The same, where each vertex counts by its distance (`riginv.solvers.distance.MeanDistance`)."""
+        other = copy.copy(self)
+        other.distance = MeanDistance(self.rig.space.frame.to(self.map), corner_mm)
+        return other
 
     def units(self, controls: Tensor) -> Tensor:
         """Controls in their own units as shares of their ranges."""
@@ -91,24 +101,26 @@ class Objective:
             weights: what the distance of each mesh counts against its preferences, `(mesh,)`; 1 for all unless given.
         """
         found = self.rig.rig.coefficients(self.lower + self.span * units)
-        distance = 0.5 * self._residual(found, coordinates).square().sum(dim=1)
+        distance = self.distance(self._residual(found, coordinates)).cost
         return (distance if weights is None else weights * distance) + self._preference(units)[0]
 
     @torch.no_grad()
     def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
         """The gradient `(mesh, control)` of the objective, for the price of a Jacobian."""
         found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
-        return self.span * jacobian.pull(self._residual(found, coordinates) @ self.map.T) + self._preference(units)[1]
+        pull = self.distance(self._residual(found, coordinates)).pull
+        return self.span * jacobian.pull(pull @ self.map.T) + self._preference(units)[1]
 
     @torch.no_grad()
     def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
         """The objective with its gradient and Gauss-Newton Hessian; weights as in `cost`."""
         found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
-        residual = self._residual(found, coordinates)
+        distance, pull, share = self.distance(self._residual(found, coordinates))
         cost, gradient, curvature = self._preference(units)
         hessian = jacobian.gram(self.metric) * self.span * self.span[:, None]
-        slope = self.span * jacobian.pull(residual @ self.map.T)
-        distance = 0.5 * residual.square().sum(dim=1)
+        if share is not None:
+            hessian = share[:, None, None] * hessian
+        slope = self.span * jacobian.pull(pull @ self.map.T)
         if weights is not None:
             distance, slope, hessian = weights * distance, weights[:, None] * slope, weights[:, None, None] * hessian
         hessian.diagonal(dim1=1, dim2=2).add_(curvature)
