@@ -22,14 +22,14 @@ class QuickEncoder(nn.Module):
         self.space = [space]  # in a list: its tensors are not this module's
         quick = rounded and space.frame.device.type == "cpu" and _multiplies_bfloat16()
         # no buffer: a module that is cast to another type must not take it along
-        self.frame = space.frame.flatten(1).T.bfloat16().contiguous() if quick else None
+        self.frame = space.frame.flatten(1).bfloat16() if quick else None
 
     def forward(self, vertices: Tensor) -> Tensor:
         """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`."""
         space = self.space[0]
         if self.frame is None or vertices.device.type != "cpu":
             return space.encode(vertices)
-        return ((vertices - space.rest_vertices).flatten(1).bfloat16() @ self.frame).to(vertices.dtype)
+        return ((vertices - space.rest_vertices).flatten(1).bfloat16() @ self.frame.T).to(vertices.dtype)
 
 
 def _multiplies_bfloat16() -> bool:

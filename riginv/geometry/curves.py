@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 ITERATIONS = 24  # of bracketed Newton, at most; typical curves need 4, vertical tangents more
+PLAIN = 3  # steps of Newton's without bracketing, before it is seen what they leave
 FIXED = 12  # of them where they cannot be counted
 _fixed: ContextVar[int | None] = ContextVar("fixed_iterations", default=None)
 
@@ -108,6 +109,10 @@ def _solve(a: Tensor, b: Tensor, c: Tensor, target: Tensor) -> Tensor:
         a3, b2 = 3 * a, 2 * b
         tolerance = 4 * torch.finfo(t.dtype).eps
         fixed = _fixed.get()
+        if fixed is None and bool(((((a * t + b) * t + c) * t - target).abs() > tolerance).any()):
+            for _ in range(PLAIN):  # nearly always enough, at half the price of a guarded step
+                error = ((a * t + b) * t + c) * t - target
+                t = (t - error / ((a3 * t + b2) * t + c).clamp_min(torch.finfo(t.dtype).eps)).clamp(0, 1)
         for _ in range(ITERATIONS if fixed is None else fixed):
             error = ((a * t + b) * t + c) * t - target
             if fixed is None and bool((error.abs() <= tolerance).all()):
