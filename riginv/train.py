@@ -30,6 +30,7 @@ from riginv.cli.validation import validate
 from riginv.data.mesh_sets import MeshSet
 from riginv.evaluation import judge_model, load_model, surrogate_config, write_results
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.modules.processes import part
 from riginv.rig import LinearRig, RigBackend
 
 
@@ -51,11 +52,13 @@ def train(config: DictConfig) -> None:
         show(folder)
 
 
-def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> None:
-    """From a rig to a judged, bundled model in a run's folder."""
+def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, last: bool = True) -> None:
+    """From a rig to a judged, bundled model in a run's folder; `last`: nothing is trained after it, by several processes."""
     is_inverse = class_of(plain["model"]["_target_"]).kind == "inverse"
     clip = build_clip(plain, true_rig) if is_inverse else None
     trainer, training = fit_network(plain, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
+    if last:
+        part()
     if not folder.written_here:
         return
     model = load_model(folder.path / BUNDLE, rig)
@@ -95,7 +98,7 @@ def train_surrogate_first(
     if not inner.finished:
         if folder.written_here:
             print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
-        fit(first, inner, rig, true_rig)
+        fit(first, inner, rig, true_rig, last=False)
         inner.wait_until_finished()
         if folder.written_here:
             show(inner)

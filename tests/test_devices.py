@@ -230,7 +230,7 @@ def test_a_mistake_that_only_the_processes_find_is_said_once(run):
     refused(run("train", *TWO, "model/network=paper_batch_normalised", folder="other"), "normalises over a batch")
 
 
-LONGER = ["trainer.max_steps=400", "data.steps_per_epoch=40", "checkpoint.every_n_steps=7", *UNEVEN, *TWO]
+LONGER = ["trainer.max_steps=150", "data.steps_per_epoch=40", "checkpoint.every_n_steps=7", *UNEVEN, *TWO]
 
 
 def start(folder: Path, *more: str) -> subprocess.Popen:

@@ -64,19 +64,20 @@ class PoseDataModule(L.LightningDataModule):
 
     def val_dataloader(self) -> list[DataLoader]:
         size = -(-self.batch_size // self.trainer.world_size)
-        return [DataLoader(batches(self.share(poses), size), batch_size=None) for poses in self.validation.values()]
+        shares = [{key: values[self.rows] for key, values in poses.items()} for poses in self.validation.values()]
+        return [DataLoader(batches(poses, size), batch_size=None) for poses in shares]
 
     def on_after_batch_transfer(self, batch: torch.Tensor | PoseBatch, dataloader_idx: int) -> PoseBatch:
         if isinstance(batch, dict):
             return batch
         device = self.trainer.strategy.root_device
         generator = generator_at(self.seed, "training", int(batch), 0, device=device)
-        return self.share(self.sampler.to(device).sample(self.batch_size, generator))
+        return self.sampler.to(device).sample_rows(self.batch_size, generator, self.rows)
 
-    def share(self, poses: PoseBatch) -> PoseBatch:
-        """What of poses is this process's: every so manieth, so that the parts of a mixture are spread evenly; all, of one."""
-        rank, count = self.trainer.global_rank, self.trainer.world_size
-        return PoseBatch({key: values[rank::count] for key, values in poses.items()}) if count > 1 else poses
+    @property
+    def rows(self) -> slice:
+        """Of a batch, those of this process: every so manieth, so that the parts of a mixture are spread evenly."""
+        return slice(self.trainer.global_rank, None, self.trainer.world_size)
 
 
 def batches(poses: PoseBatch, size: int) -> list[PoseBatch]:

@@ -12,6 +12,12 @@ def share_a_batch() -> bool:
     return torch.distributed.is_available() and torch.distributed.is_initialized()
 
 
+def part() -> None:
+    """Let each process go its own way after training: the others end while the first one judges."""
+    if share_a_batch():
+        torch.distributed.destroy_process_group()
+
+
 def over_processes(means: Tensor, count: int) -> tuple[Tensor, float]:
     """Means over the meshes of all processes, from those over the `count` meshes of this one.
 
