@@ -169,8 +169,8 @@ def test_bfloat16_stays_out_of_the_rig(face_in_space):
     assert off.max() > 0.01  # mm: what a rig in bfloat16 would be off by
 
 
-def test_training_in_bfloat16_ends_in_a_bundle_of_float32(run):
-    outcome = run("train", "trainer.precision=bf16-mixed")
+def test_training_as_on_a_gpu_in_bfloat16_ends_in_a_bundle_of_float32(run):
+    outcome = run("train", "trainer=gpu", "trainer.accelerator=cpu", "trainer.precision=bf16-mixed")
     assert outcome.code == 0, outcome.text
     weights = load_file(outcome.folder / "bundle/weights.safetensors")
     assert {value.dtype for value in weights.values()} == {torch.float32}
@@ -286,6 +286,20 @@ def test_whichever_process_is_killed_the_others_end_and_a_resumed_run_ends_the_s
     resumed = run("train", *LONGER, "resume=true", folder="broken")
     assert resumed.code == 0, resumed.text
     assert same_weights(whole.folder, broken)
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_with_another_number_of_processes(run, tmp_path):
+    whole = run("train", *LONGER, "trainer.devices=1", folder="whole")
+    broken = tmp_path / "broken"
+    process = start(broken)
+    while process.poll() is None and saved_step(broken) <= 20:
+        time.sleep(0.02)
+    process.kill()
+    process.communicate()
+    resumed = run("train", *LONGER, "trainer.devices=1", "resume=true", folder="broken")
+    assert whole.code == resumed.code == 0, resumed.text
+    assert apart(whole.folder, broken) < 1e-2
 
 
 @pytest.mark.slow

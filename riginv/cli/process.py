@@ -60,6 +60,12 @@ def this_process(config: dict[str, Any]) -> Process:
             f"each of the {count} (trainer.devices x trainer.num_nodes)"
         )
     environment = _environment(trainer, count)
+    if count > 1 and _is_swept_over(environment):
+        raise InputError(
+            f"trainer.devices={trainer['devices']} cannot be part of a sweep (-m): every job would start processes of its own, "
+            f"beside those of the sweep, or each of these the whole sweep; sweep with trainer.devices=1, or with trainer=slurm "
+            f"through a launcher that starts all processes of a job (hydra/launcher=submitit_slurm)"
+        )
     if environment is None:
         return Process(0, count)
     if environment.world_size() != count and not is_watched():
@@ -90,12 +96,6 @@ def _environment(trainer: dict[str, Any], count: int) -> ClusterEnvironment | No
             f"trainer.num_nodes is {trainer['num_nodes']}: processes on other machines cannot be started from here; "
             f"use trainer=slurm under srun, or torchrun"
         )
-    if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
-        raise InputError(
-            f"trainer.devices={trainer['devices']} cannot be part of a sweep (-m): every job would start processes of its own, "
-            f"beside those of the sweep; sweep with trainer.devices=1, or with trainer=slurm through a launcher that starts "
-            f"all processes of a job (hydra/launcher=submitit_slurm)"
-        )
     return None
 
 
@@ -112,6 +112,13 @@ def _started_from_outside() -> ClusterEnvironment:
         "trainer.starts_processes=false (as of trainer=slurm) finds no processes: start the command with srun, or choose "
         "trainer=ddp, which starts them"
     )
+
+
+def _is_swept_over(environment: ClusterEnvironment | None) -> bool:
+    """Whether the processes of a run would have to come of a job of a sweep, or each go through the whole sweep."""
+    if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
+        return False
+    return environment is None or HydraConfig.get().launcher._target_.endswith(".BasicLauncher")
 
 
 def _folder_is_named() -> bool:
