@@ -3,15 +3,18 @@
 from typing import Any
 
 import lightning as L
+import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.callbacks import LearningRateMonitor
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.strategies import DDPStrategy
 from omegaconf import DictConfig, open_dict
 
 from riginv.build import OURS, build, class_of, factory
 from riginv.callbacks.pictures import PosePictures
 from riginv.callbacks.progress import TrainingProgress
 from riginv.callbacks.saving import AtomicCheckpoints, SaveLast, TrainingClock
+from riginv.cli.process import this_process
 from riginv.cli.run_folder import RunFolder
 from riginv.clips.live_link import live_link_clip
 from riginv.clips.performance import simulated_performance
@@ -25,6 +28,7 @@ from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
 from riginv.modules.holden import HoldenModule
 from riginv.modules.inverse import InverseModule
+from riginv.networks.speed import compile_parts, use_bfloat16
 from riginv.recorded_rig import RecordedRig
 from riginv.rig import LinearRig, RigBackend
 from riginv.sampling.choice import fitted
@@ -34,6 +38,8 @@ from riginv.sampling.seeds import generator_at
 
 Config = dict[str, Any]
 CALIBRATION_MESHES = 1024
+NOT_LIGHTNINGS = ("precision", "compile", "starts_processes")  # keys of a trainer
+BFLOAT16 = "bf16-mixed"
 NOT_OPTIONS = ("network", "loss", "optimizer", "schedule", "cpu_steps")  # of a model; the rest are numbers of its module
 
 
@@ -146,6 +152,24 @@ def calibrate(config: Config, module: RigModule, sampler: MeshSampler) -> None:
         module.network.set_scales(module.rig.rig, sample["controls"])
 
 
+def trainer_arguments(config: Config) -> dict[str, Any]:
+    """What of a config's trainer is Lightning's."""
+    arguments = {key: value for key, value in config["trainer"].items() if key not in NOT_LIGHTNINGS}
+    return {**arguments, "max_steps": -1 if arguments["max_steps"] is None else arguments["max_steps"]}
+
+
+def speed_up(config: Config, module: RigModule, device: torch.device) -> None:
+    """Train in bfloat16, or in compiled code, where the config says so: what learns, and neither the rig nor the losses.
+
+    Raises:
+        InputError: nothing can be compiled here.
+    """
+    if config["trainer"]["precision"] == BFLOAT16:
+        use_bfloat16(module.network)
+    if config["trainer"]["compile"]:
+        compile_parts(module.network, device)
+
+
 def build_trainer(config: Config, folder: RunFolder) -> tuple[L.Trainer, TrainingClock]:
     """Lightning's trainer with everything that happens around training.
 
@@ -161,8 +185,15 @@ def build_trainer(config: Config, folder: RunFolder) -> tuple[L.Trainer, Trainin
     ]
     if config["pictures"]["every_n_validations"]:
         callbacks.append(PosePictures(config["pictures"]["every_n_validations"]))
-    arguments = dict(config["trainer"])
-    arguments["max_steps"] = -1 if arguments["max_steps"] is None else arguments["max_steps"]
+    process = this_process(config)
+    plugins = [AtomicCheckpoints()]
+    arguments = trainer_arguments(config)
+    if process.environment is not None:
+        plugins.append(process.environment)
+        # A rig's buffers are large and never change: they are not sent anew at every step.
+        arguments |= {"strategy": DDPStrategy(broadcast_buffers=False), "sync_batchnorm": True}
+    elif process.must_start_others:
+        raise InputError(f"trainer.devices is {arguments['devices']}: only python -m riginv.train trains on several devices")
     try:
         trainer = L.Trainer(
             **arguments,
@@ -170,14 +201,15 @@ def build_trainer(config: Config, folder: RunFolder) -> tuple[L.Trainer, Trainin
             default_root_dir=folder.path,
             logger=TensorBoardLogger(folder.path, name="", version="", default_hp_metric=False),
             callbacks=callbacks,
-            plugins=[AtomicCheckpoints()],
+            plugins=plugins,
+            use_distributed_sampler=False,  # PoseDataModule shares out; Lightning would repeat meshes to even the shares
             enable_checkpointing=False,  # SaveLast does it
             enable_model_summary=False,
             enable_progress_bar=False,  # TrainingProgress is it
             num_sanity_val_steps=0,
             inference_mode=False,  # a staged network asks the rig for gradients when it is used, too
         )
-    except (MisconfigurationException, ImportError, ValueError, TypeError) as error:
+    except (MisconfigurationException, ImportError, RuntimeError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"trainer.accelerator={arguments['accelerator']} cannot be used here: {reason}") from None
     return trainer, clock

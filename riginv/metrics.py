@@ -10,7 +10,11 @@ AT_NEUTRAL = 1e-3  # of a control's range: nearer than this to neutral counts as
 
 
 class VertexError(Metric):
-    """Distances between corresponding vertices, mm. Sums and counts only: how batches are cut does not change the result."""
+    """Distances between corresponding vertices, mm. Sums and counts only: how batches are cut does not change the result.
+
+    Args:
+        of_all_processes: where several share the meshes; all of them must then ask for the result.
+    """
 
     higher_is_better = False
     is_differentiable = False
@@ -22,8 +26,8 @@ class VertexError(Metric):
     vertices: Tensor
     poses: Tensor
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, of_all_processes: bool = False) -> None:
+        super().__init__(sync_on_compute=of_all_processes)
         for name in ("total_mm", "total_of_max_mm", "vertices", "poses"):
             self.add_state(name, torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("max_mm", torch.zeros((), dtype=torch.float64), dist_reduce_fx="max")

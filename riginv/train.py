@@ -16,17 +16,21 @@ from riginv.assemble import (
     build_true_rig,
     calibrate,
     needs_surrogate,
+    speed_up,
 )
 from riginv.build import class_of
 from riginv.bundle import write_bundle
 from riginv.callbacks.hparams import log_choices, log_results
 from riginv.cli.command import command, run_directory
+from riginv.cli.process import this_process
 from riginv.cli.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
+from riginv.cli.starter import run_in_processes
 from riginv.cli.summary import show
 from riginv.cli.validation import validate
 from riginv.data.mesh_sets import MeshSet
 from riginv.evaluation import judge_model, load_model, surrogate_config, write_results
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.modules.processes import part
 from riginv.rig import LinearRig, RigBackend
 
 
@@ -34,21 +38,29 @@ def train(config: DictConfig) -> None:
     """Train a network on a rig, judge it by the true rig, and leave a bundle, metrics and a table behind."""
     plain = plain_config(config)
     validate(plain)
-    folder = find_run_folder(run_directory(), plain, config.resume)
-    if not folder.finished:
+    process = this_process(plain)
+    folder = find_run_folder(run_directory(), plain, config.resume, process.rank == 0)
+    if process.must_start_others and not folder.finished:
+        run_in_processes(process.count, folder.path)
+    elif not folder.finished:
         rig = build_rig(plain)
         true_rig = build_true_rig(plain, rig)
         if needs_surrogate(plain, rig):
             plain, rig = train_surrogate_first(config, folder, rig, true_rig)
         fit(plain, folder, rig, true_rig)
-    show(folder)
+    if process.shows:
+        show(folder)
 
 
-def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> None:
-    """From a rig to a judged, bundled model in a run's folder."""
+def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, last: bool = True) -> None:
+    """From a rig to a judged, bundled model in a run's folder; `last`: nothing is trained after it, by several processes."""
     is_inverse = class_of(plain["model"]["_target_"]).kind == "inverse"
     clip = build_clip(plain, true_rig) if is_inverse else None
     trainer, training = fit_network(plain, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
+    if last:
+        part()
+    if not folder.written_here:
+        return
     model = load_model(folder.path / BUNDLE, rig)
     judgements = judge_model(model, true_rig, plain["judging"]["test_poses"], clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": plain["seed"]}
@@ -67,10 +79,12 @@ def fit_network(
 
     folder.begin()
     log_choices(trainer.logger, plain)
+    speed_up(plain, module, trainer.strategy.root_device)
     trainer.fit(module, data, ckpt_path=folder.checkpoint, weights_only=True)
 
     training = {"steps": trainer.global_step, "seconds": round(clock.seconds, 1), "seed": plain["seed"]}
-    write_bundle(folder.path / BUNDLE, module.kind, module.network, module.rig, plain, training)
+    if folder.written_here:
+        write_bundle(folder.path / BUNDLE, module.kind, module.network, module.rig, plain, training)
     return trainer, training
 
 
@@ -79,12 +93,15 @@ def train_surrogate_first(
 ) -> tuple[Config, LinearRig]:
     """Train a surrogate of a rig that gives no gradients, in the run's own folder; the config and the rig to go on with."""
     first = plain_config(as_surrogate(config))
-    inner = find_run_folder(folder.path / SURROGATE, first, resume=True)
+    inner = find_run_folder(folder.path / SURROGATE, first, True, folder.written_here)
     folder.begin()
     if not inner.finished:
-        print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
-        fit(first, inner, rig, true_rig)
-        show(inner)
+        if folder.written_here:
+            print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
+        fit(first, inner, rig, true_rig, last=False)
+        inner.wait_until_finished()
+        if folder.written_here:
+            show(inner)
     through = {**folder.config, "rig": surrogate_config(inner.path)}
     return through, build_rig(through)
 

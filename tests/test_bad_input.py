@@ -29,7 +29,7 @@ def refused(outcome, *says: str) -> None:
         (["capture=none.csv"], "none.csv: no such file"),
         (["trainer.max_steps=-5"], "trainer.max_steps is -5"),
         (["trainer.max_steps=0"], "trainer.max_steps is 0"),
-        (["trainer.devices=2"], "trainer.devices is 2"),
+        (["trainer.devices=0"], "trainer.devices is 0"),
         (["trainer.accelerator=gpu"], "trainer.accelerator=gpu"),
         (["trainer.accelerator=abacus"], "trainer.accelerator=abacus"),
         (["data.batch_size=0"], "data.batch_size is 0"),

@@ -1,5 +1,6 @@
 """Checkpoints that are whole or not there, and a clock that survives a stop."""
 
+import signal
 import sys
 import time
 from pathlib import Path
@@ -35,6 +36,10 @@ class SaveLast(L.Callback):
         self.folder, self.every_n_steps = folder, every_n_steps
         self.saved_step: int | None = None
 
+    def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        if trainer.world_size > 1:  # Lightning would tell the others of the signal, who do not listen: all would wait for ever
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
     def on_train_batch_end(self, trainer: L.Trainer, *args: Any) -> None:
         if trainer.global_step % self.every_n_steps == 0:
             self._save(trainer)
@@ -43,7 +48,7 @@ class SaveLast(L.Callback):
         self._save(trainer)
 
     def on_exception(self, trainer: L.Trainer, module: L.LightningModule, exception: BaseException) -> None:
-        if isinstance(exception, KeyboardInterrupt):
+        if isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero:
             saved = f"saved up to step {self.saved_step}" if self.saved_step else "nothing saved yet"
             print(
                 f"\nStopped at step {trainer.global_step}, {saved}; go on with the same command plus resume=true",

@@ -16,6 +16,7 @@ from rich.markup import escape
 from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.quiet import hush
 from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
+from riginv.cli.watched import end_with_watcher, is_watched, report
 from riginv.errors import InputError
 
 FAILURE = "failure.txt"
@@ -29,6 +30,8 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
         @functools.wraps(task)
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through: `explain` says them better
+            if is_watched():
+                end_with_watcher()
             hush()
             register_folder_resolvers()
             sys.argv[1:] = [true_rig_choice(argument) for argument in options_first(sys.argv[1:])]
@@ -103,6 +106,9 @@ def run_directory() -> Path:
 
 def _stop(error: Exception, config_name: str) -> None:
     message = explain(error, config_name)
+    if is_watched():
+        report(error, message)
+        sys.exit(1)
     if message is None:
         raise error
     Console(stderr=True).print("[bold red]error:[/]", escape(message), highlight=False, soft_wrap=True)

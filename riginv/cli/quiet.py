@@ -12,6 +12,9 @@ WARNINGS = (
     ".*Checkpoint directory.*exists and is not empty.*",  # checked by riginv.cli.run_folder
     ".*resuming from a checkpoint that ended before the epoch.*",  # riginv.data.poses goes on at the right batch
     ".*Experiment logs directory.*exists.*",
+    ".*recommended to use `self.log.*sync_dist=True.*",  # what is logged is that of all processes already
+    ".*`broadcast_buffers` is deprecated.*",  # its successor is not in every torch that riginv runs with
+    ".*does not have a deterministic implementation.*",  # deterministic=warn: where there is one it is used
 )
 
 

@@ -10,6 +10,7 @@ metrics.json           how good it is; written last: a folder that has it is fin
 
 import datetime
 import hashlib
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,10 @@ from riginv.files import discard, write_text
 CONFIG, METRICS, POSES = "config.yaml", "metrics.json", "poses.png"
 CHECKPOINT, BUNDLE, SURROGATE = "checkpoints/last.ckpt", "bundle", "surrogate"
 NOT_PART_OF_A_RUN = ("resume",)
+HOW_MANY = ("trainer.devices", "trainer.num_nodes")  # may change when a run is resumed: what is learned does not depend on it
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 LONGEST = 120  # characters of a folder's name
+WAIT_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -35,14 +38,18 @@ class RunFolder:
         path: where it lies.
         config: the plain config.
         resumed: whether an earlier start of the same run is gone on with.
+        written_here: by this process; of several that share a run only the first one writes.
     """
 
     path: Path
     config: dict[str, Any]
     resumed: bool
+    written_here: bool = True
 
     def begin(self) -> None:
         """Make the folder this run's, by writing its config there; clear away what a killed start left half-written."""
+        if not self.written_here:
+            return
         for half_written in self.path.rglob(".*.part"):
             discard(half_written)
         if not self.resumed:
@@ -58,17 +65,25 @@ class RunFolder:
     def finished(self) -> bool:
         return (self.path / METRICS).is_file()
 
+    def wait_until_finished(self) -> None:
+        """Wait for the process that writes here."""
+        while not self.finished:
+            time.sleep(WAIT_SECONDS)
 
-def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool) -> RunFolder:
+
+def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool, written_here: bool = True) -> RunFolder:
     """The folder for a run, new or to be resumed; nothing is written before `RunFolder.begin`.
 
     Args:
         config: as from `plain_config`.
+        written_here: whether this process is the one that writes there; another one finds it as that one says.
 
     Raises:
         InputError: the folder holds something else, or a run that was not asked to be resumed or had another config.
     """
     path = Path(path)
+    if not written_here:
+        return RunFolder(path, config, resumed=True, written_here=False)
     if not (path.is_dir() and any(path.iterdir())):
         return RunFolder(path, config, resumed=False)
     if not (path / CONFIG).is_file():
@@ -76,7 +91,7 @@ def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool) -> R
     if not resume:
         raise InputError(f"{path} holds a run already: add resume=true to go on with it, or choose another hydra.run.dir=DIR")
     before, now = _flat(yaml.safe_load((path / CONFIG).read_text(encoding="utf-8"))), _flat(config)
-    differing = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
+    differing = sorted(key for key in (before.keys() | now.keys()) - set(HOW_MANY) if before.get(key) != now.get(key))
     if differing:
         key = differing[0]
         raise InputError(

@@ -31,10 +31,13 @@ class Tickets(IterableDataset):
 class PoseDataModule(L.LightningDataModule):
     """Draws every training batch from the sampler with a generator of its own; nothing is stored.
 
+    Where several processes train together each draws the whole batch and keeps its share: what is seen does not depend on how
+    many there are.
+
     Args:
         sampler: what to train on.
         validation: sets to watch, by name: all their meshes as one batch, in mesh coordinates.
-        batch_size: meshes in a training batch.
+        batch_size: meshes in a training batch, those of all processes together.
         steps_per_epoch: training steps between two looks at the validation sets.
         seed: of the training batches.
 
@@ -60,14 +63,21 @@ class PoseDataModule(L.LightningDataModule):
         return DataLoader(Tickets(self.steps_per_epoch, lambda: self.trainer.global_step), batch_size=None)
 
     def val_dataloader(self) -> list[DataLoader]:
-        return [DataLoader(batches(poses, self.batch_size), batch_size=None) for poses in self.validation.values()]
+        size = -(-self.batch_size // self.trainer.world_size)
+        shares = [{key: values[self.rows] for key, values in poses.items()} for poses in self.validation.values()]
+        return [DataLoader(batches(poses, size), batch_size=None) for poses in shares]
 
     def on_after_batch_transfer(self, batch: torch.Tensor | PoseBatch, dataloader_idx: int) -> PoseBatch:
         if isinstance(batch, dict):
             return batch
         device = self.trainer.strategy.root_device
-        generator = generator_at(self.seed, "training", int(batch), self.trainer.global_rank, device=device)
-        return self.sampler.to(device).sample(self.batch_size, generator)
+        generator = generator_at(self.seed, "training", int(batch), 0, device=device)
+        return self.sampler.to(device).sample_rows(self.batch_size, generator, self.rows)
+
+    @property
+    def rows(self) -> slice:
+        """Of a batch, those of this process: every so manieth, so that the parts of a mixture are spread evenly."""
+        return slice(self.trainer.global_rank, None, self.trainer.world_size)
 
 
 def batches(poses: PoseBatch, size: int) -> list[PoseBatch]:

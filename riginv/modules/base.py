@@ -14,6 +14,7 @@ from riginv.errors import NonFiniteLossError
 from riginv.losses import root_mean_square_mm
 from riginv.mesh_space import RigInMeshSpace
 from riginv.metrics import VertexError
+from riginv.modules.processes import check_normalisation, over_processes, share_a_batch
 from riginv.rig import RigBackend
 from riginv.sampling.meshes import PoseBatch
 
@@ -47,13 +48,17 @@ class RigModule(L.LightningModule, ABC):
         self.rig, self.network = rig.requires_grad_(False), network
         self.true_rig = rig.rig
         self.make_optimizer, self.make_schedule = make_optimizer, make_schedule
-        self.epoch_loss = MeanMetric(nan_strategy="ignore")
+        self.epoch_loss = MeanMetric(nan_strategy="ignore", sync_on_compute=False)  # it is given the means of all processes
         self.epoch_loss.persistent(True)  # so that a run stopped within an epoch still sees the whole of it
         self.errors: list[VertexError] = []
 
     @abstractmethod
     def results(self, batch: PoseBatch) -> Tensor:
         """The meshes `(batch, vertex, 3)`, mm, that come of a batch; of controls it is the true rig that makes them."""
+
+    def setup(self, stage: str) -> None:
+        if self.trainer.world_size > 1:
+            check_normalisation(self.network, self.trainer.strategy.root_device)
 
     def configure_optimizers(self) -> dict:
         optimizer = self.make_optimizer([weight for weight in self.network.parameters() if weight.requires_grad])
@@ -68,21 +73,25 @@ class RigModule(L.LightningModule, ABC):
             self.trainer.should_stop = True
 
     def learn(self, loss: Tensor, coordinates: Tensor, target: Tensor) -> Tensor:
-        """Log a training step's loss and error, and return the loss.
+        """Log a training step's loss and error, those of all processes together, and return the loss to learn from.
 
         Raises:
-            NonFiniteLossError: the loss is NaN or infinite.
+            NonFiniteLossError: the loss is NaN or infinite, in any process: all of them raise it.
         """
-        if not torch.isfinite(loss):
+        seen, share = loss.detach(), 1.0
+        error = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count)
+        if share_a_batch():
+            (seen, squared), share = over_processes(torch.stack([seen, error.square()]), len(target))
+            error = squared.sqrt()
+        if not torch.isfinite(seen):
             raise NonFiniteLossError(
-                f"the loss became {loss.item()} at step {self.global_step}; the checkpoint holds the last good state saved "
+                f"the loss became {seen.item()} at step {self.global_step}; the checkpoint holds the last good state saved "
                 f"before: start a new run with a lower model.optimizer.lr"
             )
-        self.epoch_loss.update(loss.detach())
-        error = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count)
-        self.log("train/loss", loss)
+        self.epoch_loss.update(seen)
+        self.log("train/loss", seen)
         self.log("train/rms_vertex_error_mm", error, prog_bar=True)
-        return loss
+        return loss if share == 1.0 else share * loss
 
     def on_train_epoch_end(self) -> None:
         self.log("train/epoch_loss", self.epoch_loss.compute())
@@ -93,9 +102,11 @@ class RigModule(L.LightningModule, ABC):
         return self.trainer.datamodule.validation_names
 
     def on_validation_epoch_start(self) -> None:
-        self.errors = [VertexError().to(self.device) for _ in self.validation_names]
+        self.errors = [VertexError(of_all_processes=True).to(self.device) for _ in self.validation_names]
 
     def validation_step(self, batch: PoseBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        if not len(batch["coordinates"]):  # more processes than meshes
+            return
         self.errors[dataloader_idx].update(self.results(batch), self.rig.space.decode(batch["coordinates"]))
 
     def on_validation_epoch_end(self) -> None:

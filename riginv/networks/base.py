@@ -10,6 +10,10 @@ RIG_PREFIX = "rig."
 class RigNetwork(nn.Module):
     """A network that may hold a rig as its attribute `rig`, whose weights are not its own."""
 
+    def learned_parts(self) -> list[nn.Module]:
+        """The modules within it that hold its weights and are called as they are, with no rig inside."""
+        return [self]
+
     def own_weights(self) -> dict[str, Tensor]:
         """The network's weights and scales, without those that its rig may have."""
         return {name: value for name, value in self.state_dict().items() if not name.startswith(RIG_PREFIX)}

@@ -81,6 +81,9 @@ class DirectInverse(InverseNetwork):
         network = mlp(rig.space.size, hidden, len(rig.rig.controls), activation)
         self.network = Anchored(_start_small(network)) if control_map == "neutral_start" else network
 
+    def learned_parts(self) -> list[nn.Module]:
+        return [self.network]
+
     def answers(self, coordinates: Tensor) -> list[Answer]:
         return [Answer(self.forward(coordinates), self.rig)]
 
@@ -148,6 +151,9 @@ class StagedInverse(InverseNetwork):
             self.gradient_scale.copy_(gradient.square().mean(dim=0).sqrt().clamp_min(1e-12))
         else:
             self.gradient_scale.copy_(_size(gradient))
+
+    def learned_parts(self) -> list[nn.Module]:
+        return [*self.stages, *self.corrections]
 
     @torch.enable_grad()  # the gradient through the rig is an input: it is needed when nothing is trained too
     def answers(self, coordinates: Tensor) -> list[Answer]:

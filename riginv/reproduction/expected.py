@@ -6,7 +6,7 @@ from typing import Any
 
 import lightning as L
 
-from riginv.assemble import Config, build_module, build_sampler, calibrate
+from riginv.assemble import Config, build_module, build_sampler, calibrate, trainer_arguments
 from riginv.data.poses import PoseDataModule
 from riginv.mesh_space import RigInMeshSpace
 
@@ -37,7 +37,7 @@ def measured_step_s(config: Config, rig: RigInMeshSpace) -> float:
     calibrate(config, module, sampler)
     clock, steps = StepClock(), WARM + TIMED + 1
     trainer = L.Trainer(
-        **{**config["trainer"], "max_steps": steps},
+        **{**trainer_arguments(config), "max_steps": steps},
         max_epochs=-1,
         callbacks=[clock],
         logger=False,

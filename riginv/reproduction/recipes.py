@@ -9,6 +9,7 @@ from hydra import compose
 
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
+from riginv.errors import InputError
 from riginv.evaluation import surrogate_config
 
 Config = dict[str, Any]
@@ -26,6 +27,8 @@ def training_config(settings: Sequence[str], rig: Mapping[str, Any], seed: int) 
     last = {setting.partition("=")[0]: setting for setting in settings}
     plain = copy.deepcopy(_composed(*last.values())) | {"rig": dict(rig), "true_rig": ITSELF, "seed": seed, "capture": None}
     validate(plain)
+    if (devices := plain["trainer"]["devices"] * plain["trainer"]["num_nodes"]) > 1:
+        raise InputError(f"a budget asks for {devices} devices: riginv.reproduce trains on one (trainer.devices=1)")
     return plain
 
 

@@ -48,6 +48,10 @@ class MeshSampler(nn.Module, ABC):
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         """A batch of `count` meshes, without gradients."""
 
+    def sample_rows(self, count: int, generator: torch.Generator, rows: slice) -> PoseBatch:
+        """Some rows of the batch that `sample` gives: what one of several processes takes of it."""
+        return PoseBatch({key: values[rows] for key, values in self.sample(count, generator).items()})
+
 
 class RigPoses(MeshSampler):
     """Poses of the rig, with the controls that made them."""
@@ -200,8 +204,11 @@ class StoredPoses(MeshSampler):
         return cls(PoseBatch({key: torch.cat([piece[key] for piece in pieces]) for key in pieces[0]} if pieces else {}))
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
-        rows = torch.randint(len(self.coordinates), (count,), generator=generator, device=generator.device)
-        return PoseBatch({key: self.get_buffer(key)[rows] for key in self.keys})
+        return self.sample_rows(count, generator, slice(None))
+
+    def sample_rows(self, count: int, generator: torch.Generator, rows: slice) -> PoseBatch:
+        picked = torch.randint(len(self.coordinates), (count,), generator=generator, device=generator.device)[rows]
+        return PoseBatch({key: self.get_buffer(key)[picked] for key in self.keys})
 
 
 def _need_blendshapes(rig: RigInMeshSpace) -> None:
