@@ -39,7 +39,9 @@ class RayLauncher(JobsLauncher):
                 ray.init(**self.init)
             except ConnectionError as error:
                 reason = str(error).splitlines()[0]
-                raise InputError(f"hydra.launcher.init.address={self.init['address']}: no Ray cluster there: {reason}") from None
+                raise InputError(
+                    f"hydra.launcher.init.address={self.init['address']}: no Ray cluster there: {reason}"
+                ) from None
         try:
             task = ray.remote(**self.remote)(run_apart)
             running = [task.remote(job, max(1, int(self.remote["num_cpus"]))) for job in jobs]

@@ -21,7 +21,6 @@ from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
 from riginv.cli.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
 from riginv.cli.sweep_record import FINISHED, read_record
 
-
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
 
 
@@ -71,12 +70,18 @@ def true_rig_choice(argument: str) -> str:
 class _Job:
     """Runs a task, and keeps the error of one that failed, so that Hydra does not speak of it first.
 
-    In a sweep a job that fails says why, in its record and its folder, and lets the others go on; the table at the end counts it.
+    In a sweep a job that fails says why in its folder and lets the others go on; the table at the end counts it.
     """
 
     def __init__(self, task: Callable[[DictConfig], None], config_name: str) -> None:
         self.task, self.config_name = task, config_name
         self.error: Exception | None = None
+
+    @property
+    def module(self) -> str:
+        """Of the command, as in `python -m MODULE`."""
+        name = self.task.__module__
+        return sys.modules["__main__"].__spec__.name if name == "__main__" else name
 
     def run(self, config: DictConfig) -> None:
         if HydraConfig.get().mode == RunMode.MULTIRUN:

@@ -3,7 +3,6 @@
 A launcher is a plug-in of Hydra (`hydra_plugins/riginv_launchers`) that says where jobs run; `hydra/launcher=NAME` chooses it.
 """
 
-import sys
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -31,7 +30,7 @@ class JobsLauncher(Launcher):
     name = ""  # as in hydra/launcher=NAME
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Hydra's: what is to be run.
+        """Hydra's: what is to be run, which is the `run` of a command of ours.
 
         Raises:
             InputError: the package that this launcher needs is not installed.
@@ -41,7 +40,7 @@ class JobsLauncher(Launcher):
                 f"hydra/launcher={self.name} needs the package {self.package}, which is not installed: "
                 "pip install 'riginv[sweeps]', or leave hydra/launcher away to run one job after the other"
             )
-        self.context, self.task_function, self.config = hydra_context, task_function, config
+        self.context, self.module, self.config = hydra_context, task_function.__self__.module, config
 
     @abstractmethod
     def run_all(self, jobs: Sequence[Job]) -> None:
@@ -78,7 +77,7 @@ class JobsLauncher(Launcher):
         kept = [text for text in config.hydra.overrides.hydra if not text.startswith(OF_THE_SWEEP)]
         folders = [source.path for source in config.hydra.runtime.config_sources if source.provider == "command-line"]
         return Job(
-            module=command_module(self.task_function, config.hydra.job.config_name),
+            module=self.module,
             arguments=[
                 *(f"--config-dir={folder}" for folder in folders),
                 *kept,
@@ -93,13 +92,6 @@ class JobsLauncher(Launcher):
             directory=Path.cwd(),
             can_resume="resume" in config,
         )
-
-
-def command_module(task: TaskFunction, config_name: str) -> str:
-    """The module of a command, as in `python -m MODULE`."""
-    module = getattr(task, "__wrapped__", task).__module__
-    spec = getattr(sys.modules["__main__"], "__spec__", None)
-    return module if module != "__main__" else spec.name if spec else f"riginv.{config_name}"
 
 
 def _done(overrides: Sequence[str]) -> JobReturn:

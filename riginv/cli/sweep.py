@@ -41,7 +41,7 @@ class SweepTable(Callback):
         _show(rows, folder)
         missing = [row for row in rows if row["state"] != FINISHED]
         if missing:
-            _say_what_failed(missing, len(rows), folder)
+            _say_what_failed(missing, len(rows), folder, f"riginv.{config.hydra.job.config_name}")
             sys.exit(1)
 
 
@@ -75,14 +75,14 @@ def _best(rows: Sequence[Row]) -> set[tuple[int, str]]:
     return best
 
 
-def _say_what_failed(missing: Sequence[Row], count: int, folder: Path) -> None:
+def _say_what_failed(missing: Sequence[Row], count: int, folder: Path, module: str) -> None:
     console = Console(stderr=True)
     for row in missing:
         console.print(f"  {escape(row['folder'])}: {escape(row['why'] or row['state'])}", soft_wrap=True, highlight=False)
     where = f"each says why in {FAILURE} in its folder, and what it printed in {JOBS}/"
+    again = f"python -m {module} -m resume=true hydra.sweep.dir='{folder}'"
     console.print(
-        f"[bold red]error:[/] {len(missing)} of {count} jobs failed; {where}. "
-        f"Run them again: the same command with hydra.sweep.dir={escape(str(folder))} resume=true",
+        f"[bold red]error:[/] {len(missing)} of {count} jobs failed; {where}. To run these again: {escape(again)}",
         soft_wrap=True,
         highlight=False,
     )

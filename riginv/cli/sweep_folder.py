@@ -15,6 +15,9 @@ from riginv.errors import InputError
 SWEEPS = Path("runs") / "sweep"
 TYPED = "multirun.yaml"  # Hydra writes it before the first job starts
 FOLDER = "hydra.sweep.dir="
+LONGEST = 80  # characters of its name
+IN_BRACKETS = re.compile(r"\[[^\]]*\]|\{[^}]*\}")  # a list is one value
+SWEPT = re.compile(r"=.*,|=(range|choice|glob)\(")
 NOT_OF_THE_TASK = ("hydra.", "hydra/", "resume=", "-")
 
 
@@ -25,13 +28,15 @@ def register_sweep_resolvers() -> None:
 
 
 def new_sweep_folder(command: str, overrides: Sequence[str]) -> str:
-    """`runs/sweep/TIME_COMMAND_ARGUMENTS`."""
-    shown = [command, *(text for text in overrides if not text.startswith(NOT_OF_THE_TASK))]
-    return str(SWEEPS / folder_name("_".join([datetime.datetime.now().strftime(TIME), *map(_plain, shown)])))
+    """`runs/sweep/TIME_COMMAND_WHAT-IS-SWEPT`, such as `2026-11-22_16-10-00_train_seed-0-1-2`."""
+    shown = [text for text in overrides if text.startswith("experiment=") or SWEPT.search(IN_BRACKETS.sub("", text))]
+    name = "_".join([datetime.datetime.now().strftime(TIME), command, *map(_plain, shown)])[:LONGEST]
+    taken = len(list(SWEEPS.glob(f"{name}*")))
+    return str(SWEEPS / (f"{name}_{taken + 1}" if taken else name))
 
 
 def job_name(number: int, folder: str, overrides: Sequence[str]) -> str:
-    """`NUMBER_WHAT-SETS-IT-APART`, such as `03_model=holden_seed=1`."""
+    """`NUMBER_WHAT-SETS-IT-APART`, such as `03_model-holden_seed-1`."""
     return folder_name("_".join([f"{number:02d}", *map(_plain, swept(Path(folder), overrides))]))
 
 
@@ -91,5 +96,5 @@ def _same(before: list[str] | None, typed: list[str]) -> bool:
 
 
 def _plain(text: str) -> str:
-    """A text without what a shell or Hydra would read as more than a letter."""
-    return re.sub(r"[^\w.=+-]+", "-", text).strip("-")
+    """A text without what a shell or Hydra would read as more than a letter: `seed=0` becomes `seed-0`."""
+    return re.sub(r"[^\w.+-]", "-", text.replace("=[", "=")).strip("-")
