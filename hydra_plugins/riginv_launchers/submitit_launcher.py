@@ -32,18 +32,24 @@ class SubmititLauncher(JobsLauncher):
         self.parameters = {key if key in GENERAL else f"{cluster}_{key}": value for key, value in plain.items()}
 
     def run_all(self, jobs: Sequence[Job]) -> None:
-        """Submit all jobs as one array, and wait for them; interrupted, the array goes on."""
-        import submitit  # Hydra loads this file for every command
+        """Submit all jobs as one array, and wait for them; should this process end, the array goes on."""
+        from submitit.core.utils import UncompletedJobError  # Hydra loads this file for every command
 
-        folder = jobs[0].sweep / "submitit" / "%j"
-        executor = submitit.AutoExecutor(folder, cluster=self.cluster, slurm_max_num_timeout=self.max_num_timeout)
-        executor.update_parameters(**self.parameters)
-        waiting = executor.map_array(Requeued(), jobs, [self.parameters.get("cpus_per_task")] * len(jobs))
-        for submitted in waiting:
+        for submitted in self.submit(jobs):
             try:
                 submitted.result()
-            except submitit.core.utils.UncompletedJobError:
+            except UncompletedJobError:
                 continue  # its record has no end: the launcher says so
+
+    def submit(self, jobs: Sequence[Job]) -> list[Any]:
+        """Submit all jobs as one array; submitit's handles of them."""
+        import submitit
+
+        executor = submitit.AutoExecutor(
+            jobs[0].sweep / "submitit" / "%j", cluster=self.cluster, slurm_max_num_timeout=self.max_num_timeout
+        )
+        executor.update_parameters(**self.parameters)
+        return executor.map_array(Requeued(), jobs, [self.parameters.get("cpus_per_task")] * len(jobs))
 
 
 class Requeued:

@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
+from riginv.cli.apart import end_with_starter
 from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.quiet import hush
 from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
@@ -31,6 +32,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
         @functools.wraps(task)
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through: `explain` says them better
+            end_with_starter()
             hush()
             register_folder_resolvers()
             register_sweep_resolvers()

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -27,17 +28,17 @@ def sweep_rows(sweep: Path) -> list[Row]:
     ranking = {rig: ranked_by([row for row in rows if row.get("rig") == rig]) for rig in rigs}
 
     def rank(row: Row) -> tuple[bool, int, float]:
-        key = ranking[row.get("rig")]
-        return row["state"] != FINISHED, rigs.index(row.get("rig")), row[key] if key and row["state"] == FINISHED else 0.0
+        return row["state"] != FINISHED, rigs.index(row.get("rig")), row.get(ranking[row.get("rig")], math.inf)
 
     return sorted(rows, key=rank)
 
 
 def ranked_by(rows: Sequence[Row]) -> str | None:
-    """The error that rows are sorted by: the first that all of those have that finished."""
-    finished = [row for row in rows if row["state"] == FINISHED]
-    errors = [key for key in error_columns(finished) if all(row.get(key) is not None for row in finished)]
-    return FIRST if FIRST in errors else next(iter(errors), None)
+    """The error that rows are sorted by: that on random poses of the rig, or else the first that all have; None: none."""
+    errors = error_columns(rows)
+    judged = [row for row in rows if any(key in row for key in errors)]
+    shared = [key for key in errors if all(key in row for row in judged)]
+    return FIRST if FIRST in shared else next(iter(shared), None)
 
 
 def error_columns(rows: Sequence[Row]) -> list[str]:
@@ -82,13 +83,11 @@ def write_tables(sweep: Path, rows: Sequence[Row]) -> None:
 
 
 def caption(rows: Sequence[Row]) -> str:
-    """What the columns hold, and how they are sorted."""
-    keys = list(dict.fromkeys(key for row in rows for key in row))
-    if not error_columns(rows):
-        return ""
-    by = sorted({ranked_by([row]) or "" for row in rows if row["state"] == FINISHED} & set(keys))
-    key = ranked_by(rows) or next(iter(by), "")
-    return f"Mean vertex error in mm, judged by the true rig; sorted by that on {key.removesuffix(ERROR).replace('_', ' ')}."
+    """What the columns hold, and how they are sorted; empty where nothing was judged."""
+    by = {ranked_by([row for row in rows if row.get("rig") == rig]): None for rig in (row.get("rig") for row in rows)}
+    names = [key.removesuffix(ERROR).replace("_", " ") for key in by if key]
+    sorting = f"; sorted by that on {' or '.join(names)}" if names else ""
+    return f"Mean vertex error in mm, judged by the true rig{sorting}." if error_columns(rows) else ""
 
 
 def _row(sweep: Path, record: JobRecord) -> Row:
