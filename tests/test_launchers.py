@@ -4,8 +4,12 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
@@ -151,22 +155,48 @@ def test_every_launcher_composes(tmp_path, name):
 
 
 @pytest.mark.slow
-def test_a_ray_cluster_spreads_jobs_over_its_nodes_and_loses_none_with_a_node(tmp_path):
+def test_a_ray_cluster_spreads_jobs_over_its_nodes(tmp_path):
+    with ray_cluster(head_cores=1) as cluster:
+        for _ in range(2):
+            cluster.add_node(num_cpus=1)
+        made = jobs(tmp_path, "measure error=1 sleep=6", "die", "refuse", "nothing sleep=6", "nothing sleep=6")
+        launcher(tmp_path, "ray", f"hydra.launcher.init.address='{cluster.address}'").run_all(made)
+    assert states(made) == ["finished", "failed", "failed", "finished", "finished"]
+    long = [made[0], made[3], made[4]]
+    ended = [float((tmp_path / job.name / "ended.txt").read_text()) for job in long]
+    assert max(float(starts(job)[0][3]) for job in long) < min(ended)  # three at once, where each node has one core
+    assert {start[1] for job in made for start in starts(job)} == {"1"}
+
+
+@pytest.mark.slow
+def test_a_job_whose_ray_node_is_lost_goes_on_at_another(tmp_path):
+    with ray_cluster(head_cores=0) as cluster:
+        lost = cluster.add_node(num_cpus=1)
+        made = jobs(tmp_path, "nothing sleep=8")
+
+        def lose() -> None:
+            wait_until((tmp_path / made[0].name / "starts.txt").is_file, 120)
+            cluster.add_node(num_cpus=1)
+            cluster.remove_node(lost, allow_graceful=False)
+
+        losing = threading.Thread(target=lose)
+        losing.start()
+        launcher(tmp_path, "ray", f"hydra.launcher.init.address='{cluster.address}'").run_all(made)
+        losing.join()
+    assert states(made) == ["finished"]
+    assert [start[0] for start in starts(made[0])] == ["false", "true"]
+    assert not alive(int(starts(made[0])[0][2]))
+
+
+@contextmanager
+def ray_cluster(head_cores: int) -> Iterator[Any]:
+    """A cluster of several Ray nodes on this machine."""
     pytest.importorskip("ray", reason="ray is not installed: pip install 'riginv[sweeps]'")
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": head_cores, "include_dashboard": False})
     try:
-        nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
-        made = jobs(tmp_path, "measure error=1 sleep=4", "die", "refuse", "nothing sleep=4", "nothing sleep=4")
-        ray = launcher(tmp_path, "ray", f"hydra.launcher.init.address='{cluster.address}'")
-        ray.run_all(made)
-        assert states(made) == ["finished", "failed", "failed", "finished", "finished"]
-        began = [float(starts(job)[0][3]) for job in (made[0], made[3], made[4])]
-        ended = [float((tmp_path / job.name / "ended.txt").read_text()) for job in (made[0], made[3], made[4])]
-        assert max(began) < min(ended)  # three at once, where each node has one core
-        assert {start[1] for job in made for start in starts(job)} == {"1"}
-        assert nodes
+        yield cluster
     finally:
         cluster.shutdown()
 
