@@ -116,7 +116,7 @@ def test_a_folder_is_named_by_what_is_swept(tmp_path, monkeypatch):
 def test_the_same_command_finds_its_sweep_again(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = Path("runs/sweep/first")
-    folder.mkdir(parents=True)
+    (folder / "jobs").mkdir(parents=True)
     (folder / "multirun.yaml").write_text(TYPED)
     same = ["-m", "rig=face", "seed=0,1", "resume=true"]
     wanted = ["-m", "resume=true", "seed=0,1", "rig=face", f"hydra.sweep.dir={folder}"]
@@ -131,3 +131,6 @@ def test_the_same_command_finds_its_sweep_again(tmp_path, monkeypatch):
         with_sweep_folder(["-m", "seed=0,1", f"hydra.sweep.dir={folder}"], "train")
     with pytest.raises(InputError, match="holds another sweep, of seed=0,1 rig=face"):
         with_sweep_folder(["-m", "seed=0", f"hydra.sweep.dir={folder}", "resume=true"], "train")
+    (folder / "jobs").rmdir()  # what was typed before was refused
+    for free in (["-m", "seed=0,2", f"hydra.sweep.dir={folder}"], same):
+        assert with_sweep_folder(free, "train") == free

@@ -98,7 +98,7 @@ class _Job:
     def run_in_sweep(self, config: DictConfig) -> None:
         """Run a job of a sweep within this process; one that finished already is left alone, one that started goes on."""
         folder, chosen = run_directory(), HydraConfig.get()
-        sweep = Path(chosen.sweep.dir).absolute()
+        sweep = Path(os.path.abspath(chosen.sweep.dir))
         overrides = list(chosen.overrides.task)
         record = read_record(sweep, chosen.job.num, str(folder.relative_to(sweep)), swept(sweep, overrides))
         if record.state == FINISHED:

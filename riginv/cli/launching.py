@@ -3,6 +3,7 @@
 A launcher is a plug-in of Hydra (`hydra_plugins/riginv_launchers`) that says where jobs run; `hydra/launcher=NAME` chooses it.
 """
 
+import os
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -20,7 +21,15 @@ from riginv.cli.sweep_progress import SweepProgress
 from riginv.cli.sweep_record import FINISHED
 from riginv.errors import InputError
 
-OF_THE_SWEEP = ("hydra.mode", "hydra.sweep.", "hydra/launcher", "hydra.launcher.", "hydra/sweeper", "hydra.sweeper.")
+OF_THE_SWEEP = (
+    "hydra.mode",
+    "hydra.run.dir",
+    "hydra.sweep.",
+    "hydra/launcher",
+    "hydra.launcher.",
+    "hydra/sweeper",
+    "hydra.sweeper.",
+)
 
 
 class JobsLauncher(Launcher):
@@ -73,16 +82,17 @@ class JobsLauncher(Launcher):
         config = self.context.config_loader.load_sweep_config(self.config, list(overrides))
         with open_dict(config):
             config.hydra.job.id, config.hydra.job.num = str(number), number
-        sweep, name = Path(str(config.hydra.sweep.dir)).absolute(), str(config.hydra.sweep.subdir)
+        sweep, name = Path(os.path.abspath(config.hydra.sweep.dir)), str(config.hydra.sweep.subdir)
+        folder = str(sweep / name).replace("'", "\\'")
         kept = [text for text in config.hydra.overrides.hydra if not text.startswith(OF_THE_SWEEP)]
-        folders = [source.path for source in config.hydra.runtime.config_sources if source.provider == "command-line"]
+        configs = [source.path for source in config.hydra.runtime.config_sources if source.provider == "command-line"]
         return Job(
             module=self.module,
             arguments=[
-                *(f"--config-dir={folder}" for folder in folders),
+                *(f"--config-dir={path}" for path in configs),
                 *kept,
                 *overrides,
-                f"hydra.run.dir='{sweep / name}'",
+                f"hydra.run.dir='{folder}'",
                 "hydra.mode=RUN",
             ],
             sweep=sweep,

@@ -36,8 +36,12 @@ class SweepTable(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
         rows = sweep_rows(folder)
-        write_tables(folder, rows)
-        write_columns(folder, [row["folder"] for row in rows if row["state"] == FINISHED], error_columns(rows))
+        try:
+            write_tables(folder, rows)
+            write_columns(folder, [row["folder"] for row in rows if row["state"] == FINISHED], error_columns(rows))
+        except OSError as error:  # Hydra would warn, and end as if all were well
+            Console(stderr=True).print(f"[bold red]error:[/] the table cannot be written: {escape(str(error))}", soft_wrap=True)
+            sys.exit(1)
         _show(rows, folder)
         missing = [row for row in rows if row["state"] != FINISHED]
         if missing:

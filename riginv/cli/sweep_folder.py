@@ -10,6 +10,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from riginv.cli.run_folder import TIME, folder_name
+from riginv.cli.sweep_record import JOBS
 from riginv.errors import InputError
 
 SWEEPS = Path("runs") / "sweep"
@@ -47,7 +48,7 @@ def swept(folder: Path, overrides: Sequence[str]) -> list[str]:
 
 
 def typed_before(folder: Path, command: str | None = None) -> list[str] | None:
-    """The arguments that a sweep was started with, without `resume`; None where there is none (of that command)."""
+    """The arguments of the sweep in a folder, without `resume`; None where there is none (of that command)."""
     try:
         hydra: Any = yaml.safe_load((folder / TYPED).read_text(encoding="utf-8"))["hydra"]
         name, arguments = hydra["job"]["config_name"], hydra["overrides"]["task"]
@@ -70,12 +71,12 @@ def with_sweep_folder(arguments: list[str], command: str) -> list[str]:
         return arguments
     resume = any(text.lower() == "resume=true" for text in arguments)
     given = [Path(text.removeprefix(FOLDER).strip("'\"")) for text in arguments if text.startswith(FOLDER)]
-    typed = [text for text in arguments if "=" in text and not text.startswith(NOT_OF_THE_TASK)]
+    typed = [text for text in arguments if re.search("=|^~", text) and not text.startswith(NOT_OF_THE_TASK)]
     others = [text for text in arguments if text not in typed]
     if not given:
-        same = [path for path in sorted(SWEEPS.glob("*")) if _same(typed_before(path, command), typed)] if resume else []
+        same = [path for path in sorted(SWEEPS.glob("*")) if _same(_begun(path, command), typed)] if resume else []
         return [*others, *(typed_before(same[-1]) or []), f"{FOLDER}{same[-1]}"] if same else arguments
-    before = typed_before(given[-1])
+    before = _begun(given[-1])
     if before is None:
         return arguments
     if not resume:
@@ -89,6 +90,11 @@ def with_sweep_folder(arguments: list[str], command: str) -> list[str]:
             "or choose another hydra.sweep.dir=DIR"
         )
     return [*others, *before]
+
+
+def _begun(folder: Path, command: str | None = None) -> list[str] | None:
+    """The same, where a job was started: Hydra writes its file even if it refuses what was typed."""
+    return typed_before(folder, command) if (folder / JOBS).is_dir() else None
 
 
 def _same(before: list[str] | None, typed: list[str]) -> bool:
