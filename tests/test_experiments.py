@@ -33,7 +33,13 @@ def composed(*arguments: str, command: str = "train") -> dict:
 
 
 def test_there_is_one_for_everything_that_the_paper_trains():
-    assert EXPERIMENTS == ["paper/forward", "paper/holden", "paper/inverse", "paper/inverse_through_surrogate"]
+    assert EXPERIMENTS == [
+        "paper/forward",
+        "paper/holden",
+        "paper/inverse",
+        "paper/inverse_through_surrogate",
+        "rigs_and_models",
+    ]
 
 
 @pytest.mark.parametrize("name", ["paper/inverse", "paper/holden", "paper/inverse_through_surrogate"])

@@ -33,7 +33,7 @@ FLOORS = [
     {"reproduce"},
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
-SOURCES = [path for folder in ("riginv", "rigs") for path in sorted((ROOT / folder).rglob("*.py"))]
+SOURCES = [path for folder in ("riginv", "rigs", "hydra_plugins") for path in sorted((ROOT / folder).rglob("*.py"))]
 
 
 def imported(path: Path) -> set[str]:

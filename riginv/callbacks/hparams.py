@@ -1,29 +1,28 @@
-"""TensorBoard's HPARAMS page: what was chosen beside what came out."""
+"""TensorBoard's HPARAMS page: what was chosen beside what came out. A run tells of itself; a sweep names the columns."""
 
-import math
 from typing import Any
 
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
+from torch.utils.tensorboard.summary import hparams
 
+from riginv.cli.sweep_hparams import RESULT
 from riginv.cli.tables import sets_of
 
-PREFIX = "result"
-RESULTS = (
-    "random_combinations/mean_vertex_error_mm",
-    "rig_poses/mean_vertex_error_mm",
-    "capture/mean_vertex_error_mm",
-    "simulated_performance/mean_vertex_error_mm",
-)
 
-
+@rank_zero_only
 def log_choices(logger: TensorBoardLogger, config: dict[str, Any]) -> None:
-    """Log a plain config as flat hyper-parameters; the results' columns are there from the start."""
-    logger.log_hyperparams(_flat(config), {f"{PREFIX}/{key}": math.nan for key in RESULTS})
+    """Log a plain config as flat hyper-parameters."""
+    choices = _flat(config)
+    logger.log_hyperparams(choices)  # for hparams.yaml
+    _, begun, ended = hparams(choices, {})  # the first would fix the columns by this run alone
+    for summary in (begun, ended):
+        logger.experiment.file_writer.add_summary(summary)
 
 
 def log_results(logger: TensorBoardLogger, metrics: dict[str, float], step: int) -> None:
-    """Fill the results' columns, and log every final metric."""
-    known = {f"{PREFIX}/{key}": value for key, value in metrics.items() if key.split("/")[0] in sets_of(metrics)}
+    """Log every final metric: the results' columns."""
+    known = {f"{RESULT}/{key}": value for key, value in metrics.items() if key.split("/")[0] in sets_of(metrics)}
     logger.log_metrics(known, step)
     logger.save()
 

@@ -3,6 +3,8 @@
 import functools
 import os
 import sys
+import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,13 +15,14 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
+from riginv.cli.apart import end_with_starter
 from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.quiet import hush
 from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
+from riginv.cli.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
+from riginv.cli.sweep_record import FINISHED, read_record
 from riginv.cli.watched import end_with_watcher, is_watched, report
-from riginv.errors import InputError
 
-FAILURE = "failure.txt"
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
 
 
@@ -32,21 +35,19 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through: `explain` says them better
             if is_watched():
                 end_with_watcher()
+            end_with_starter()
             hush()
             register_folder_resolvers()
-            sys.argv[1:] = [true_rig_choice(argument) for argument in options_first(sys.argv[1:])]
+            register_sweep_resolvers()
             job = _Job(task, config_name)
             try:
+                arguments = [true_rig_choice(argument) for argument in options_first(sys.argv[1:])]
+                sys.argv[1:] = with_sweep_folder(arguments, config_name)
                 hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
             except Exception as error:
                 _stop(error, config_name)
             if job.error is not None:
                 _stop(job.error, config_name)
-            if job.failed:
-                _stop(
-                    InputError(f"{len(job.failed)} of {job.count} jobs failed; each says why in {FAILURE} in its folder"),
-                    config_name,
-                )
 
         return main
 
@@ -74,29 +75,48 @@ def true_rig_choice(argument: str) -> str:
 class _Job:
     """Runs a task, and keeps the error of one that failed, so that Hydra does not speak of it first.
 
-    In a sweep a job that fails by a user's mistake says why and lets the others go on; the table at the end counts it.
+    In a sweep a job that fails says why in its folder and lets the others go on; the table at the end counts it.
     """
 
     def __init__(self, task: Callable[[DictConfig], None], config_name: str) -> None:
         self.task, self.config_name = task, config_name
         self.error: Exception | None = None
-        self.count, self.failed = 0, []
+
+    @property
+    def module(self) -> str:
+        """Of the command, as in `python -m MODULE`."""
+        name = self.task.__module__
+        return sys.modules["__main__"].__spec__.name if name == "__main__" else name
 
     def run(self, config: DictConfig) -> None:
-        folder = run_directory()
-        self.count += 1
+        if HydraConfig.get().mode == RunMode.MULTIRUN:
+            self.run_in_sweep(config)
+            return
         try:
             self.task(config)
         except Exception as error:
-            discard_if_empty(folder)
-            message = explain(error, self.config_name)
-            if message is None or HydraConfig.get().mode != RunMode.MULTIRUN:
-                self.error = error
-                return
-            self.failed.append(folder.name)
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / FAILURE).write_text(message + "\n", encoding="utf-8")
-            Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(message)}", highlight=False)
+            discard_if_empty(run_directory())
+            self.error = error
+
+    def run_in_sweep(self, config: DictConfig) -> None:
+        """Run a job of a sweep within this process; one that finished already is left alone, one that started goes on."""
+        folder, chosen = run_directory(), HydraConfig.get()
+        sweep = Path(os.path.abspath(chosen.sweep.dir))
+        overrides = list(chosen.overrides.task)
+        record = read_record(sweep, chosen.job.num, str(folder.relative_to(sweep)), swept(sweep, overrides))
+        if record.state == FINISHED:
+            Console(stderr=True).print(f"{escape(record.label)}  finished before", highlight=False)
+            return
+        if record.starts and "resume" in config:
+            config.resume = True
+        record.started(sweep)
+        began, why = time.perf_counter(), None
+        try:
+            self.task(config)
+        except Exception as error:
+            why = explain(error, self.config_name) or traceback.format_exc()
+            Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(why)}", highlight=False)
+        record.ended(sweep, time.perf_counter() - began, why)
 
 
 def run_directory() -> Path:

@@ -1,0 +1,57 @@
+"""hydra/launcher=ray: jobs spread over a Ray cluster, or over this machine by Ray."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from riginv.cli.apart import Job, run_apart
+from riginv.cli.launching import JobsLauncher
+from riginv.errors import InputError
+
+
+class RayLauncher(JobsLauncher):
+    """Jobs as tasks of Ray.
+
+    Args:
+        init: arguments of `ray.init`: `address` names a cluster ("auto": the one that this machine belongs to; None: one of
+            its own, on this machine).
+        remote: what each job needs, as arguments of `ray.remote`: `num_cpus`, `num_gpus`, `resources`, `max_retries`.
+    """
+
+    package = name = "ray"
+
+    def __init__(self, init: DictConfig, remote: DictConfig) -> None:
+        self.init: dict[str, Any] = OmegaConf.to_container(OmegaConf.create(init), resolve=True)
+        self.remote: dict[str, Any] = OmegaConf.to_container(OmegaConf.create(remote), resolve=True)
+
+    def run_all(self, jobs: Sequence[Job]) -> None:
+        """Each job is a task; one whose machine was lost is started again on another, and goes on there.
+
+        Raises:
+            InputError: there is no cluster at that address.
+        """
+        import ray  # Hydra loads this file for every command
+
+        ours = not ray.is_initialized()
+        if ours:
+            try:
+                ray.init(**self.init)
+            except ConnectionError as error:
+                reason = str(error).splitlines()[0]
+                raise InputError(
+                    f"hydra.launcher.init.address={self.init['address']}: no Ray cluster there: {reason}"
+                ) from None
+        try:
+            task = ray.remote(**self.remote)(run_apart)
+            running = [task.remote(job, max(1, int(self.remote["num_cpus"]))) for job in jobs]
+            while running:
+                ended, running = ray.wait(running)
+                for one in ended:
+                    try:
+                        ray.get(one)
+                    except ray.exceptions.RayError:
+                        continue  # its record has no end: the launcher says so
+        finally:
+            if ours:
+                ray.shutdown()
