@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
+from riginv.cli.config_folders import check_config_folders
 from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.quiet import hush
 from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
@@ -34,6 +35,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             sys.argv[1:] = [true_rig_choice(argument) for argument in options_first(sys.argv[1:])]
             job = _Job(task, config_name)
             try:
+                check_config_folders(sys.argv[1:])
                 hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
             except Exception as error:
                 _stop(error, config_name)

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from rich.table import Table
 
 from riginv.cli.run_folder import METRICS
 from riginv.cli.tables import WITHIN_REACH_MM
-from riginv.files import write_json, write_text, written_beside
+from riginv.files import read_json, write_json, write_text, written_beside
 
 CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "methods"
 HEADINGS = {
@@ -42,14 +41,14 @@ def kept_rows(folder: Path, name: str, facts: Mapping[str, Any]) -> Rows | None:
     path = folder / METHODS / f"{name}.json"
     if not path.is_file():
         return None
-    kept = json.loads(path.read_text(encoding="utf-8"))
+    kept = read_json(path)
     return kept["rows"] if all(kept.get(key) == value for key, value in facts.items()) else None
 
 
 def write_tables(folder: Path) -> Rows:
     """Write the rows of all methods that the folder holds as CSV, as Markdown with each method's source, and as a plot."""
     files = sorted((folder / METHODS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
-    kept = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in files}
+    kept = {path.stem: read_json(path) for path in files}
     rows = [row for one in kept.values() for row in one["rows"]]
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(HEADINGS), lineterminator="\n", extrasaction="ignore")
@@ -85,7 +84,7 @@ def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
         soft_wrap=True,
     )
     for name, reason in left_out.items():
-        console.print(f"  Left out: {name}, for {reason}.", soft_wrap=True, highlight=False)
+        console.print(f"  Left out: {name}, for {reason}.", soft_wrap=True, highlight=False, markup=False)
     for what, file in (("figures", CSV), ("a table to paste", MARKDOWN), ("error and roughness", PLOT)):
         console.print(f"  {what}: {folder / file}", soft_wrap=True, highlight=False, markup=False)
 

@@ -1,15 +1,14 @@
 """What a finished run reached, and what to do with it."""
 
-import json
-
 from riginv.build import OURS
 from riginv.cli.run_folder import BUNDLE, METRICS, POSES, RunFolder
 from riginv.cli.tables import print_results, sets_of
+from riginv.files import read_json
 
 
 def show(folder: RunFolder) -> None:
     """Show what a finished run reached, and what to do with it."""
-    metrics = json.loads((folder.path / METRICS).read_text(encoding="utf-8"))
+    metrics = read_json(folder.path / METRICS)
     steps, seconds = metrics["train/steps"], metrics["train/seconds"]
     more = " capture=TAKE.csv" if {"capture", "simulated_performance"} & set(sets_of(metrics)) else ""
     if folder.config["rig"]["_target_"].partition(".")[0] not in OURS:

@@ -1,7 +1,6 @@
 """The table at the end of a sweep."""
 
 import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +9,11 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from riginv.cli.run_folder import METRICS
-from riginv.files import write_text, written_beside
+from riginv.files import read_json, write_text, written_beside
 
 OVERRIDES = "overrides.txt"
 
@@ -45,7 +45,7 @@ def sweep_rows(folder: Path) -> list[dict[str, Any]]:
     for job, given in zip(jobs, overrides):
         finished = (job / METRICS).is_file()
         row = {"job": " ".join(text for text in given if text not in shared), "state": "finished" if finished else "failed"}
-        metrics = json.loads((job / METRICS).read_text(encoding="utf-8")) if finished else {}
+        metrics = read_json(job / METRICS) if finished else {}
         rows.append({**row, **metrics, "folder": job.name})
     return rows
 
@@ -59,7 +59,8 @@ def _show(rows: list[dict[str, Any]], folder: Path) -> None:
     for key in shown:
         table.add_column(key.removesuffix("/mean_vertex_error_mm").replace("_", " "), justify="right")
     for row in rows:
-        name = row["job"] if row["state"] == "finished" else f"{row['job']} [red]failed[/]"
+        job = escape(row["job"])
+        name = job if row["state"] == "finished" else f"{job} [red]failed[/]"
         table.add_row(name, *("-" if row.get(key) is None else f"{row[key]:.5g}" for key in shown))
     Console().print(table)
-    Console().print(f"All figures: {folder / 'sweep.csv'}", soft_wrap=True, highlight=False)
+    Console().print(f"All figures: {folder / 'sweep.csv'}", soft_wrap=True, highlight=False, markup=False)

@@ -12,6 +12,7 @@ from torch import Tensor
 from riginv.curves.live_link import TIMECODE_FPS
 from riginv.data.mesh_sets import WeightedShapes
 from riginv.errors import InputError
+from riginv.files import check_regular
 from riginv.rig import RigBackend
 
 TIMECODE = re.compile(r"(\d+):(\d\d):(\d\d):(\d\d(?:\.\d+)?)")
@@ -92,6 +93,7 @@ def _column(shape: str) -> str:
 
 
 def _rows(path: Path) -> list[list[str]]:
+    check_regular(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]
