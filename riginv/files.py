@@ -58,7 +58,7 @@ def sha256(path: Path) -> str:
 
 
 def check_regular(path: Path) -> None:
-    """Raises InputError where a path leads to no file but a device, which might never end, or a pipe, which might never start."""
+    """Raises InputError where a path leads to a device, which might never end, or to a pipe, which might never start."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
@@ -88,7 +88,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file that may be a stranger's: plain values, and no more of them than could be meant.
 
     Raises:
-        InputError: the file is missing or damaged, asks for Python objects, holds no mapping, or multiplies itself by references.
+        InputError: the file is missing or damaged, asks for Python objects, holds no mapping, or multiplies itself.
     """
     text = read_text(path)
     try:
