@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from riginv.errors import InputError
+from riginv.errors import InputError, in_short
 from riginv.files import check_regular
 
 LONGEST_HEADER = 10_000  # bytes; NumPy's own bound for headers that are not trusted
@@ -75,8 +75,7 @@ def check_npz(path: Path) -> None:
     except InputError:
         raise
     except BROKEN_ZIP as error:
-        reason = str(error).split("\n")[0][:80] or type(error).__name__
-        raise InputError(f"{path}: no .npz, or a damaged one ({reason}): save it again with np.savez") from None
+        raise InputError(f"{path}: no .npz, or a damaged one ({in_short(error)}): save it again with np.savez") from None
 
 
 def check_zarr(path: Path, arrays: Mapping[str, Any]) -> None:
@@ -123,9 +122,8 @@ def _check_header(where: str, file: BinaryIO, size: int) -> None:
             read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
             shape, _, dtype = read(file, max_header_size=LONGEST_HEADER)
     except BROKEN as error:
-        reason = str(error).split("\n")[0][:80] or type(error).__name__
         raise InputError(
-            f"{where}: no NumPy array, or a damaged one ({reason}): save it again with np.save or np.savez"
+            f"{where}: no NumPy array, or a damaged one ({in_short(error)}): save it again with np.save or np.savez"
         ) from None
     if dtype.hasobject or dtype.kind not in PLAIN:
         raise InputError(f"{where}: it holds {dtype}, and Python objects are never loaded: save plain numbers")

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from riginv.arguments import check_arguments
-from riginv.errors import InputError
+from riginv.errors import InputError, in_short
 
 OURS = ("riginv", "rigs")
 KNOWN = (*OURS, "torch")  # what the classes that a user names may be given, beside those of their own package
@@ -51,9 +51,8 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
         check_arguments(found, arguments)  # the reason, where it is one
         if only is None:
             raise
-        said = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(
-            f"{target} cannot be built from what the file says of it: {said}; damaged, or not made by riginv"
+            f"{target} cannot be built from what the file says of it: {in_short(error)}; damaged, or not made by riginv"
         ) from error
 
 

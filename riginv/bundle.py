@@ -20,7 +20,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from riginv.arguments import fits, in_words
-from riginv.errors import InputError
+from riginv.errors import InputError, in_short
 from riginv.files import read_text, read_yaml, sha256, written_beside
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.base import RigNetwork
@@ -157,7 +157,7 @@ def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
     try:
         weights, space = load_file(folder / WEIGHTS), load_file(folder / SPACE)
     except (OSError, ValueError, KeyError, SafetensorError) as error:
-        raise InputError(f"{folder}: the bundle cannot be read: {error}; train it again") from None
+        raise InputError(f"{folder}: the bundle cannot be read: {in_short(error)}; train it again") from None
     _check_tensors(folder, weights, space)
     if kind is not None and description.get("kind") != kind:
         raise InputError(f"{folder}: a bundle of kind '{description.get('kind')}', expected '{kind}' (model={kind})")

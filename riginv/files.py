@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from riginv.errors import InputError
+from riginv.errors import InputError, in_short
 
 MOST_YAML_BYTES = 1 << 26
 MOST_YAML_VALUES = 2_000_000  # once everything that is referred to again has been counted again
@@ -81,7 +81,7 @@ def read_text(path: Path) -> str:
             )
         return path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+        raise InputError(f"{path}: cannot be read: {in_short(error)}") from None
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -94,7 +94,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         content = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError, OverflowError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: cannot be read as YAML of plain values: {' '.join(str(error).split())[:200]}") from None
+        raise InputError(f"{path}: cannot be read as YAML of plain values: {in_short(error)}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds {type(content).__name__}, expected names, each with a value: truncated or altered")
     check_values(path, content)
@@ -111,9 +111,7 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path}: cannot be read as JSON: {' '.join(str(error).split())[:200]}: truncated or altered"
-        ) from None
+        raise InputError(f"{path}: cannot be read as JSON: {in_short(error)}: truncated or altered") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds {type(content).__name__}, expected names, each with a value: truncated or altered")
     return content

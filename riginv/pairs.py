@@ -21,7 +21,7 @@ import zarr
 from torch import Tensor
 
 from riginv.array_files import BROKEN, BROKEN_ZIP, check_npy, check_npz, check_zarr
-from riginv.errors import InputError
+from riginv.errors import InputError, in_short
 from riginv.files import written_beside
 from riginv.rig import Control
 
@@ -73,7 +73,7 @@ def read_pairs(path: str | Path) -> PairTable:
     try:
         read = {name: np.asarray(arrays[name]) for name in SHAPES}
     except NOT_READ as error:
-        raise InputError(f"{path}: cannot be read: {_one_line(error)}; sample it again") from None
+        raise InputError(f"{path}: cannot be read: {in_short(error)}; sample it again") from None
     _check(path, read)
     names = [str(name) for name in read["control_names"]]
     limits = zip(names, *(read[field].tolist() for field in ("lower", "upper", "neutral")))
@@ -122,7 +122,7 @@ def _open(path: Path) -> Mapping[str, Any]:
     except InputError:
         raise
     except NOT_READ as error:
-        raise InputError(f"{path}: no table of pairs: {_one_line(error)}; sample it again") from None
+        raise InputError(f"{path}: no table of pairs: {in_short(error)}; sample it again") from None
     raise InputError(f"{path}: one array alone is no table of pairs: name the folder of .npy files, or a .npz")
 
 
@@ -153,7 +153,3 @@ def _kind(name: str) -> str:
 
 def _list(arrays: Mapping[str, Any]) -> str:
     return ", ".join(sorted(arrays)) or "nothing"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

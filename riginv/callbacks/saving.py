@@ -10,7 +10,7 @@ import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from riginv.cli.run_folder import CHECKPOINT
-from riginv.errors import InputError
+from riginv.errors import InputError, in_short
 from riginv.files import check_regular, written_beside
 
 START_OVER = "remove it to start over"
@@ -38,8 +38,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
         try:
             found = torch.load(path, map_location=map_location or "cpu", weights_only=True)
         except Exception as error:  # torch and its unpickler raise whatever comes to hand
-            reason = str(error).split("\n")[0][:150] or type(error).__name__
-            raise InputError(f"{path}: no checkpoint of plain tensors and values ({reason}); {START_OVER}") from None
+            raise InputError(f"{path}: no checkpoint of plain tensors and values ({in_short(error)}); {START_OVER}") from None
         missing = [key for key in PARTS if not isinstance(found, dict) or not isinstance(found.get(key), PARTS[key])]
         if missing:
             raise InputError(f"{path}: no checkpoint of plain tensors and values (no {missing[0]} in it); {START_OVER}")
