@@ -129,7 +129,7 @@ def _avatar_in_parts(folder: Path) -> Target:
     return Target(_files(folder), lambda: GltfRig(str(path)))
 
 
-def _pair_arrays() -> dict[str, np.ndarray]:
+def pair_arrays() -> dict[str, np.ndarray]:
     rig = toy()
     controls = torch.rand(6, 7, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
@@ -141,18 +141,18 @@ def _pair_arrays() -> dict[str, np.ndarray]:
 
 
 def _pairs_npz(folder: Path) -> Target:
-    write_pairs(folder / "p.npz", _pair_arrays())
+    write_pairs(folder / "p.npz", pair_arrays())
     return Target([folder / "p.npz"], lambda: read_pairs(folder / "p.npz"))
 
 
 def _pairs_npy(folder: Path) -> Target:
-    for name, array in _pair_arrays().items():
+    for name, array in pair_arrays().items():
         np.save(folder / f"{name}.npy", array)
     return Target(_files(folder), lambda: read_pairs(folder))
 
 
 def _pairs_zarr(folder: Path) -> Target:
-    write_pairs(folder / "p.zarr", _pair_arrays())
+    write_pairs(folder / "p.zarr", pair_arrays())
     return Target(_files(folder / "p.zarr"), lambda: read_pairs(folder / "p.zarr"))
 
 
