@@ -50,14 +50,14 @@ def check_npy(path: Path) -> None:
     """
     check_regular(path)
     with path.open("rb") as file:
-        _check_header(str(path), file, path.stat().st_size)
+        _check_header(str(path), file, path.stat().st_size, alone=True)
 
 
 def check_npz(path: Path) -> None:
-    """That an .npz holds plain values, in members that are no larger than a file of its size could mean.
+    """That no member of an .npz is larger than a file of its size could mean; Python objects are for NumPy to refuse.
 
     Raises:
-        InputError: it is no zip, or a member is damaged, encrypted, or promises Python objects or far more than there is.
+        InputError: it is no zip, or a member is damaged, encrypted, or promises far more than there is.
         OSError: it cannot be opened.
     """
     check_regular(path)
@@ -71,7 +71,7 @@ def check_npz(path: Path) -> None:
                     raise InputError(f"{path}: {member.filename!r:.80} would be {member.file_size:,} bytes: a bomb, or damaged")
                 with archive.open(member) as file:
                     start = file.read(LONGEST_HEADER + 20)
-                _check_header(f"{path}, {member.filename}", io.BytesIO(start), member.file_size)
+                _check_header(f"{path}, {member.filename}", io.BytesIO(start), member.file_size, alone=False)
     except InputError:
         raise
     except BROKEN_ZIP as error:
@@ -114,7 +114,7 @@ def codecs_of(metadata: Any) -> Iterator[str]:
         yield from codecs_of(metadata.to_dict())
 
 
-def _check_header(where: str, file: BinaryIO, size: int) -> None:
+def _check_header(where: str, file: BinaryIO, size: int, alone: bool) -> None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -125,6 +125,8 @@ def _check_header(where: str, file: BinaryIO, size: int) -> None:
         raise InputError(
             f"{where}: no NumPy array, or a damaged one ({in_short(error)}): save it again with np.save or np.savez"
         ) from None
+    if dtype.hasobject and not alone:
+        return  # one member among others, that may never be asked for: NumPy refuses to load it
     if dtype.hasobject or dtype.kind not in PLAIN:
         raise InputError(f"{where}: it holds {dtype}, and Python objects are never loaded: save plain numbers")
     if any(not isinstance(length, int) or length < 0 for length in shape):

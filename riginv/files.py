@@ -15,7 +15,7 @@ import yaml
 from riginv.errors import InputError, in_short
 
 MOST_YAML_BYTES = 1 << 26
-MOST_YAML_VALUES = 2_000_000  # once everything that is referred to again has been counted again
+MOST_YAML_VALUES = 300_000  # once everything that is referred to again has been counted again
 
 
 @contextmanager

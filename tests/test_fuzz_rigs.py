@@ -77,11 +77,8 @@ def test_meshes_and_gradients_are_finite_for_many_more_controls(rigs, name):
 
 
 def explore(rig: LinearRig, cases: int) -> None:
-    given(shares(rig))(
-        settings(max_examples=cases, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))(
-            lambda found: check(rig, found)
-        )
-    )()
+    how = settings(max_examples=cases, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    how(given(shares(rig))(lambda found: check(rig, found)))()
 
 
 @pytest.mark.parametrize("name", RIGS)
