@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
+from riginv.cli.blame import blame
 from riginv.cli.config_folders import check_config_folders
 from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.quiet import hush
@@ -89,7 +90,10 @@ class _Job:
         except Exception as error:
             discard_if_empty(folder)
             message = explain(error, self.config_name)
-            if message is None or HydraConfig.get().mode != RunMode.MULTIRUN:
+            hydra = HydraConfig.get()
+            if message is None and (message := blame(config, self.config_name, hydra)):
+                error = InputError(message)
+            if message is None or hydra.mode != RunMode.MULTIRUN:
                 self.error = error
                 return
             self.failed.append(folder.name)

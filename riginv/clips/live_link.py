@@ -41,7 +41,7 @@ def read_live_link(path: str | Path) -> Recording:
         InputError: the file is missing or unreadable, has no rows, a duplicate or missing column, or a value that is not a
             finite number; the message names the file, the row and the column.
     """
-    path = Path(path)
+    path = Path(str(path))
     rows = _rows(path)
     header, body = rows[0], rows[1:]
     if len(set(header)) != len(header):
@@ -99,7 +99,7 @@ def _rows(path: Path) -> list[list[str]]:
             rows = [row for row in csv.reader(file) if row]
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; capture= takes the CSV of a Live Link Face recording") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as a CSV: {error}") from None
     if not rows:
         raise InputError(f"{path}: the file is empty; expected the CSV of a Live Link Face recording")
