@@ -33,7 +33,7 @@ from tests.clips import performance, write_npz
 from tests.toys import ToyRig
 
 ROOT = Path(__file__).parent.parent
-QUICK, MANY = 60, 2500
+QUICK, MANY = 15, 2500
 TOY = ["rig=toy", f"hydra.searchpath=[file://{ROOT / 'tests/conf'}]"]
 
 

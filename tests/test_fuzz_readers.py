@@ -5,7 +5,7 @@ import pytest
 from tests.fuzz.readers import IN_PROCESSES, READERS
 from tests.fuzz.tally import survive
 
-QUICK, MANY = 100, 3000
+QUICK, MANY = 25, 3000
 NEVER_REFUSED = ("cache", "kept steps")  # what is damaged there is made anew
 
 

@@ -18,7 +18,7 @@ from tests.fuzz.bundles import write_tiny_surrogate
 from tests.toys import ToyRig
 
 FAR = 1e3  # ranges: as far as a careless hand types
-QUICK, MANY = 12, 400
+QUICK, MANY = 5, 400
 RIGS = ("face", "body", "gltf", "joints", "shapes", "least", "surrogate", "toy")
 
 

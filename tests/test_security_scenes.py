@@ -19,12 +19,10 @@ text.write("open({mark!r}, 'w').close()")
 text.use_module = True
 thing = cube()
 shape(thing, "smile", (1, 0, 0))
-bpy.app.driver_namespace["harmless"] = 1
 panel = add("panel")
 panel["go"] = 0.0
-drive(thing, "location", panel, '["go"]', "__import__('os').system('touch {mark}') or v") if {driver} else None
-def later(*_):
-    open({mark!r}, "w").close()
+if {driver}:
+    drive(thing.data.shape_keys, 'key_blocks["smile"].value', panel, '["go"]', "__import__('os').system('touch {mark}') or v")
 """
 
 
