@@ -9,6 +9,9 @@ from lightning.pytorch.callbacks import LearningRateMonitor
 from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.strategies import DDPStrategy
 from omegaconf import DictConfig, open_dict
+from torch import nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler
 
 from riginv.build import OURS, build, class_of, factory
 from riginv.callbacks.pictures import PosePictures
@@ -28,6 +31,7 @@ from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
 from riginv.modules.holden import HoldenModule
 from riginv.modules.inverse import InverseModule
+from riginv.networks.base import RigNetwork
 from riginv.networks.speed import compile_parts, use_bfloat16
 from riginv.recorded_rig import RecordedRig
 from riginv.rig import LinearRig, RigBackend
@@ -49,13 +53,13 @@ def build_rig(config: Config) -> LinearRig:
     Raises:
         InputError: it cannot be built or posed.
     """
-    rig = build(config["rig"])
+    rig = build(config["rig"], kind=RigBackend)
     return rig if isinstance(rig, LinearRig) else FittedRig.sampled(rig, **config["mesh_space"])
 
 
 def needs_surrogate(config: Config, rig: LinearRig) -> bool:
     """Whether the model can only be trained through a surrogate: no gradient passes through the rig, or it cannot be posed."""
-    kind = class_of(config["model"]["_target_"])
+    kind = class_of(config["model"]["_target_"], kind=RigModule)
     return (issubclass(kind, InverseModule) and not rig.differentiable) or (
         issubclass(kind, HoldenModule) and isinstance(rig, RecordedRig)
     )
@@ -79,7 +83,7 @@ def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
     if config["true_rig"].get("_target_"):
         return build_judge(config["true_rig"], rig)
     if hasattr(rig, "true_rig_config"):
-        true_rig = build(rig.true_rig_config, only=OURS)
+        true_rig = build(rig.true_rig_config, kind=RigBackend, only=OURS)
     else:
         true_rig = rig
     check_same_controls(rig, true_rig)
@@ -104,11 +108,12 @@ def build_clip(config: Config, true_rig: RigBackend) -> MeshSet | None:
 def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> RigModule:
     """The Lightning module with its network, loss, optimiser and schedule, and the rig that judges."""
     model = dict(config["model"])
-    module_class = class_of(model.pop("_target_"))
-    network = build(model["network"], rig if module_class.kind == "inverse" else rig.rig)
-    losses = [build(model["loss"], rig.space.vertex_count)] if "loss" in model else []
+    module_class = class_of(model.pop("_target_"), kind=RigModule)
+    network = build(model["network"], rig if module_class.kind == "inverse" else rig.rig, kind=RigNetwork)
+    losses = [build(model["loss"], rig.space.vertex_count, kind=nn.Module)] if "loss" in model else []
+    learning = factory(model["optimizer"], Optimizer), factory(model["schedule"], LRScheduler)
     options = {key: value for key, value in model.items() if key not in NOT_OPTIONS}
-    module = module_class(rig, network, *losses, factory(model["optimizer"]), factory(model["schedule"]), **options)
+    module = module_class(rig, network, *losses, *learning, **options)
     module.true_rig = rig.rig if isinstance(true_rig, RecordedRig) else true_rig
     module.stop_below_lr = config["stop_below_lr"]
     return module
@@ -120,7 +125,7 @@ def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:
     if isinstance(rig.rig, RecordedRig):
         sampler = StoredPoses(rig.rig.poses_to_train_on(rig.space))
     else:
-        sampler = build(fitted(config["sampler"], rig.rig), rig)
+        sampler = build(fitted(config["sampler"], rig.rig), rig, kind=MeshSampler)
         if not rig.rig.differentiable:
             stored = stored or config["data"]["black_box_poses"]
     if stored:

@@ -4,11 +4,13 @@ import sys
 
 from omegaconf import DictConfig
 from rich.console import Console
+from rich.markup import escape
 
 from riginv.build import build
 from riginv.cli.command import command
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
+from riginv.rig import RigBackend
 from riginv.rig_contract import ContractError, contract
 
 
@@ -16,10 +18,11 @@ def check(config: DictConfig) -> None:
     """Go through the contract clause by clause, and exit with 1 where one does not hold."""
     plain = plain_config(config)
     validate(plain)
-    rig = build(plain["rig"])
+    rig = build(plain["rig"], kind=RigBackend)
     console, broken = Console(), 0
     console.print(
-        f"rig [bold]{rig.name}[/]: {len(rig.controls)} controls, {len(rig.rest_vertices):,} vertices, {len(rig.faces):,} faces"
+        f"rig [bold]{escape(rig.name)}[/]: {len(rig.controls)} controls, "
+        f"{len(rig.rest_vertices):,} vertices, {len(rig.faces):,} faces"
     )
     for clause, holds in contract(rig, plain["seed"]):
         try:
@@ -27,7 +30,7 @@ def check(config: DictConfig) -> None:
             console.print(f"  [green]holds[/]   {clause}")
         except ContractError as error:
             broken += 1
-            console.print(f"  [red]broken[/]  {clause}\n          {error}", highlight=False)
+            console.print(f"  [red]broken[/]  {clause}\n          {escape(str(error))}", highlight=False)
     if broken:
         sys.exit(1)
 

@@ -27,12 +27,12 @@ def contact_sheet(config: DictConfig) -> None:
     out = Path(plain["out"])
     if out.suffix.lower() != ".png":
         raise InputError(f"out={out}: expected the name of a picture that ends in .png")
-    rig = build(plain["rig"])
+    rig = build(plain["rig"], kind=RigBackend)
     poses = {"neutral": rig.neutral_controls, **named_poses(rig), **random_poses(rig, plain["random_poses"], plain["seed"])}
     sheet = draw(rig, poses, plain["columns"], plain["turn_degrees"])
     with written_beside(out) as beside:
         sheet.save(beside, format="PNG", optimize=True)
-    Console().print(f"{out}: {len(poses)} poses of rig '{rig.name}'", highlight=False)
+    Console().print(f"{out}: {len(poses)} poses of rig '{rig.name}'", highlight=False, markup=False)
 
 
 def named_poses(rig: RigBackend) -> dict[str, Tensor]:

@@ -10,3 +10,8 @@ class InputError(ValueError):
 
 class NonFiniteLossError(RuntimeError):
     """The training loss became NaN or infinite; the message names the step."""
+
+
+def in_short(error: BaseException, most: int = 150) -> str:
+    """What a library said, in one short line: some quote whole files."""
+    return " ".join(str(error).split())[:most] or type(error).__name__

@@ -31,7 +31,7 @@ def evaluate(config: DictConfig) -> None:
 
 def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     """Judge the model of `config["bundle"]`: a title, the judge and what came of it."""
-    rig = build(config["rig"]) if config["rig"]["_target_"] else None
+    rig = build(config["rig"], kind=RigBackend) if config["rig"]["_target_"] else None
     model = load_model(config["bundle"], rig, config["refine"])
     is_inverse = isinstance(model, Inverse)
     true_rig = build_true_rig(config, rig or (model.rig if is_inverse else model))
@@ -48,7 +48,7 @@ def compare_rigs(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     """
     if not (config["rig"]["_target_"] and config["true_rig"]["_target_"]):
         raise InputError("nothing to judge: name a bundle with bundle=DIR, or two rigs with rig=NAME true_rig=NAME")
-    rig = build(config["rig"])
+    rig = build(config["rig"], kind=RigBackend)
     true_rig = build_judge(config["true_rig"], rig)
     controls = random_poses(true_rig, config["poses"]).controls
     return f"rig {rig.name} against {true_rig.name}", true_rig, [judge_rig(rig, PosedRig("rig_agreement", true_rig, controls))]

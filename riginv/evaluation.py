@@ -37,7 +37,7 @@ def load_model(folder: str | Path, rig: RigBackend | None = None, refine: int = 
     if read_bundle(folder).description["kind"] == "forward":
         if refine:
             raise InputError(f"refine={refine} is for an inverse; {folder} holds a surrogate: leave refine out")
-        return build(surrogate_config(folder), only=OURS)
+        return build(surrogate_config(folder), kind=LinearRig, only=OURS)
     return load_inverse(folder, rig, refine)
 
 

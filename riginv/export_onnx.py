@@ -15,6 +15,7 @@ import torch
 from omegaconf import DictConfig
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from torch import Tensor, nn
 
@@ -26,6 +27,7 @@ from riginv.errors import InputError
 from riginv.files import discard, written_beside
 from riginv.geometry.curves import fixed_iterations
 from riginv.inverse import Inverse, load_inverse
+from riginv.rig import RigBackend
 from riginv.sampling.controls import sparse_controls
 from riginv.sampling.seeds import generator_at
 
@@ -58,11 +60,11 @@ def export_onnx(config: DictConfig) -> None:
     if out.suffix.lower() != ".onnx":
         raise InputError(f"out={out}: expected the name of a file that ends in .onnx")
     check_packages()
-    inverse = load_inverse(plain["bundle"], build(plain["rig"]) if plain["rig"].get("_target_") else None)
+    inverse = load_inverse(plain["bundle"], build(plain["rig"], kind=RigBackend) if plain["rig"].get("_target_") else None)
     console = Console()
     with console.status("tracing the network, through the rig's own derivative where it has one; up to minutes"):
         parity = write_onnx(out, inverse, plain["poses"])
-    table = Table(title=f"{out}: {out.stat().st_size / 1e6:.1f} MB", box=box.SIMPLE, title_justify="left")
+    table = Table(title=f"{escape(str(out))}: {out.stat().st_size / 1e6:.1f} MB", box=box.SIMPLE, title_justify="left")
     table.add_column("")
     for column in ("largest difference\nof a vertex", "of a control,\nof its range", "a mesh in\nPyTorch", "in onnx-\nruntime"):
         table.add_column(column, justify="right")

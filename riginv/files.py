@@ -4,10 +4,18 @@ import hashlib
 import json
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import yaml
+
+from riginv.errors import InputError, in_short
+
+MOST_YAML_BYTES = 1 << 26
+MOST_YAML_VALUES = 300_000  # once everything that is referred to again has been counted again
 
 
 @contextmanager
@@ -18,15 +26,15 @@ def written_beside(path: Path) -> Iterator[Path]:
     try:
         yield beside
         if path.is_dir():
-            shutil.rmtree(path)
+            discard(path)
         os.replace(beside, path)
     finally:
         discard(beside)
 
 
 def discard(path: Path) -> None:
-    """Remove a file or a folder, if it is there."""
-    if path.is_dir():
+    """Remove a file or a folder, if it is there; of a link the link alone."""
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
@@ -47,3 +55,78 @@ def sha256(path: Path) -> str:
     """The SHA-256 of a file's content, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_regular(path: Path) -> None:
+    """Raises InputError where a path leads to a device, which might never end, or to a pipe, which might never start."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return  # whoever opens it says so
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise InputError(f"{path}: this is no file but a device, a pipe or a socket, which are never read: name a file")
+
+
+def read_text(path: Path) -> str:
+    """The text of a file that may be a stranger's.
+
+    Raises:
+        InputError: it is missing, no file, no text, or larger than such files are.
+    """
+    check_regular(path)
+    try:
+        if path.stat().st_size > MOST_YAML_BYTES:
+            raise InputError(
+                f"{path}: {path.stat().st_size:,} bytes, expected at most {MOST_YAML_BYTES:,}: this is not that file"
+            )
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {in_short(error)}") from None
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file that may be a stranger's: plain values, and no more of them than could be meant.
+
+    Raises:
+        InputError: the file is missing or damaged, asks for Python objects, holds no mapping, or multiplies itself.
+    """
+    text = read_text(path)
+    try:
+        content = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError, OverflowError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: cannot be read as YAML of plain values: {in_short(error)}") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: holds {type(content).__name__}, expected names, each with a value: truncated or altered")
+    check_values(path, content)
+    return content
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file that may be a stranger's.
+
+    Raises:
+        InputError: the file is missing or damaged, or holds something else.
+    """
+    text = read_text(path)
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read as JSON: {in_short(error)}: truncated or altered") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: holds {type(content).__name__}, expected names, each with a value: truncated or altered")
+    return content
+
+
+def check_values(path: Path, content: Any) -> None:
+    """Raises InputError where values are far more, or nested far deeper, than could be meant: aliases in YAML multiply them."""
+    waiting, seen = [iter([content])], 0
+    while waiting:
+        value = next(waiting[-1], waiting)
+        if value is waiting:
+            waiting.pop()
+            continue
+        seen += 1
+        if seen > MOST_YAML_VALUES or len(waiting) > 100:
+            raise InputError(f"{path}: holds more values, or nested deeper, than could be meant: its aliases multiply them")
+        if isinstance(value, dict | list):
+            waiting.append(iter(value.values() if isinstance(value, dict) else value))

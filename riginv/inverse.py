@@ -94,7 +94,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
     space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
     if not isinstance(rig, LinearRig):
         rig = FittedRig(rig, (bundle.space["linear_map"] @ space.frame.flatten(1)).unflatten(1, rig.rest_vertices.shape))
-    network = build(bundle.description["network"], RigInMeshSpace(rig, space), only=OURS)
+    network = build(bundle.description["network"], RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
     network.load_own_weights(bundle.weights)
     trained_seconds = float(bundle.description["training"].get("seconds", 0.0))
     return Inverse(network, refine, trained_seconds).eval().requires_grad_(False)
@@ -105,4 +105,4 @@ def bundle_rig(bundle: Bundle) -> RigBackend:
     config = dict(bundle.description["rig"]["config"])
     if bundle.holds_surrogate:
         config["bundle"] = str(bundle.folder / RIG)
-    return build(config, only=OURS)
+    return build(config, kind=RigBackend, only=OURS)

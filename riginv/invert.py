@@ -22,6 +22,7 @@ from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
 from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method, open_clip
 from riginv.inversion.table import InversionProgress, show
 from riginv.recorded_rig import RecordedRig
+from riginv.rig import RigBackend
 
 
 def invert(config: DictConfig) -> None:
@@ -72,7 +73,7 @@ def free_folder(out: Any) -> Path:
 
 def named_rig(config: dict[str, Any]) -> Any:
     """The rig that was named beside a bundle, or None: the bundle's own."""
-    return build(config["rig"]) if config["rig"].get("_target_") else None
+    return build(config["rig"], kind=RigBackend) if config["rig"].get("_target_") else None
 
 
 def named_in(config: dict[str, Any]) -> dict[str, Any]:

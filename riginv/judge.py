@@ -94,9 +94,9 @@ def build_judge(config: Mapping[str, Any], rig: RigBackend) -> RigBackend:
         InputError: it cannot be built, or has other controls or vertices than the rig.
     """
     given = {}
-    if "twin_of" in signature(class_of(config.get("_target_"))).parameters:
-        given["twin_of"] = build(rig.true_rig_config, only=OURS) if hasattr(rig, "true_rig_config") else rig
-    judge = build({**config, **given})
+    if "twin_of" in signature(class_of(config.get("_target_"), kind=RigBackend)).parameters:
+        given["twin_of"] = build(rig.true_rig_config, kind=RigBackend, only=OURS) if hasattr(rig, "true_rig_config") else rig
+    judge = build({**config, **given}, kind=RigBackend)
     check_same_controls(rig, judge)
     return judge
 

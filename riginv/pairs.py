@@ -10,7 +10,6 @@ control_names  (control,) text
 lower, upper, neutral  (control,)
 """
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,8 @@ import torch
 import zarr
 from torch import Tensor
 
-from riginv.errors import InputError
+from riginv.array_files import BROKEN, BROKEN_ZIP, check_npy, check_npz, check_zarr
+from riginv.errors import InputError, in_short
 from riginv.files import written_beside
 from riginv.rig import Control
 
@@ -35,6 +35,8 @@ SHAPES = {
     "upper": ("control",),
     "neutral": ("control",),
 }
+
+NOT_READ = (OSError, AttributeError, *BROKEN, *BROKEN_ZIP)  # what libraries raise for damage
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,8 @@ def read_pairs(path: str | Path) -> PairTable:
             )
     try:
         read = {name: np.asarray(arrays[name]) for name in SHAPES}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: cannot be read: {error}; sample it again") from None
+    except NOT_READ as error:
+        raise InputError(f"{path}: cannot be read: {in_short(error)}; sample it again") from None
     _check(path, read)
     names = [str(name) for name in read["control_names"]]
     limits = zip(names, *(read[field].tolist() for field in ("lower", "upper", "neutral")))
@@ -103,16 +105,24 @@ def _open(path: Path) -> Mapping[str, Any]:
         raise InputError(f"{path}: no such file or folder; give a table of pairs: .npz, a folder of .npy files, or .zarr")
     try:
         if path.is_file():
+            (check_npy if path.suffix == ".npy" else check_npz)(path)
             opened = np.load(path, allow_pickle=False)
             if isinstance(opened, np.lib.npyio.NpzFile):
                 return opened
         elif list(path.glob("*.npy")):
-            return {file.stem: np.load(file, mmap_mode="r", allow_pickle=False) for file in sorted(path.glob("*.npy"))}
+            files = sorted(path.glob("*.npy"))
+            for file in files:
+                check_npy(file)
+            return {file.stem: np.load(file, mmap_mode="r", allow_pickle=False) for file in files}
         else:
             group = zarr.open_group(path, mode="r")
-            return {name: group[name] for name in group.array_keys()}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: no table of pairs: {str(error).splitlines()[0]}; sample it again") from None
+            arrays = {name: group[name] for name in group.array_keys()}
+            check_zarr(path, arrays)
+            return arrays
+    except InputError:
+        raise
+    except NOT_READ as error:
+        raise InputError(f"{path}: no table of pairs: {in_short(error)}; sample it again") from None
     raise InputError(f"{path}: one array alone is no table of pairs: name the folder of .npy files, or a .npz")
 
 

@@ -1,5 +1,6 @@
 """What a rig is: named, bounded controls and a rest mesh, and a function from the controls to the vertices (paper, Eq. 1)."""
 
+import unicodedata
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -75,6 +76,7 @@ class RigBackend(nn.Module, ABC):
         super().__init__()
         self.name = name
         self.controls = tuple(controls)
+        _check_names(name, self.controls)
         _check_controls(name, self.controls)
         _check_mesh(name, rest_vertices, faces)
         for field in ("lower", "upper", "neutral"):
@@ -217,6 +219,13 @@ def _finite_differences(rig: LinearRig, controls: Tensor) -> tuple[Tensor, Jacob
     found = rig.coefficients(controls)
     moved = [rig.coefficients(controls + step * column) for column in torch.eye(len(rig.controls)).to(controls)]
     return found, Jacobian((torch.stack(moved, dim=2) - found[:, :, None]) / step[:, None])
+
+
+def _check_names(rig: str, controls: Sequence[Control]) -> None:
+    """Names end up in terminals, tables and pages: what moves a cursor there, or ends a line, is no name."""
+    for what, name in (("it", rig), *(("a control", control.name) for control in controls)):
+        if any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in name):
+            raise InputError(f"rig {rig!r:.80}: {what} is named {name!r:.80}, expected printable text: rename it")
 
 
 def _check_controls(rig: str, controls: Sequence[Control]) -> None:

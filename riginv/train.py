@@ -30,6 +30,7 @@ from riginv.cli.validation import validate
 from riginv.data.mesh_sets import MeshSet
 from riginv.evaluation import judge_model, load_model, surrogate_config, write_results
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.modules.base import RigModule
 from riginv.modules.processes import part
 from riginv.rig import LinearRig, RigBackend
 
@@ -54,7 +55,7 @@ def train(config: DictConfig) -> None:
 
 def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, last: bool = True) -> None:
     """From a rig to a judged, bundled model in a run's folder; `last`: nothing is trained after it, by several processes."""
-    is_inverse = class_of(plain["model"]["_target_"]).kind == "inverse"
+    is_inverse = class_of(plain["model"]["_target_"], kind=RigModule).kind == "inverse"
     clip = build_clip(plain, true_rig) if is_inverse else None
     trainer, training = fit_network(plain, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
     if last:

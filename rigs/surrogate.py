@@ -4,6 +4,7 @@ from torch import Tensor
 
 from riginv.build import OURS, build
 from riginv.bundle import read_bundle
+from riginv.networks.base import RigNetwork
 from riginv.rig import LinearRig
 
 
@@ -35,7 +36,7 @@ class SurrogateRig(LinearRig):
             facts["primary_count"],
         )
         self.true_rig_config: dict = facts["config"]
-        self.network = build(read.description["network"], self, only=OURS)
+        self.network = build(read.description["network"], self, kind=RigNetwork, only=OURS)
         self.network.load_own_weights(read.weights)
         self.requires_grad_(False)
 

@@ -131,7 +131,7 @@ def test_a_truncated_or_hostile_table_is_explained(run, table, tmp_path):
     path = write(table, tmp_path / "table.npz")
     path.write_bytes(path.read_bytes()[:5000])
     made = run("train", "rig=pairs", f"rig.file={path}")
-    assert made.code == 1 and "no table of pairs" in made.text
+    assert made.code == 1 and "no .npz, or a damaged one" in made.text
     np.savez(path, **{**table, "control_names": np.array([{"a": 1}] * 7, dtype=object)})
     made = run("train", "rig=pairs", f"rig.file={path}")
     assert made.code == 1 and "cannot be read" in made.text and "Traceback" not in made.text

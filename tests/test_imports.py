@@ -11,7 +11,8 @@ ROOT = Path(__file__).parent.parent
 # From the ground up: a module may import from its own floor (within one package) and from floors below.
 FLOORS = [
     {"errors"},
-    {"files", "cache", "build"},
+    {"arguments", "files", "cache"},
+    {"array_files", "build"},
     {"geometry"},
     {"rig"},
     {"mesh_space"},

@@ -94,8 +94,8 @@ PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float
         ({"b__ply": PLY.replace("ascii", "binary_little_endian") + "end_header\n" + "x" * 35}, {}, "promises 3 of 'vertex'"),
         ({"b__ply": PLY.replace("x 3", f"x {10**18}") + "end_header\n"}, {}, f"promises {10**18} of 'vertex'"),
         ({"b__ply": PLY.replace("float z", "float q") + "end_header\n" + "1 1 1\n" * 3}, {}, "x, y, z"),
-        ({"b__npy": b"\x93NUMPY"}, {}, "b.npy: cannot be read as arrays of deltas"),
-        ({"b__npz": b"PK\x03\x04 and no more"}, {}, "b.npz: cannot be read as arrays of deltas"),
+        ({"b__npy": b"\x93NUMPY"}, {}, "b.npy: no NumPy array, or a damaged one"),
+        ({"b__npz": b"PK\x03\x04 and no more"}, {}, "b.npz: no .npz, or a damaged one"),
         ({"b__safetensors": b"\xff" * 40}, {}, "b.safetensors: cannot be read as arrays of deltas"),
         ({}, {"include": ["jaw*"]}, "rig.include: 'jaw\\*' matches none of the 1 shapes"),
         ({}, {"exclude": ["*"]}, "leave no shape but the neutral"),
@@ -147,7 +147,7 @@ def test_a_table_may_hold_the_neutral_and_other_things_where_they_are_left_out(t
 def test_arrays_of_objects_are_not_unpickled(tmp_path):
     folder = write_folder(tmp_path / "rig", a=POINTS)
     np.save(folder / "b.npy", np.array([{"code": "run"}]), allow_pickle=True)
-    with pytest.raises(InputError, match="b.npy: cannot be read"):
+    with pytest.raises(InputError, match="b.npy: it holds object"):
         ShapesRig(str(folder))
 
 

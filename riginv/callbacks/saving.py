@@ -11,7 +11,15 @@ import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from riginv.cli.run_folder import CHECKPOINT
-from riginv.files import written_beside
+from riginv.errors import InputError, in_short
+from riginv.files import check_regular, written_beside
+
+START_OVER = "remove it to start over"
+PARTS = {
+    **dict.fromkeys(("state_dict", "loops", "callbacks"), dict),
+    **dict.fromkeys(("optimizer_states", "lr_schedulers"), list),
+    **dict.fromkeys(("epoch", "global_step"), int),
+}
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
@@ -22,7 +30,20 @@ class AtomicCheckpoints(TorchCheckpointIO):
             torch.save(checkpoint, beside)
 
     def load_checkpoint(self, path: str | Path, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
-        return torch.load(path, map_location=map_location or "cpu", weights_only=True)
+        """Tensors and plain values.
+
+        Raises:
+            InputError: the file is damaged, no checkpoint, or holds anything else, which is never made.
+        """
+        check_regular(Path(path))
+        try:
+            found = torch.load(path, map_location=map_location or "cpu", weights_only=True)
+        except Exception as error:  # torch and its unpickler raise whatever comes to hand
+            raise InputError(f"{path}: no checkpoint of plain tensors and values ({in_short(error)}); {START_OVER}") from None
+        missing = [key for key in PARTS if not isinstance(found, dict) or not isinstance(found.get(key), PARTS[key])]
+        if missing:
+            raise InputError(f"{path}: no checkpoint of plain tensors and values (no {missing[0]} in it); {START_OVER}")
+        return found
 
 
 class SaveLast(L.Callback):

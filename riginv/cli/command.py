@@ -16,6 +16,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from riginv.cli.apart import end_with_starter
+from riginv.cli.blame import blame
+from riginv.cli.config_folders import check_config_folders
 from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.quiet import hush
 from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
@@ -42,6 +44,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             job = _Job(task, config_name)
             try:
                 arguments = [true_rig_choice(argument) for argument in options_first(sys.argv[1:])]
+                check_config_folders(arguments)
                 sys.argv[1:] = with_sweep_folder(arguments, config_name)
                 hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
             except Exception as error:
@@ -96,7 +99,8 @@ class _Job:
             self.task(config)
         except Exception as error:
             discard_if_empty(run_directory())
-            self.error = error
+            blamed = None if explain(error, self.config_name) else blame(config, self.config_name, HydraConfig.get())
+            self.error = InputError(blamed) if blamed else error
 
     def run_in_sweep(self, config: DictConfig) -> None:
         """Run a job of a sweep within this process; one that finished already is left alone, one that started goes on."""
@@ -114,7 +118,7 @@ class _Job:
         try:
             self.task(config)
         except Exception as error:
-            why = explain(error, self.config_name) or traceback.format_exc()
+            why = explain(error, self.config_name) or blame(config, self.config_name, chosen) or traceback.format_exc()
             Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(why)}", highlight=False)
         record.ended(sweep, time.perf_counter() - began, why)
 

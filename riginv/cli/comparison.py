@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from riginv.arguments import fits
 from riginv.cli.run_folder import METRICS
 from riginv.cli.tables import WITHIN_REACH_MM
-from riginv.files import write_json, write_text, written_beside
+from riginv.errors import InputError
+from riginv.files import read_json, write_json, write_text, written_beside
 
 CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "methods"
 HEADINGS = {
@@ -28,6 +29,12 @@ HEADINGS = {
     "ms_per_frame": "ms a\nframe",
     "training_seconds": "train-\ning s",
     "optimum_ratio": "times\noptimum",
+}
+MAY_BE_MISSING = ("roughness", "optimum_ratio", "optimum_mm")
+ROW = {
+    **dict.fromkeys((*HEADINGS, "optimum_mm"), float),
+    **dict.fromkeys(MAY_BE_MISSING, float | None),
+    **dict.fromkeys(("method", "set"), str),
 }
 Rows = list[dict[str, Any]]
 
@@ -42,14 +49,31 @@ def kept_rows(folder: Path, name: str, facts: Mapping[str, Any]) -> Rows | None:
     path = folder / METHODS / f"{name}.json"
     if not path.is_file():
         return None
-    kept = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        kept = read_kept(path)
+    except InputError:  # damaged: it is run again
+        return None
     return kept["rows"] if all(kept.get(key) == value for key, value in facts.items()) else None
+
+
+def read_kept(path: Path) -> dict[str, Any]:
+    """What `keep_rows` wrote.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    kept = read_json(path)
+    rows = kept.get("rows")
+    whole = fits(kept.get("source"), str) and fits(rows, list[Mapping[str, Any]]) and len(rows) > 0
+    if not whole or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
+        raise InputError(f"{path}: not what a finished method left there: altered; remove it, and the method is run again")
+    return kept
 
 
 def write_tables(folder: Path) -> Rows:
     """Write the rows of all methods that the folder holds as CSV, as Markdown with each method's source, and as a plot."""
     files = sorted((folder / METHODS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
-    kept = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in files}
+    kept = {path.stem: read_kept(path) for path in files}
     rows = [row for one in kept.values() for row in one["rows"]]
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(HEADINGS), lineterminator="\n", extrasaction="ignore")
@@ -85,7 +109,7 @@ def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
         soft_wrap=True,
     )
     for name, reason in left_out.items():
-        console.print(f"  Left out: {name}, for {reason}.", soft_wrap=True, highlight=False)
+        console.print(f"  Left out: {name}, for {reason}.", soft_wrap=True, highlight=False, markup=False)
     for what, file in (("figures", CSV), ("a table to paste", MARKDOWN), ("error and roughness", PLOT)):
         console.print(f"  {what}: {folder / file}", soft_wrap=True, highlight=False, markup=False)
 

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
@@ -38,6 +39,9 @@ def explain(error: BaseException, config_name: str) -> str | None:
         if isinstance(cause, OSError) and cause.errno in DISK_FAULTS:
             where = f"{cause.filename}: " if cause.filename else ""
             return f"{where}cannot be written: {os.strerror(cause.errno)}; choose another folder with hydra.run.dir=DIR"
+    for cause in causes:
+        if isinstance(cause, yaml.YAMLError):
+            return f"a config cannot be read as YAML of plain values: {' '.join(str(cause).split())[:300]}"
     if any(isinstance(cause, HydraException | OmegaConfBaseException) for cause in causes):
         return " ".join(str(causes[-1]).split("\n")[0].split())
     return None

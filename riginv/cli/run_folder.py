@@ -19,7 +19,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from riginv.errors import InputError
-from riginv.files import discard, write_text
+from riginv.files import discard, read_yaml, write_text
 
 CONFIG, METRICS, POSES = "config.yaml", "metrics.json", "poses.png"
 CHECKPOINT, BUNDLE, SURROGATE = "checkpoints/last.ckpt", "bundle", "surrogate"
@@ -90,7 +90,7 @@ def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool, writ
         raise InputError(f"{path} holds files that are no run of riginv: choose another folder with hydra.run.dir=DIR")
     if not resume:
         raise InputError(f"{path} holds a run already: add resume=true to go on with it, or choose another hydra.run.dir=DIR")
-    before, now = _flat(yaml.safe_load((path / CONFIG).read_text(encoding="utf-8"))), _flat(config)
+    before, now = _flat(read_yaml(path / CONFIG)), _flat(config)
     differing = sorted(key for key in (before.keys() | now.keys()) - set(HOW_MANY) if before.get(key) != now.get(key))
     if differing:
         key = differing[0]

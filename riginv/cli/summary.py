@@ -1,15 +1,19 @@
 """What a finished run reached, and what to do with it."""
 
-import json
+from pathlib import Path
+from typing import Any
 
+from riginv.arguments import fits
 from riginv.build import OURS
 from riginv.cli.run_folder import BUNDLE, METRICS, POSES, RunFolder
-from riginv.cli.tables import print_results, sets_of
+from riginv.cli.tables import COLUMNS, print_results, sets_of
+from riginv.errors import InputError
+from riginv.files import read_json
 
 
 def show(folder: RunFolder) -> None:
     """Show what a finished run reached, and what to do with it."""
-    metrics = json.loads((folder.path / METRICS).read_text(encoding="utf-8"))
+    metrics = checked(folder.path / METRICS, read_json(folder.path / METRICS))
     steps, seconds = metrics["train/steps"], metrics["train/seconds"]
     more = " capture=TAKE.csv" if {"capture", "simulated_performance"} & set(sets_of(metrics)) else ""
     if folder.config["rig"]["_target_"].partition(".")[0] not in OURS:
@@ -24,3 +28,19 @@ def show(folder: RunFolder) -> None:
             f"Watch or compare:   tensorboard --logdir {folder.path.parent}",
         ],
     )
+
+
+def checked(path: Path, metrics: dict[str, Any]) -> dict[str, Any]:
+    """The metrics of a finished run, as they were written.
+
+    Raises:
+        InputError: a figure is missing, or is no number.
+    """
+    needed = {"train/steps", "train/seconds", "true_rig"} | {f"{name}/{key}" for name in sets_of(metrics) for key, _ in COLUMNS}
+    for key in sorted(needed | metrics.keys()):
+        expected = str if key == "true_rig" else float if key in needed else float | None
+        if not fits(metrics.get(key), expected):
+            raise InputError(
+                f"{path}: {key} is {metrics.get(key)!r:.80}: altered; remove the file, and resume=true makes it anew"
+            )
+    return metrics

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 from riginv.cli.run_folder import METRICS
 from riginv.cli.sweep_record import FINISHED, JobRecord, read_records
-from riginv.files import write_text
+from riginv.files import read_json, write_text
 
 CSV, MARKDOWN = "sweep.csv", "sweep.md"
 ERROR = "/mean_vertex_error_mm"
@@ -93,6 +92,6 @@ def caption(rows: Sequence[Row]) -> str:
 def _row(sweep: Path, record: JobRecord) -> Row:
     apart = dict(text.lstrip("+~").split("=", 1) for text in record.swept if "=" in text) or {"job": record.name}
     file = sweep / record.name / METRICS
-    metrics = json.loads(file.read_text(encoding="utf-8")) if record.state == FINISHED and file.is_file() else {}
+    metrics = read_json(file) if record.state == FINISHED and file.is_file() else {}
     ended = {"folder": record.name, "host": record.host, "why": record.why}
     return {**apart, "state": record.state, "took_seconds": record.seconds, **metrics, **ended}

@@ -5,6 +5,7 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 SETS = {
@@ -33,7 +34,7 @@ COLUMNS = (
 def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] = ()) -> None:
     """Show a model's metrics, one row for each test set, and who judged: its `true_rig`."""
     table = Table(
-        title=f"{title}: vertex errors in mm",
+        title=f"{escape(title)}: vertex errors in mm",
         title_justify="left",
         title_style="bold",
         box=box.SIMPLE_HEAD,
@@ -61,8 +62,8 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
     console.print(table)
     for name in sets_of(metrics):
         title, meaning = SETS.get(name, (name, ""))
-        console.print(f"  [bold]{title}[/]: {meaning}", highlight=False, soft_wrap=True)
-    judge = f"Judged by the true rig, [bold]{metrics['true_rig']}[/], which was given the controls."
+        console.print(f"  [bold]{escape(title)}[/]: {meaning}", highlight=False, soft_wrap=True)
+    judge = f"Judged by the true rig, [bold]{escape(metrics['true_rig'])}[/], which was given the controls."
     if metrics["true_rig"] == NO_RIG:
         judge = "No rig was at hand to judge: poses that training never saw did, and a [bold]surrogate[/] made the meshes."
     console.print(f"  {judge}", highlight=False, soft_wrap=True)

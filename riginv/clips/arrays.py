@@ -18,7 +18,7 @@ import numpy as np
 
 from riginv.clips.files import opened, read_numbers
 from riginv.clips.sequence import MeshSequence, Polygons
-from riginv.errors import InputError
+from riginv.errors import InputError, in_short
 
 VERTICES = ("vertices", "verts", "points", "positions")
 LONGEST_HEADER = 10_000  # bytes; NumPy's own bound for headers that are not trusted
@@ -134,7 +134,7 @@ class ArrayClip(MeshSequence):
             with opened(self.file) as file, zipfile.ZipFile(file) as archive:
                 yield archive
         except (*DAMAGE, UnicodeDecodeError) as error:
-            raise InputError(f"{self.file}: no .npz, or a damaged one ({error}): copy it or save it again") from None
+            raise InputError(f"{self.file}: no .npz, or a damaged one ({in_short(error)}): copy it or save it again") from None
 
     def _small(self, archive: zipfile.ZipFile, name: str | None) -> np.ndarray | None:
         """One of the small arrays beside the vertices."""

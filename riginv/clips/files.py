@@ -8,6 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from riginv.errors import InputError
+from riginv.files import check_regular
 
 
 @contextmanager
@@ -17,6 +18,7 @@ def opened(path: Path) -> Iterator[BinaryIO]:
     Raises:
         InputError: it is not there, or cannot be read.
     """
+    check_regular(path)
     try:
         with path.open("rb") as file:
             yield file

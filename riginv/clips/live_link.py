@@ -12,6 +12,7 @@ from torch import Tensor
 from riginv.curves.live_link import TIMECODE_FPS
 from riginv.data.mesh_sets import WeightedShapes
 from riginv.errors import InputError
+from riginv.files import check_regular
 from riginv.rig import RigBackend
 
 TIMECODE = re.compile(r"(\d+):(\d\d):(\d\d):(\d\d(?:\.\d+)?)")
@@ -40,7 +41,7 @@ def read_live_link(path: str | Path) -> Recording:
         InputError: the file is missing or unreadable, has no rows, a duplicate or missing column, or a value that is not a
             finite number; the message names the file, the row and the column.
     """
-    path = Path(path)
+    path = Path(str(path))
     rows = _rows(path)
     header, body = rows[0], rows[1:]
     if len(set(header)) != len(header):
@@ -92,12 +93,13 @@ def _column(shape: str) -> str:
 
 
 def _rows(path: Path) -> list[list[str]]:
+    check_regular(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; capture= takes the CSV of a Live Link Face recording") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as a CSV: {error}") from None
     if not rows:
         raise InputError(f"{path}: the file is empty; expected the CSV of a Live Link Face recording")

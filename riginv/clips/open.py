@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from riginv.build import OURS, build
+from riginv.build import build
 from riginv.clips.arrays import ArrayClip
 from riginv.clips.file_frames import ObjFrames, PlyFrames
 from riginv.clips.live_link import live_link_clip
@@ -77,7 +77,7 @@ def open_sequence(path: str, rig: RigBackend, options: Mapping[str, Any]) -> Mes
         return RecordedShapes(given, rig)
     if suffix in PLUG_INS:
         plug_in = PLUG_INS[suffix]
-        return build({"_target_": plug_in, "path": path, **{name: options[name] for name in TAKEN[plug_in]}}, only=OURS)
+        return build({"_target_": plug_in, "path": path, **{name: options[name] for name in TAKEN[plug_in]}}, kind=MeshSequence)
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from riginv.array_files import check_npy
 from riginv.clips.sequence import MeshSequence
 from riginv.errors import InputError
 
@@ -38,6 +39,7 @@ def read_picked(path: Path, vertices: int) -> np.ndarray:
     expected = f"expected for each vertex of the rig a number from 0 to {vertices - 1}, or -1"
     try:
         if path.suffix == ".npy":
+            check_npy(path)
             found = np.load(path, allow_pickle=False)
         else:
             found = np.array([int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()])

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from riginv.curves.text import MOVE_COLUMNS, TURN_COLUMNS, digits, moves_and_tur
 from riginv.files import write_json, write_text
 
 CURVES, SIDECAR, FRAMES = "curves.csv", "curves.json", "frames.csv"
+FORMULA, NUMBER = ("=", "+", "-", "@", "\t", "\r"), re.compile(r"[+-]?[\d.]+(e[+-]?\d+)?|[+-]?(inf|nan)")
 SPACE = "millimetres, y up; motion turns about x, then y, then z (axes that stay)"
 
 
@@ -64,10 +66,18 @@ def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:
     write_rows(path, columns, body)
 
 
+def as_text(cell: str) -> str:
+    """A cell that no spreadsheet takes for a formula: an apostrophe stands before what would be one.
+
+    Source: OWASP, CSV Injection. Numbers, negative ones too, stay as they are.
+    """
+    return f"'{cell}" if cell[:1] in FORMULA and not NUMBER.fullmatch(cell) else cell
+
+
 def write_rows(path: Path, columns: list[str], rows: list[list[Any]]) -> None:
     """Write a CSV whole or not at all."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
+    writer.writerow([as_text(column) for column in columns])
+    writer.writerows([as_text(value) if isinstance(value, str) else value for value in row] for row in rows)
     write_text(path, text.getvalue())

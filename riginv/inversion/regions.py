@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from riginv.array_files import check_npy
 from riginv.errors import InputError
 from riginv.rig import RigBackend
 
@@ -101,6 +102,7 @@ def read_region(path: Path, vertices: int) -> Tensor:
     expected = f"expected vertex numbers from 0 to {vertices - 1}, or a float in [0, 1] for each of {vertices} vertices (.npy)"
     try:
         if path.suffix == ".npy":
+            check_npy(path)
             values = np.load(path, allow_pickle=False)
         else:
             text = path.read_text(encoding="utf-8")

@@ -9,6 +9,7 @@ import roma
 import torch
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from torch import Tensor
@@ -66,7 +67,7 @@ def show(
     """Show how good the frames are, which to look at, and what was written."""
     console = Console()
     known = ~errors.mean_mm.isnan()
-    title = f"{animation.source}: {len(animation)} frames at {animation.fps:g} a second, vertex errors in mm"
+    title = f"{escape(animation.source)}: {len(animation)} frames at {animation.fps:g} a second, vertex errors in mm"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
     for heading in ("", "mean", "median", "worst 5 %", "worst frame"):
         table.add_column(heading, justify="right" if heading else "left")
@@ -74,7 +75,11 @@ def show(
         table.add_row(name, *_figures(values[known]))
     console.print(table)
     worst = ", ".join(_frame(animation, errors, row) for row in _worst(animation, errors, known))
-    console.print(f"  Judged by the true rig, [bold]{judge.name}[/]. Worst frames: {worst}", highlight=False, soft_wrap=True)
+    console.print(
+        f"  Judged by the true rig, [bold]{escape(judge.name)}[/]. Worst frames: {escape(worst)}",
+        highlight=False,
+        soft_wrap=True,
+    )
     if animation.motion is not None:
         console.print(f"  Rigid motion was taken out: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
     counts = Counter(flag for flags in errors.flags for flag in flags)

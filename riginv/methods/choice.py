@@ -18,7 +18,7 @@ def suited_methods(configs: Mapping[str, Mapping[str, Any]], rig: RigInMeshSpace
     if not configs:
         raise InputError("methods names nothing to compare: methods=[NAME,NAME,...]")
     reasons = {name: _method_class(name, config).unsuited(rig.rig) for name, config in configs.items()}
-    methods = {name: build(config, rig) for name, config in configs.items() if not reasons[name]}
+    methods = {name: build(config, rig, kind=Method) for name, config in configs.items() if not reasons[name]}
     left_out = {name: reason for name, reason in reasons.items() if reason}
     if not methods:
         whys = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())

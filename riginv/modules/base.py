@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import lightning as L
 import torch
@@ -10,7 +11,7 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 from torchmetrics import MeanMetric
 
-from riginv.errors import NonFiniteLossError
+from riginv.errors import InputError, NonFiniteLossError
 from riginv.losses import root_mean_square_mm
 from riginv.mesh_space import RigInMeshSpace
 from riginv.metrics import VertexError
@@ -59,6 +60,17 @@ class RigModule(L.LightningModule, ABC):
     def setup(self, stage: str) -> None:
         if self.trainer.world_size > 1:
             check_normalisation(self.network, self.trainer.strategy.root_device)
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Raises InputError where a checkpoint is of another network."""
+        expected, found = self.state_dict(), checkpoint["state_dict"]
+        differing = sorted(
+            str(name)
+            for name in expected.keys() | found.keys()
+            if getattr(expected.get(name), "shape", None) != getattr(found.get(name), "shape", None)
+        )
+        if differing:
+            raise InputError(f"the checkpoint does not fit the network: {differing[0]:.80} differs; remove it to start over")
 
     def configure_optimizers(self) -> dict:
         optimizer = self.make_optimizer([weight for weight in self.network.parameters() if weight.requires_grad])

@@ -32,9 +32,9 @@ def answer(task: Task) -> dict[str, Any]:
     config = dict(task.config["method"])
     if "network" in task.inputs:
         config["bundle"] = str(bundle_of(task.inputs["network"]))
-    if reason := class_of(config["_target_"]).unsuited(rig.rig):
+    if reason := class_of(config["_target_"], kind=Method).unsuited(rig.rig):
         raise InputError(f"it cannot invert rig '{rig.rig.name}', for {reason}: leave it out of budget.others")
-    method: Method = build(config, programmatic if "network" in task.inputs else rig)
+    method: Method = build(config, programmatic if "network" in task.inputs else rig, kind=Method)
     torch.manual_seed(task.config["seed"])
     method.prepare(task.config["seed"])
     sets = the_sets(task.config["sets"], task.places, task.inputs.get("poses"), programmatic.rig)

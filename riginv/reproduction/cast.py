@@ -24,7 +24,7 @@ def rig_in_space(config: Mapping[str, Any]) -> RigInMeshSpace:
 
 def trained_rig(bundle: str, like: RigInMeshSpace) -> RigInMeshSpace:
     """The surrogate of a bundle, in the mesh space of the rig that it stands for: it has the same basis."""
-    return RigInMeshSpace(build(surrogate_config(bundle)), like.space)
+    return RigInMeshSpace(build(surrogate_config(bundle), kind=LinearRig), like.space)
 
 
 def the_judge(config: Mapping[str, Any], rig: LinearRig, workers: int | None = None) -> RigBackend:
@@ -44,7 +44,7 @@ def the_judge(config: Mapping[str, Any], rig: LinearRig, workers: int | None = N
 
 @functools.lru_cache(maxsize=4)
 def _rig_in_space(config: str) -> RigInMeshSpace:
-    rig = build(json.loads(config))
+    rig = build(json.loads(config), kind=RigBackend)
     if not isinstance(rig, LinearRig) or not rig.differentiable:
         raise InputError(
             f"rig '{rig.name}' is no programmatic rig: the paper trains through one that ends in a linear map and that "

@@ -17,7 +17,7 @@ from riginv.mesh_space import RigInMeshSpace
 from riginv.optimum import fingerprint
 from riginv.reproduction.recipes import ITSELF, Config, test_samples
 from riginv.reproduction.sets import recording
-from riginv.rig import LinearRig
+from riginv.rig import LinearRig, RigBackend
 
 PACKAGE = Path(__file__).parent.parent
 DRAWING = ("pictures", "plots", "render")
@@ -141,7 +141,7 @@ def versions() -> dict[str, str]:
 def check_rig(config: Config) -> None:
     """Raises InputError where a rig that is only drawn cannot be built."""
     if config.get("_target_"):
-        build(config)
+        build(config, kind=RigBackend)
 
 
 def _version(name: str) -> str:

@@ -44,7 +44,9 @@ class KeptPoses(StoredMeshes):
     """Poses that the judge made, kept as files: read as they are asked for, never all at once."""
 
     def __init__(self, folder: str | Path) -> None:
-        controls, vertices = (np.load(Path(folder) / name, mmap_mode="r") for name in (CONTROLS_FILE, VERTICES_FILE))
+        controls, vertices = (
+            np.load(Path(folder) / name, mmap_mode="r", allow_pickle=False) for name in (CONTROLS_FILE, VERTICES_FILE)
+        )
         super().__init__(POSES, vertices, controls=torch.from_numpy(np.array(controls)))
 
     def vertices(self, start: int, stop: int) -> Tensor:

@@ -4,6 +4,8 @@ from typing import Any
 
 from riginv.build import class_of
 from riginv.rig import LinearRig
+from riginv.sampling.controls import ControlSampler
+from riginv.sampling.meshes import MeshSampler
 
 Config = dict[str, Any]
 
@@ -19,11 +21,12 @@ def fitted(config: Config, rig: LinearRig) -> Config:
     """
     if "samplers" not in config:
         return config
-    parts = {name: part for name, part in config["samplers"].items() if _belongs(part, rig)}
+    parts = {name: part for name, part in config["samplers"].items() if _belongs(part, rig, MeshSampler)}
     shares = {name: share for name, share in config["shares"].items() if name in parts or name not in config["samplers"]}
     return {**config, "samplers": parts, "shares": shares}
 
 
-def _belongs(part: Config, rig: LinearRig) -> bool:
+def _belongs(part: Config, rig: LinearRig, kind: type[MeshSampler | ControlSampler]) -> bool:
     inner = part.get("controls")
-    return class_of(part.get("_target_")).belongs_to(rig) and (inner is None or _belongs(inner, rig))
+    belongs = class_of(part.get("_target_"), kind=kind).belongs_to(rig)
+    return belongs and (inner is None or _belongs(inner, rig, ControlSampler))

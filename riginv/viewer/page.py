@@ -4,6 +4,7 @@ import base64
 import gzip
 import html
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from riginv.viewer.thinning import Thinned, thin
 Targets = Callable[[Sequence[int]], Tensor]  # rows of the animation to their target meshes (row, vertex, 3), mm, NaN: unknown
 
 HERE = Path(__file__).parent
+SLOT = re.compile(r"/\*(TITLE|STYLE|SCRIPT|FACTS|MESHES|VALUES|FACES|COLORS)\*/")
 MOST_VERTICES = 20_000
 MOST_NUMBERS = 18_000_000  # of all meshes together: about 20 MB of file
 MOST_FRAMES = 1200
@@ -90,6 +92,7 @@ def write_viewer(
         "note": note,
     }
     parts = {
+        "TITLE": html.escape(facts["source"]),
         "STYLE": (HERE / "page.css").read_text(encoding="utf-8"),
         "SCRIPT": (HERE / "scene.js").read_text(encoding="utf-8") + (HERE / "page.js").read_text(encoding="utf-8"),
         "FACTS": json.dumps(facts, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
@@ -98,9 +101,8 @@ def write_viewer(
         "FACES": _packed(thinned.faces.astype("<u4").tobytes()),
         "COLORS": _packed(b"" if colors is None else _bytes(colors.cpu().numpy()[thinned.kept])),
     }
-    page = (HERE / "page.html").read_text(encoding="utf-8").replace("<title>riginv<", f"<title>{html.escape(facts['source'])}<")
-    for name, text in parts.items():
-        page = page.replace(f"/*{name}*/", text, 1)
+    page = (HERE / "page.html").read_text(encoding="utf-8")
+    page = SLOT.sub(lambda slot: parts[slot[1]], page)  # in one pass: what is put in is never looked at again
     write_text(path, page)
     return Shown(len(rows), count, kept, len(rig.rest_vertices), note)
 

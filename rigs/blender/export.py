@@ -10,6 +10,7 @@ from riginv.cli.command import command
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
 from riginv.errors import InputError
+from riginv.rig import RigBackend
 from rigs.blender.interpreter import find_interpreter
 from rigs.blender.twin import blueprint_of, write_blend
 
@@ -22,13 +23,14 @@ def export(config: DictConfig) -> None:
     if out.suffix.lower() != ".blend":
         raise InputError(f"out={out}: expected the name of a file that ends in .blend")
     interpreter = find_interpreter(plain["interpreter"])
-    rig = build(plain["rig"])
+    rig = build(plain["rig"], kind=RigBackend)
     blueprint = blueprint_of(rig)
     write_blend(blueprint, out, interpreter)
     Console().print(
         f"{out}: rig '{rig.name}', {len(blueprint.controls)} controls on the object '{rig.name} controls', "
         f"{len(blueprint.shapes)} shape keys on '{rig.name}', {out.stat().st_size / 1e6:.1f} MB",
         highlight=False,
+        markup=False,
         soft_wrap=True,
     )
 

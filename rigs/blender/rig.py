@@ -38,7 +38,7 @@ class BlenderRig(RigBackend):
     """
 
     differentiable = False
-    only_by_hand: ClassVar[tuple[str, ...]] = ("interpreter", "scripts")  # never from a bundle: they run programs
+    only_by_hand: ClassVar[tuple[str, ...]] = ("interpreter", "scripts", "workers", "timeout_s")  # a bundle runs no programs
 
     def __init__(
         self,

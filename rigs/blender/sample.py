@@ -35,14 +35,16 @@ def sample(config: DictConfig) -> None:
         raise InputError(f"out={out}: expected a name that ends in .npz, or without an ending for a folder of .npy files")
     if out.exists():
         raise InputError(f"out={out}: it is there already; give another name")
-    rig = build(plain["rig"])
+    rig = build(plain["rig"], kind=RigBackend)
     most = len(rig.controls) if plain["most"] is None else plain["most"]
     if not (isinstance(most, int) and 1 <= most <= len(rig.controls)):
         raise InputError(f"most is {most}, expected 1 to {len(rig.controls)}, the number of controls of '{rig.name}'")
     generator = generator_at(plain["seed"], "pairs")
     controls = sparse_controls(rig.lower, rig.upper, rig.neutral_controls, most, plain["poses"], generator)
     write_pairs(rig, controls, out)
-    Console().print(f"{out}: {len(controls)} poses of rig '{rig.name}', up to {most} controls at a time", highlight=False)
+    Console().print(
+        f"{out}: {len(controls)} poses of rig '{rig.name}', up to {most} controls at a time", highlight=False, markup=False
+    )
 
 
 @torch.no_grad()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
+from riginv.array_files import check_npy, check_npz
 from riginv.errors import InputError
 
 # What numpy, zipfile and safetensors raise for damaged files; RuntimeError: encrypted, or of a kind that zipfile cannot read.
@@ -19,13 +20,13 @@ DAMAGE += (zlib.error, zipfile.BadZipFile, SafetensorError)
 
 @contextmanager
 def _open_npy(path: Path) -> Iterator[tuple[list[str], Callable[[str], np.ndarray]]]:
+    check_npy(path)
     yield [path.stem], lambda name: np.load(path, allow_pickle=False)
 
 
 @contextmanager
 def _open_npz(path: Path) -> Iterator[tuple[list[str], Callable[[str], np.ndarray]]]:
-    with zipfile.ZipFile(path):  # refuses what numpy would take for something else
-        pass
+    check_npz(path)
     with np.load(path, allow_pickle=False) as table:
         yield list(table.files), lambda name: table[name]
 

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Tf, Usd, UsdGeom
+from pxr import Sdf, Tf, Usd, UsdGeom
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "blender" / "in_blender"))  # the worker's own code needs no riginv
 from worker import RefusedError, serve
 
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
 MOST_FRAMES = 10_000_000
+MOST_LAYERS = 1000
 MEMORY = 4 << 30  # bytes that a stage may take beyond MEMORY_SHARE times its file: more is damage
 MEMORY_SHARE = 20
 
@@ -27,6 +28,7 @@ class UsdScene:
         limit_memory(MEMORY + MEMORY_SHARE * Path(file).stat().st_size)
         self.file = file
         try:
+            refuse_layers_elsewhere(file)
             self.stage = Usd.Stage.Open(file)
             self.mesh = self.chosen(mesh)
             self.times = [float(time) for time in self.mesh.GetPointsAttr().GetTimeSamples()] or [0.0]
@@ -92,6 +94,51 @@ class UsdScene:
         placed = np.array(UsdGeom.XformCache(time).GetLocalToWorldTransform(self.mesh.GetPrim()), np.float64)
         with np.errstate(over="ignore", invalid="ignore"):
             return (np.array(points, np.float64) @ placed[:3, :3] + placed[3, :3]).astype(np.float32)
+
+
+def refuse_layers_elsewhere(file: str) -> None:
+    """Other layers that a stage is composed of lie in its own folder; none is fetched, and no device or pipe is opened."""
+    folder = Path(file).resolve().parent
+    waiting, seen = [Path(file).resolve()], set()
+    while waiting:
+        path = waiting.pop()
+        seen.add(path)
+        if len(seen) > MOST_LAYERS:
+            raise RefusedError(f"{file}: made of more than {MOST_LAYERS} layers: flatten it with usdcat --flatten")
+        layer = Sdf.Layer.FindOrOpen(str(path))
+        for asset in assets_of(layer) if layer else ():
+            name = asset.partition(":SDF_FORMAT_ARGS:")[0].partition("[")[0]
+            target = (path.parent / name).resolve() if "\0" not in name else folder.parent
+            if ":" in name or not target.is_relative_to(folder) or (target.exists() and not target.is_file()):
+                raise RefusedError(
+                    f"{file}: it refers to {asset[:80]!r}, expected layers in its own folder: flatten it with usdcat --flatten"
+                )
+            if target.is_file() and target not in seen:
+                waiting.append(target)
+
+
+def assets_of(layer: Sdf.Layer) -> list[str]:
+    """What a layer is composed of: sublayers, references, payloads and value clips, as it writes them."""
+    found = list(layer.GetCompositionAssetDependencies())
+
+    def visit(path: Sdf.Path) -> None:
+        spec = layer.GetObjectAtPath(path)
+        if isinstance(spec, Sdf.PrimSpec) and spec.HasInfo("clips"):
+            found.extend(paths_in(spec.GetInfo("clips")))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return [asset for asset in found if asset]
+
+
+def paths_in(value: Any) -> list[str]:
+    """The asset paths in the metadata of value clips."""
+    if isinstance(value, Sdf.AssetPath):
+        return [value.path]
+    if isinstance(value, dict):
+        return [path for inner in value.values() for path in paths_in(inner)]
+    if isinstance(value, list | tuple | Sdf.AssetPathArray):
+        return [path for inner in value for path in paths_in(inner)]
+    return []
 
 
 def limit_memory(most: int) -> None:

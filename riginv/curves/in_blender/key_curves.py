@@ -27,7 +27,7 @@ def main(folder: str, wanted: str) -> None:
         facts = json.load(file)
     with open(os.path.join(folder, "curves.csv"), encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
-    columns = {name: [float(row[place]) for row in rows[1:]] for place, name in enumerate(rows[0])}
+    columns = {name: [float(row[place]) for row in rows[1:]] for place, name in enumerate(map(own_name, rows[0]))}
     frames = columns["frame"]
     scene = bpy.context.scene
     scene.render.fps = max(1, round(facts["fps"]))
@@ -42,6 +42,11 @@ def main(folder: str, wanted: str) -> None:
     if "motion" in facts:
         key_motion(facts, columns, frames)
     print(f"{facts['rig']}: {len(facts['controls'])} curves of {len(frames)} frames keyed")
+
+
+def own_name(column: str) -> str:
+    """A column's name without the apostrophe that keeps spreadsheets from taking it for a formula."""
+    return column[1:] if column[:1] == "'" and column[1:2] in ("=", "+", "-", "@") else column
 
 
 def places_of(facts: dict, wanted: str) -> dict:

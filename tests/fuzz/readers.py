@@ -1,0 +1,276 @@
+"""Every file that riginv reads, whole, with what reads it."""
+
+import functools
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh
+
+from riginv.cache import cached_tensors
+from riginv.callbacks.saving import AtomicCheckpoints
+from riginv.cli.comparison import HEADINGS, keep_rows, kept_rows, write_tables
+from riginv.cli.config_folders import check_folder
+from riginv.cli.run_folder import RunFolder, find_run_folder
+from riginv.cli.summary import show
+from riginv.clips.clip import Clip
+from riginv.clips.open import open_sequence
+from riginv.clips.picked import read_picked
+from riginv.clips.topology import check_topology
+from riginv.clips.units import meaning_of
+from riginv.inverse import load_inverse
+from riginv.inversion.control_names import read_mask
+from riginv.inversion.regions import read_region
+from riginv.pairs import read_pairs, write_pairs
+from riginv.reproduction.steps import read_done, write_done
+from rigs.gltf import GltfRig
+from rigs.shapes import ShapesRig
+from tests import sculpts
+from tests.clips import performance, write_animated_glb, write_mdd, write_npz, write_obj, write_pc2, write_usd
+from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint
+from tests.fuzz.tally import Target
+from tests.test_bundle import rewrite_sums
+from tests.toys import ToyRig
+
+OPTIONS = {"mesh": None, "missing_frames": "error", "fps": None, "interpreter": None}
+Make = Callable[[Path], Target]
+
+
+@functools.lru_cache(maxsize=1)
+def toy() -> ToyRig:
+    return ToyRig(detail=1, arkit=True)
+
+
+def read_clip(path: Path) -> np.ndarray:
+    """As the command does: opened, compared with the rig, measured, and read window by window."""
+    rig = toy()
+    sequence = open_sequence(str(path), rig, OPTIONS)
+    check_topology(sequence, rig)
+    clip = Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", None))
+    pieces = [clip.vertices(start, min(start + 5, len(clip))).numpy() for start in range(0, len(clip), 5)]
+    found = np.concatenate(pieces)
+    assert found.shape[1:] == (len(rig.rest_vertices), 3) and found.dtype == np.float32
+    return found
+
+
+def _ply(path: Path, meshes: np.ndarray, faces: np.ndarray, encoding: str) -> Path:
+    mesh = trimesh.Trimesh(meshes[0], faces, process=False)
+    path.write_bytes(trimesh.exchange.ply.export_ply(mesh, encoding=encoding))
+    return path
+
+
+def _npy(path: Path, meshes: np.ndarray) -> Path:
+    np.save(path, meshes.astype(np.float32))
+    return path
+
+
+def _take(path: Path) -> Path:
+    rows = [f"00:00:0{second}:00.000,61,{second / 10},0.5" for second in range(4)]
+    path.write_text("\n".join(["Timecode,BlendShapeCount,JawOpen,MouthFunnel", *rows]) + "\n")
+    return path
+
+
+CLIPS: dict[str, Callable[[Path, np.ndarray, np.ndarray], Path]] = {
+    "npz": write_npz,
+    "packed.npz": lambda path, meshes, faces: write_npz(path, meshes, faces, compressed=True),
+    "npy": lambda path, meshes, faces: _npy(path, meshes),
+    "obj": lambda path, meshes, faces: write_obj(path, meshes[0], faces),
+    "ply": lambda path, meshes, faces: _ply(path, meshes, faces, "binary"),
+    "text.ply": lambda path, meshes, faces: _ply(path, meshes, faces, "ascii"),
+    "mdd": lambda path, meshes, faces: write_mdd(path, meshes),
+    "pc2": lambda path, meshes, faces: write_pc2(path, meshes),
+    "glb": write_animated_glb,
+    "csv": lambda path, meshes, faces: _take(path),
+    "usda": write_usd,
+    "usdc": write_usd,
+}
+
+
+def _clip(kind: str) -> Make:
+    def make(folder: Path) -> Target:
+        path = CLIPS[kind](folder / f"clip.{kind}", performance(toy(), 7), toy().faces.numpy())
+        return Target([path], lambda: read_clip(path))
+
+    return make
+
+
+def _sequence(folder: Path) -> Target:
+    paths = [write_obj(folder / f"shot.{n}.obj", mesh, toy().faces.numpy()) for n, mesh in enumerate(performance(toy(), 3))]
+    return Target(paths, lambda: read_clip(folder / "shot.*.obj"))
+
+
+def _shapes(folder: Path) -> Target:
+    sculpts.write_folder(folder, smile=sculpts.offset(1), jaw=sculpts.offset(2), smile50=sculpts.offset(3))
+    sculpts.write_ply(folder / "text.ply", sculpts.offset(4), "ascii")
+    sculpts.write_ply(folder / "binary.ply", sculpts.offset(5), "binary_little_endian")
+    return Target(_files(folder), lambda: ShapesRig(str(folder)))
+
+
+def _deltas(folder: Path) -> Target:
+    from safetensors.numpy import save_file
+
+    sculpts.write_folder(folder)
+    np.save(folder / "one.npy", sculpts.offset(1))
+    np.savez(folder / "two.npz", a=sculpts.offset(2), b=sculpts.offset(3))
+    save_file({"c": sculpts.offset(4)}, folder / "three.safetensors")
+    victims = [path for path in _files(folder) if path.suffix != ".obj"]
+    return Target(victims, lambda: ShapesRig(str(folder)))
+
+
+def _avatar(folder: Path) -> Target:
+    path = write_animated_glb(folder / "a.glb", performance(toy(), 4), toy().faces.numpy())
+    return Target([path], lambda: GltfRig(str(path)))
+
+
+def _avatar_in_parts(folder: Path) -> Target:
+    path = write_animated_glb(folder / "a.gltf", performance(toy(), 4), toy().faces.numpy())
+    return Target(_files(folder), lambda: GltfRig(str(path)))
+
+
+def pair_arrays() -> dict[str, np.ndarray]:
+    rig = toy()
+    controls = torch.rand(6, 7, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        vertices = rig(controls)
+    limits = {name: getattr(rig, name).numpy() for name in ("lower", "upper")}
+    arrays = {"controls": controls.numpy(), "vertices": vertices.numpy(), "rest_vertices": rig.rest_vertices.numpy()}
+    more = {"faces": rig.faces.numpy(), "control_names": np.array(rig.control_names), "neutral": rig.neutral_controls.numpy()}
+    return {**arrays, **more, **limits}
+
+
+def _pairs_npz(folder: Path) -> Target:
+    write_pairs(folder / "p.npz", pair_arrays())
+    return Target([folder / "p.npz"], lambda: read_pairs(folder / "p.npz"))
+
+
+def _pairs_npy(folder: Path) -> Target:
+    for name, array in pair_arrays().items():
+        np.save(folder / f"{name}.npy", array)
+    return Target(_files(folder), lambda: read_pairs(folder))
+
+
+def _pairs_zarr(folder: Path) -> Target:
+    write_pairs(folder / "p.zarr", pair_arrays())
+    return Target(_files(folder / "p.zarr"), lambda: read_pairs(folder / "p.zarr"))
+
+
+def _bundle(signed: bool) -> Make:
+    """`signed`: with checksums that fit, as who means harm would leave it."""
+
+    def make(folder: Path) -> Target:
+        bundle = write_tiny_bundle(folder / "bundle")
+        rest = toy().rest_vertices[None]
+
+        def read() -> None:
+            assert load_inverse(bundle, toy())(rest).shape == (1, 7)
+
+        victims = [path for path in _files(bundle) if not signed or path.name != "SHA256SUMS"]
+        return Target(victims, read, (lambda: rewrite_sums(bundle)) if signed else (lambda: None))
+
+    return make
+
+
+def _checkpoint(folder: Path) -> Target:
+    path = write_tiny_checkpoint(folder / "last.ckpt")
+    return Target([path], lambda: AtomicCheckpoints().load_checkpoint(path))
+
+
+def _run_folder(folder: Path) -> Target:
+    config = {"seed": 0, "model": {"hidden": [8, 8], "lr": 1e-3, "name": "x"}, "capture": None}
+    RunFolder(folder / "run", config, resumed=False).begin()
+    return Target([folder / "run/config.yaml"], lambda: find_run_folder(folder / "run", config, resume=True))
+
+
+def _results(folder: Path) -> Target:
+    metrics = {"train/steps": 5, "train/seconds": 1.5, "true_rig": "toy", "rig_poses/mean_vertex_error_mm": 0.5}
+    for key in ("neutral_mean_vertex_error_mm", "mean_of_max_vertex_error_mm", "max_vertex_error_mm"):
+        metrics[f"rig_poses/{key}"] = 1.0
+    (folder / "metrics.json").write_text(json.dumps(metrics, indent=1))
+    return Target([folder / "metrics.json"], lambda: show(RunFolder(folder, {"rig": {"_target_": "rigs.face.FaceRig"}}, True)))
+
+
+def _kept_methods(folder: Path) -> Target:
+    row = {**dict.fromkeys(HEADINGS, 1.0), "method": "neutral", "set": "rig_poses", "optimum_mm": 1.0}
+    keep_rows(folder, "neutral", {"config": {}, "fingerprint": "f", "source": "none"}, [row])
+
+    def read() -> None:
+        kept_rows(folder, "neutral", {"config": {}})
+        write_tables(folder)
+
+    return Target([folder / "methods/neutral.json"], read)
+
+
+def _kept_step(folder: Path) -> Target:
+    write_done(folder, 1.0, {"figure": 1.0})
+    return Target([folder / "done.json"], lambda: read_done(folder))
+
+
+def _cache(folder: Path) -> Target:
+    def read() -> None:
+        found = cached_tensors("fuzz", "key", lambda: {"a": torch.arange(6.0)})
+        assert found["a"].shape == (6,)
+
+    read()
+    from riginv.cache import cache_folder
+
+    return Target([cache_folder() / "fuzz-key.safetensors"], read)
+
+
+def _masks(folder: Path) -> Target:
+    (folder / "m.json").write_text(json.dumps({"bump0": 1, "side": 0.5}))
+    (folder / "m.yaml").write_text("bump0: 1\nside: 0.5\n")
+    (folder / "m.csv").write_text("bump0,1\nside,0.5\n")
+    return Target(_files(folder), lambda: [read_mask(path) for path in _files(folder)])
+
+
+def _regions(folder: Path) -> Target:
+    (folder / "r.json").write_text("[1, 2, 3]")
+    (folder / "r.txt").write_text("1, 2, 3\n4 5\n")
+    np.save(folder / "r.npy", np.linspace(0, 1, 42).astype(np.float32))
+    return Target(_files(folder), lambda: [read_region(path, 42) for path in _files(folder)])
+
+
+def _picked(folder: Path) -> Target:
+    (folder / "p.txt").write_text("0 1 2 -1\n")
+    np.save(folder / "p.npy", np.arange(4))
+    return Target(_files(folder), lambda: [read_picked(path, 42) for path in _files(folder)])
+
+
+def _configs(folder: Path) -> Target:
+    (folder / "rig").mkdir()
+    (folder / "rig/mine.yaml").write_text(
+        "# @package _global_\ndefaults:\n  - face\nrig:\n  _target_: rigs.face.FaceRig\n  x: 1\n"
+    )
+    return Target([folder / "rig/mine.yaml"], lambda: check_folder(folder))
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+READERS: dict[str, Make] = {
+    **{f"clip .{kind}": _clip(kind) for kind in CLIPS},
+    "clip sequence": _sequence,
+    "rig shapes": _shapes,
+    "rig deltas": _deltas,
+    "rig .glb": _avatar,
+    "rig .gltf": _avatar_in_parts,
+    "pairs .npz": _pairs_npz,
+    "pairs .npy": _pairs_npy,
+    "pairs .zarr": _pairs_zarr,
+    "bundle": _bundle(signed=False),
+    "bundle, signed": _bundle(signed=True),
+    "checkpoint": _checkpoint,
+    "run folder": _run_folder,
+    "results": _results,
+    "kept methods": _kept_methods,
+    "kept steps": _kept_step,
+    "cache": _cache,
+    "control masks": _masks,
+    "vertex regions": _regions,
+    "vertex numbers": _picked,
+    "config folder": _configs,
+}
+IN_PROCESSES = ("clip .usda", "clip .usdc")  # each case costs one process, a damaged one three

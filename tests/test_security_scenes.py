@@ -1,0 +1,123 @@
+"""Scenes of strangers: .blend files with scripts, stages and avatars that point elsewhere. Nothing runs or is fetched."""
+
+import json
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from riginv.errors import InputError
+from rigs.gltf import GltfRig
+from tests.blends import make_blend
+from tests.clips import performance, write_animated_glb, write_obj, write_usd
+from tests.fuzz.readers import read_clip, toy
+
+SCRIPTS = """
+text = bpy.data.texts.new("run.py")
+text.write("open({mark!r}, 'w').close()")
+text.use_module = True
+thing = cube()
+shape(thing, "smile", (1, 0, 0))
+panel = add("panel")
+panel["go"] = 0.0
+if {driver}:
+    drive(thing.data.shape_keys, 'key_blocks["smile"].value', panel, '["go"]', "__import__('os').system('touch {mark}') or v")
+"""
+
+
+@pytest.fixture
+def elsewhere():
+    """A server that nobody may call."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.2)
+        yield f"http://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(TimeoutError):
+            server.accept()
+
+
+def stage(path: Path) -> Path:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    return write_usd(path, performance(toy(), 3), toy().faces.numpy())
+
+
+def usda(path: Path, arcs: str, more: str = "") -> Path:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    path.write_text(f'#usda 1.0\n(\n    {more}\n)\ndef Mesh "head" (\n    {arcs}\n)\n{{\n}}\n')
+    return path
+
+
+ARCS = {
+    "a reference": ("prepend references = @{0}@</world/head>", ""),
+    "a payload": ("prepend payload = @{0}@</world/head>", ""),
+    "a sublayer": ("", "subLayers = [@{0}@]"),
+    "a clip": (
+        'clips = {{ dictionary default = {{ asset[] assetPaths = [@{0}@]\n string primPath = "/world/head"\n '
+        "double2[] active = [(0, 0)]\n double2[] times = [(0, 0)] }} }}",
+        "",
+    ),
+    "a variant": ('variants = {{ string v = "a" }}\n    prepend variantSets = "v"', ""),
+}
+
+
+@pytest.mark.parametrize("arc", ["a reference", "a payload", "a sublayer", "a clip"])
+@pytest.mark.parametrize("where", ["outside", "absolute", "url", "device", "link"])
+def test_a_stage_is_made_of_layers_in_its_own_folder(tmp_path, arc, where, elsewhere):
+    (tmp_path / "shot").mkdir()
+    secret = stage(tmp_path / "secret.usda")
+    (tmp_path / "shot/link.usda").symlink_to(secret)
+    (tmp_path / "shot/zero.usda").symlink_to("/dev/zero")
+    target = {
+        "outside": "../secret.usda",
+        "absolute": str(secret),
+        "url": f"{elsewhere}/secret.usda",
+        "device": "./zero.usda",
+        "link": "./link.usda",
+    }[where]
+    arcs, more = (text.format(target) for text in ARCS[arc])
+    path = usda(tmp_path / "shot/a.usda", arcs, more)
+    with pytest.raises(InputError, match="own folder") as refusal:
+        read_clip(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_layers_beside_a_stage_are_read(tmp_path):
+    stage(tmp_path / "points.usda")
+    path = usda(tmp_path / "a.usda", "prepend references = @./points.usda@</world/head>")
+    assert len(read_clip(path)) == 3
+
+
+def test_an_avatar_fetches_nothing(tmp_path, elsewhere):
+    write_animated_glb(tmp_path / "a.gltf", performance(toy(), 3), toy().faces.numpy())
+    document = json.loads((tmp_path / "a.gltf").read_text())
+    for uri in (f"{elsewhere}/a.bin", "file:///etc/passwd", "//127.0.0.1/share/a.bin", "..\\a.bin", "a.bin\0", "../../a.bin"):
+        document["buffers"][0]["uri"] = uri
+        (tmp_path / "a.gltf").write_text(json.dumps(document))
+        with pytest.raises(InputError, match=r"own folder|no such file"):
+            GltfRig(str(tmp_path / "a.gltf"))
+
+
+def test_materials_of_an_obj_are_never_opened(tmp_path, elsewhere):
+    path = write_obj(tmp_path / "a.obj", toy().rest_vertices.numpy(), toy().faces.numpy())
+    os.mkfifo(tmp_path / "pipe.mtl")  # who opened it would wait for ever
+    path.write_text(f"mtllib pipe.mtl\nmtllib {elsewhere}/a.mtl\nmtllib /etc/passwd\nusemtl x\n" + path.read_text())
+    assert len(read_clip(path)) == 1
+
+
+@pytest.mark.parametrize("driver", [False, True])
+def test_scripts_of_a_blend_do_not_run(tmp_path, driver):
+    """A text that registers itself, and a driver that calls the system: both are there, and neither runs."""
+    from rigs.blender.rig import BlenderRig
+
+    path, ran = tmp_path / "a.blend", tmp_path / "ran"
+    make_blend(path, SCRIPTS.format(mark=str(ran), driver=driver))
+    ran.unlink(missing_ok=True)  # Blender ran the driver where it was made
+    if driver:
+        with pytest.raises(InputError, match="rig.scripts=true"):
+            BlenderRig(str(path), workers=1)
+    else:
+        assert [control.name for control in BlenderRig(str(path), workers=1).controls] == ["smile"]
+    assert not ran.exists()
+    if not driver:  # and they would: the payload is no dud
+        BlenderRig(str(path), workers=1, scripts=True)
+        assert ran.exists()
