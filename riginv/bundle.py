@@ -8,6 +8,7 @@ SHA256SUMS             of all of these, as `sha256sum -c` reads it
 """
 
 import shutil
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -154,3 +155,13 @@ def _check_file(folder: Path, name: str, expected: str) -> None:
         raise InputError(
             f"{path}: truncated or altered since it was written (SHA-256 differs); copy it again, or train it again"
         )
+
+
+def is_damaged(folder: Path) -> bool:
+    """Whether a finished run's bundle is no longer what was written; says so, since it is then made again."""
+    try:
+        read_bundle(folder)
+    except InputError as error:
+        print(f"{str(error).partition(';')[0]}: it is made again, from where training stood last", file=sys.stderr, flush=True)
+        return True
+    return False

@@ -18,7 +18,7 @@ from riginv.assemble import (
     needs_surrogate,
 )
 from riginv.build import class_of
-from riginv.bundle import write_bundle
+from riginv.bundle import is_damaged, write_bundle
 from riginv.callbacks.hparams import log_choices, log_results
 from riginv.cli.command import command, run_directory
 from riginv.cli.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
@@ -35,7 +35,7 @@ def train(config: DictConfig) -> None:
     plain = plain_config(config)
     validate(plain)
     folder = find_run_folder(run_directory(), plain, config.resume)
-    if not folder.finished:
+    if not folder.finished or is_damaged(folder.path / BUNDLE):
         rig = build_rig(plain)
         true_rig = build_true_rig(plain, rig)
         if needs_surrogate(plain, rig):

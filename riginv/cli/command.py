@@ -17,6 +17,7 @@ from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.quiet import hush
 from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
 from riginv.errors import InputError
+from riginv.locks import unlock_folders
 
 FAILURE = "failure.txt"
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
@@ -83,7 +84,7 @@ class _Job:
         folder = run_directory()
         self.count += 1
         try:
-            self.task(config)
+            self._work(config)
         except Exception as error:
             discard_if_empty(folder)
             message = explain(error, self.config_name)
@@ -94,6 +95,12 @@ class _Job:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / FAILURE).write_text(message + "\n", encoding="utf-8")
             Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(message)}", highlight=False)
+
+    def _work(self, config: DictConfig) -> None:
+        try:
+            self.task(config)
+        finally:
+            unlock_folders()
 
 
 def run_directory() -> Path:

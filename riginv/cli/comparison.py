@@ -42,7 +42,10 @@ def kept_rows(folder: Path, name: str, facts: Mapping[str, Any]) -> Rows | None:
     path = folder / METHODS / f"{name}.json"
     if not path.is_file():
         return None
-    kept = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:  # damaged: found anew
+        return None
     return kept["rows"] if all(kept.get(key) == value for key, value in facts.items()) else None
 
 
