@@ -25,7 +25,7 @@ from riginv.files import discard, half_written, write_text
 from riginv.locks import LOCK, is_first_process, lock_folder
 from riginv.seals import is_whole
 
-CONFIG, METRICS, POSES = "config.yaml", "metrics.json", "poses.png"
+CONFIG, METRICS, POSES, CHOICES = "config.yaml", "metrics.json", "poses.png", "hparams.yaml"
 CHECKPOINT, CHECKPOINT_BEFORE = "checkpoints/last.ckpt", "checkpoints/before.ckpt"
 BUNDLE, SURROGATE = "bundle", "surrogate"
 NOT_PART_OF_A_RUN = ("resume",)
@@ -59,7 +59,7 @@ class RunFolder:
             return
         if lock_folder(self.path) and self.was_empty and (self.path / CONFIG).is_file():
             raise InputError(f"{self.path}: another run has just begun there: choose another folder with hydra.run.dir=DIR")
-        for left in self.path.rglob(".*.part"):
+        for left in (*self.path.rglob(".*.part"), self.path / CHOICES):  # the latter is TensorBoard's, and never mended by it
             discard(left)
         self._discard_damaged_checkpoints()
         if not self.resumed:
@@ -168,7 +168,9 @@ def _read_config(path: Path) -> dict[str, Any]:
     except (ValueError, yaml.YAMLError):
         config = None
     if not isinstance(config, dict):
-        raise InputError(f"{path}: truncated or altered since it was written: bring it back, or choose another hydra.run.dir=DIR")
+        raise InputError(
+            f"{path}: truncated or altered since it was written: bring it back, or choose another hydra.run.dir=DIR"
+        )
     return config
 
 

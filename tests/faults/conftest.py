@@ -1,6 +1,6 @@
 """The tally at the end, and what the tests share."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from tests.clips import performance, write_npz
 from tests.conftest import SMALL
 from tests.faults.processes import Commands
 from tests.faults.tally import ROWS, table
+from tests.faults.works import Whole, Work
 from tests.toys import ToyRig
 
 
@@ -34,6 +35,20 @@ def trained(commands, tmp_path_factory) -> Path:
     done = commands.run("train", [*SMALL, "model/network=direct", "hydra.run.dir=run"], folder)
     assert done.code == 0, done.said
     return folder
+
+
+@pytest.fixture(scope="session")
+def whole(commands, tmp_path_factory) -> Callable[[Work], Whole]:
+    """What a command leaves when nothing happens: asked for often, found out once."""
+    kept: dict[str, Whole] = {}
+
+    def whole_of(work: Work) -> Whole:
+        key = str(work.arguments)
+        if key not in kept:
+            kept[key] = work.unbroken(commands, tmp_path_factory.mktemp("whole"))
+        return kept[key]
+
+    return whole_of
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

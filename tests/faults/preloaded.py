@@ -1,23 +1,33 @@
-"""Commands of riginv in processes of their own that start at once: each is forked from this one, which has imported everything.
+"""Commands of riginv in processes of their own that start at once: forked from this one, which has imported everything.
 
-python -m tests.faults.preloaded answers a line of JSON with a line: {"name", "arguments", "folder", "log"} starts a command, its
-process id is the answer; {"process": ID} asks for its exit code, `null` while it runs.
+python -m tests.faults.preloaded answers a line of JSON with a line: {"name", "arguments", "folder", "log"} starts a command,
+and its process id is the answer; {"process": ID} asks for its exit code, `null` while it runs.
 """
 
 import importlib
 import json
 import os
 import sys
-from typing import Any
+import traceback
+from typing import Any, NoReturn
 
 from riginv import export_onnx, invert, train
 from riginv.cli.command import command
 
 COMMANDS = {"train": train.train, "invert": invert.invert, "export_onnx": export_onnx.export_onnx}
-ALSO = ("torch.onnx", "torch.export", "torch._dynamo", "onnxruntime", "onnxscript", "tensorboard.summary", "trimesh", "tests.toys")
+ALSO = (
+    "torch.onnx",
+    "torch.export",
+    "torch._dynamo",
+    "onnxruntime",
+    "onnxscript",
+    "tensorboard.summary",
+    "trimesh",
+    "tests.toys",
+)
 
 
-def become(name: str, arguments: list[str], folder: str, log: str) -> None:
+def become(name: str, arguments: list[str], folder: str, log: str) -> NoReturn:
     """Become a command line of its own."""
     os.setsid()
     os.chdir(folder)
@@ -26,7 +36,17 @@ def become(name: str, arguments: list[str], folder: str, log: str) -> None:
         os.dup2(output, stream)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     sys.argv = [f"riginv.{name}", *arguments]
-    command(name)(COMMANDS[name])()
+    code = 1
+    try:
+        command(name)(COMMANDS[name])()
+        code = 0
+    except SystemExit as end:
+        code = end.code or 0
+    except BaseException:
+        traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)  # libraries would wait for threads that a fork leaves behind
 
 
 def exit_code(process: int) -> int | None:
@@ -52,7 +72,6 @@ def main() -> None:
         process = os.fork()
         if process == 0:
             become(**request)
-            return  # and end as any Python does
         answer(process)
 
 

@@ -1,7 +1,7 @@
 """A clock that jumps by years while a command runs and between its starts: the same folder, the same result.
 
-The clock is libfaketime's (pip install 'riginv[faults]', or apt install faketime): every process sees it, the kernel's own files
-do not.
+The clock is libfaketime's (pip install 'riginv[faults]', or apt install faketime): every process sees
+it, the kernel's own files do not.
 """
 
 import importlib.util
@@ -15,7 +15,7 @@ import pytest
 from tests.faults.contents import contents
 from tests.faults.processes import Commands, Running
 from tests.faults.tally import fault
-from tests.faults.works import solving, training
+from tests.faults.works import QUICK, solving, training
 
 KIND, HOW = "clock that jumps by years", "time is only told by it, never measured; every file compared byte by byte"
 YEARS = 365 * 24 * 3600
@@ -75,9 +75,9 @@ def clocked(clock) -> Iterator[Commands]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["train", "invert"])
-def test_jumps_while_a_command_runs(commands, clocked, clock, clip, tmp_path, name):
-    work = training("trainer.max_steps=300") if name == "train" else solving(clip)
-    expected, _ = work.unbroken(commands, tmp_path)
+def test_jumps_while_a_command_runs(whole, clocked, clock, clip, tmp_path, name):
+    work = training(*QUICK, "trainer.max_steps=300") if name == "train" else solving(clip)
+    expected = whole(work).contents
     for number in range(5):
         here = work.prepare(tmp_path / f"jumping {number}")
         running = clocked.start(work.name, work.arguments, here)
@@ -88,9 +88,9 @@ def test_jumps_while_a_command_runs(commands, clocked, clock, clip, tmp_path, na
 
 
 @pytest.mark.slow
-def test_a_run_named_by_a_wrong_clock_is_found_again(commands, clocked, clock, tmp_path):
-    work = training()
-    expected, seconds = work.unbroken(commands, tmp_path)
+def test_a_run_named_by_a_wrong_clock_is_found_again(whole, clocked, clock, tmp_path):
+    work = training(*QUICK)
+    expected, seconds, _ = whole(work)
     arguments = [argument for argument in work.arguments if not argument.startswith("hydra.run.dir")]
     for number, years in enumerate((-30, -1, 1, 8)):
         here = work.prepare(tmp_path / f"named {number}")
@@ -107,7 +107,7 @@ def test_a_run_named_by_a_wrong_clock_is_found_again(commands, clocked, clock, t
 
 @pytest.mark.slow
 def test_two_runs_in_the_same_second_do_not_overwrite_each_other(clocked, clock, tmp_path):
-    work = training()
+    work = training(*QUICK)
     arguments = [argument for argument in work.arguments if not argument.startswith("hydra.run.dir")]
     here = work.prepare(tmp_path / "here")
     clock.file.write_text("@2026-01-01 00:00:00\n")

@@ -13,7 +13,7 @@ from riginv.errors import InputError
 from riginv.seals import is_whole, seal
 from tests.faults.contents import contents
 from tests.faults.tally import fault
-from tests.faults.works import training
+from tests.faults.works import QUICK, training
 
 LAST, BEFORE = "run/checkpoints/last.ckpt", "run/checkpoints/before.ckpt"
 NAMED = "truncated or altered since it was written (SHA-256 differs)"
@@ -52,9 +52,9 @@ def test_every_flipped_bit_of_a_sealed_file_is_found(tmp_path):
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(30, marks=pytest.mark.slow)])
-def test_a_damaged_checkpoint_is_named_and_the_one_before_is_used(commands, tmp_path, count):
-    work, draw = training(), random.Random(0)
-    expected, seconds = work.unbroken(commands, tmp_path)
+def test_a_damaged_checkpoint_is_named_and_the_one_before_is_used(commands, whole, tmp_path, count):
+    work, draw = training(*QUICK), random.Random(0)
+    expected = whole(work).contents
     broken = work.prepare(tmp_path / "broken")
     running = commands.start(work.name, work.arguments, broken)
     while not (broken / BEFORE).exists():
@@ -90,11 +90,11 @@ def test_a_damaged_bundle_is_refused_and_named(commands, trained, tmp_path, coun
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(20, marks=pytest.mark.slow)])
-def test_a_damaged_bundle_of_a_finished_run_is_made_again(commands, tmp_path, count):
-    work, draw = training(), random.Random(2)
-    expected, _ = work.unbroken(commands, tmp_path)
+def test_a_damaged_bundle_of_a_finished_run_is_made_again(commands, whole, tmp_path, count):
+    work, draw = training(*QUICK), random.Random(2)
+    expected = whole(work).contents
     for number in range(count):
-        here = shutil.copytree(tmp_path / "whole", tmp_path / f"copy {number}")
+        here = shutil.copytree(whole(work).folder, tmp_path / f"copy {number}")
         path = here / "run/bundle" / draw.choice(("bundle.yaml", "weights.safetensors", "space.safetensors", "SHA256SUMS"))
         with fault("damaged bundle", ""):
             how = damage(path, draw)
@@ -126,10 +126,10 @@ def test_damaged_tensors_of_the_cache_are_built_again(own_cache, count):
 
 
 @pytest.mark.parametrize("name", ["config.yaml", "metrics.json"])
-def test_other_damaged_files_of_a_run_are_named_or_made_again(commands, tmp_path, name):
-    work = training()
-    expected, _ = work.unbroken(commands, tmp_path)
-    here, draw = tmp_path / "whole", random.Random(4)
+def test_other_damaged_files_of_a_run_are_named_or_made_again(commands, whole, tmp_path, name):
+    work = training(*QUICK)
+    expected = whole(work).contents
+    here, draw = shutil.copytree(whole(work).folder, tmp_path / "copy"), random.Random(4)
     whole = (here / "run" / name).read_bytes()
     with fault(f"damaged {name}", "named" if name == "config.yaml" else "made again from the run's last checkpoint"):
         (here / "run" / name).write_bytes(whole[: draw.randrange(len(whole) // 2)])

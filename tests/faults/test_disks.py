@@ -9,7 +9,7 @@ import pytest
 from tests.faults.contents import contents
 from tests.faults.processes import Commands
 from tests.faults.tally import fault
-from tests.faults.works import Work, exporting, solving, training
+from tests.faults.works import QUICK, Whole, Work, exporting, solving, training
 
 LARGE = "256m"
 
@@ -26,10 +26,9 @@ def size(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def fill(commands: Commands, work: Work, folder: Path, count: int, kind: str) -> None:
+def fill(commands: Commands, work: Work, whole: Whole, folder: Path, count: int, kind: str) -> None:
     """Let a disk fill up under a command, at sizes from nearly nothing to nearly enough, make it larger, and go on."""
-    expected, _ = work.unbroken(commands, folder)
-    needed, filled = size(folder / "whole") * 1.2, 0
+    needed, filled = size(whole.folder) * 1.2, 0
     given = size(work.needs) if work.needs else 0
     draw, trial = random.Random(0), 0
     while filled < count:
@@ -49,28 +48,31 @@ def fill(commands: Commands, work: Work, folder: Path, count: int, kind: str) ->
                 commands.mount("-o", f"remount,size={LARGE}", str(here))
                 done = commands.run(work.name, [*work.arguments, *work.again], here)
             assert done.code == 0, done.said
-            assert contents(commands.seen(here)) == expected, f"a disk of {room} bytes"
+            assert contents(commands.seen(here)) == whole.contents, f"a disk of {room} bytes"
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(40, marks=pytest.mark.slow)])
-def test_full_while_training(disks, tmp_path, count):
-    fill(disks, training(), tmp_path, count, "full disk while training")
+def test_full_while_training(disks, whole, tmp_path, count):
+    work = training(*QUICK)
+    fill(disks, work, whole(work), tmp_path, count, "full disk while training")
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(40, marks=pytest.mark.slow)])
-def test_full_while_solving(disks, tmp_path, clip, count):
-    fill(disks, solving(clip), tmp_path, count, "full disk while solving")
+def test_full_while_solving(disks, whole, tmp_path, clip, count):
+    work = solving(clip)
+    fill(disks, work, whole(work), tmp_path, count, "full disk while solving")
 
 
 @pytest.mark.slow
-def test_full_while_exporting(disks, tmp_path, trained):
+def test_full_while_exporting(disks, whole, tmp_path, trained):
     pytest.importorskip("onnxscript")
     pytest.importorskip("onnxruntime")
-    fill(disks, exporting(trained), tmp_path, 10, "full disk while exporting")
+    work = exporting(trained)
+    fill(disks, work, whole(work), tmp_path, 10, "full disk while exporting")
 
 
 def test_a_folder_that_cannot_be_written(disks, tmp_path, clip, trained):
-    for name, work in {"train": training(), "solve": solving(clip), "export": exporting(trained)}.items():
+    for name, work in {"train": training(*QUICK), "solve": solving(clip), "export": exporting(trained)}.items():
         here = work.prepare(tmp_path / name)
         before = contents(here)
         disks.mount("--bind", str(here), str(here))

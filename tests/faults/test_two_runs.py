@@ -6,7 +6,7 @@ import pytest
 
 from tests.faults.contents import contents
 from tests.faults.tally import fault
-from tests.faults.works import solving, training
+from tests.faults.works import QUICK, solving, training
 
 KIND, HOW = "two commands on one folder", "one works, the others are refused by a lock that the kernel holds"
 REFUSALS = ("in use by another process", "has just begun there", "holds a run already", "it is there already")
@@ -16,9 +16,9 @@ def in_use(folder) -> bool:
     return (folder / "run/checkpoints/last.ckpt").exists()
 
 
-def test_a_second_run_is_refused_while_the_first_goes_on(commands, tmp_path):
-    work = training("trainer.max_steps=200")
-    expected, _ = work.unbroken(commands, tmp_path)
+def test_a_second_run_is_refused_while_the_first_goes_on(commands, whole, tmp_path):
+    work = training(*QUICK)
+    expected = whole(work).contents
     here = work.prepare(tmp_path / "both")
     first = commands.start(work.name, work.arguments, here)
     while not in_use(here):
@@ -37,9 +37,9 @@ def test_a_second_run_is_refused_while_the_first_goes_on(commands, tmp_path):
 
 @pytest.mark.parametrize("rounds", [1, pytest.param(20, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["train", "invert"])
-def test_of_those_that_start_at_once_one_works(commands, tmp_path, clip, name, rounds):
-    work = training() if name == "train" else solving(clip)
-    expected, _ = work.unbroken(commands, tmp_path)
+def test_of_those_that_start_at_once_one_works(commands, whole, tmp_path, clip, name, rounds):
+    work = training(*QUICK) if name == "train" else solving(clip)
+    expected = whole(work).contents
     for number in range(rounds):
         here = work.prepare(tmp_path / f"round {number}")
         started = [commands.start(work.name, work.arguments, here) for _ in range(4)]
