@@ -16,7 +16,7 @@ from worker import RefusedError, serve
 NAMES = ("wide", "tall", "trouble")
 REST = np.arange(12, dtype=np.float32).reshape(4, 3)
 CRASHES, HANGS, REFUSES, LEAKS = 1.0, 2.0, 3.0, 4.0  # values of the control `trouble`
-LEAKED, LEAK_MB = [], 10
+LEAKED, LEAK_MB = [], 5
 
 
 class ToyScene:

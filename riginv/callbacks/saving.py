@@ -19,7 +19,8 @@ class AtomicCheckpoints(TorchCheckpointIO):
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None) -> None:
         with written_beside(Path(path)) as beside:
-            torch.save(checkpoint, beside)
+            with beside.open("wb") as file:  # of which torch passes on that the disk is full
+                torch.save(checkpoint, file)
             seal(beside)
             if Path(path).is_file():
                 Path(path).replace(Path(path).with_name(Path(CHECKPOINT_BEFORE).name))

@@ -28,6 +28,7 @@ from riginv.seals import is_whole
 CONFIG, METRICS, POSES, CHOICES = "config.yaml", "metrics.json", "poses.png", "hparams.yaml"
 CHECKPOINT, CHECKPOINT_BEFORE = "checkpoints/last.ckpt", "checkpoints/before.ckpt"
 BUNDLE, SURROGATE = "bundle", "surrogate"
+CONFIG_SUM = "# SHA-256 of the lines above: "
 NOT_PART_OF_A_RUN = ("resume",)
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 LONGEST = 120  # characters of a folder's name
@@ -63,7 +64,8 @@ class RunFolder:
             discard(left)
         self._discard_damaged_checkpoints()
         if not self.resumed:
-            write_text(self.path / CONFIG, yaml.safe_dump(self.config, sort_keys=False))
+            text = yaml.safe_dump(self.config, sort_keys=False)
+            write_text(self.path / CONFIG, f"{text}{CONFIG_SUM}{_digest(text)}\n")
 
     @property
     def checkpoint(self) -> Path | None:
@@ -163,15 +165,17 @@ def folder_name(text: str) -> str:
 
 
 def _read_config(path: Path) -> dict[str, Any]:
-    try:
-        config = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (ValueError, yaml.YAMLError):
-        config = None
-    if not isinstance(config, dict):
+    text, _, digest = path.read_bytes().decode(errors="replace").rpartition(CONFIG_SUM)
+    if digest.strip() != _digest(text):
         raise InputError(
-            f"{path}: truncated or altered since it was written: bring it back, or choose another hydra.run.dir=DIR"
+            f"{path}: truncated or altered since it was written (SHA-256 differs): bring it back as it was, or choose another "
+            f"folder with hydra.run.dir=DIR"
         )
-    return config
+    return yaml.safe_load(text)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -11,8 +11,8 @@ from tests.faults.tally import fault
 from tests.test_blender_pool import LOAD, TOY
 from tests.toy_worker import LEAK_MB, LEAKS, NAMES, REST
 
-POSES, ALLOWED_MB = 240, 100
-SECONDS = 0.02  # for a pose
+POSES, ALLOWED_MB = 160, 50
+SECONDS = 0.01  # for a pose
 
 
 def watch(pool: WorkerPool, memory: dict[int, float], over: threading.Event) -> None:
