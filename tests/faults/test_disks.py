@@ -49,15 +49,16 @@ def fill(commands: Commands, work: Work, whole: Whole, folder: Path, count: int,
                 done = commands.run(work.name, [*work.arguments, *work.again], here)
             assert done.code == 0, done.said
             assert contents(commands.seen(here)) == whole.contents, f"a disk of {room} bytes"
+        print(f"{kind}: {filled} of {count}", flush=True)
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [1, pytest.param(15, marks=pytest.mark.slow)])
 def test_full_while_training(disks, whole, tmp_path, count):
     work = training(*QUICK)
     fill(disks, work, whole(work), tmp_path, count, "full disk while training")
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [1, pytest.param(15, marks=pytest.mark.slow)])
 def test_full_while_solving(disks, whole, tmp_path, clip, count):
     work = solving(clip)
     fill(disks, work, whole(work), tmp_path, count, "full disk while solving")

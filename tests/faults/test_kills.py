@@ -34,6 +34,7 @@ def strike(commands: Commands, work: Work, whole: Whole, folder: Path, count: in
                 done = commands.run(work.name, [*work.arguments, *work.again], here)
                 assert done.code == 0, f"killed after {moments} s: {done.said}"
             assert contents(here) == whole.contents, f"killed after {moments} s"
+        print(f"{kind}: {kills} of {count}", flush=True)
         shutil.rmtree(here)
 
 
@@ -43,7 +44,7 @@ def test_training(commands, whole, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arguments", "count"), [(QUICK, 70), ((), 30)])
+@pytest.mark.parametrize(("arguments", "count"), [(QUICK, 90), ((), 10)])
 def test_training_a_hundred_times(commands, whole, tmp_path, arguments, count):
     work = training(*arguments)
     strike(commands, work, whole(work), tmp_path, count, WHILE_TRAINING)
