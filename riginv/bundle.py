@@ -8,6 +8,7 @@ SHA256SUMS             of all of these, as `sha256sum -c` reads it
 """
 
 import shutil
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -229,3 +230,13 @@ def _check_tensors(folder: Path, weights: Mapping[str, Tensor], space: Mapping[s
         for name, tensor in tensors.items():
             if tensor.is_floating_point() and not torch.isfinite(tensor.float()).all():
                 raise InputError(f"{folder / file}: {name} holds NaN or infinite values: train it again")
+
+
+def is_damaged(folder: Path) -> bool:
+    """Whether a finished run's bundle is no longer what was written; says so, since it is then made again."""
+    try:
+        read_bundle(folder)
+    except InputError as error:
+        print(f"{str(error).partition(';')[0]}: it is made again, from where training stood last", file=sys.stderr, flush=True)
+        return True
+    return False

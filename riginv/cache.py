@@ -1,16 +1,23 @@
 """Tensors that take seconds to build, kept between runs."""
 
+import contextlib
 import hashlib
 import importlib.metadata
 import os
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import platformdirs
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.files import written_beside
+from riginv.locks import alone
+
+SUM = "sha256"
 
 
 def cache_folder() -> Path:
@@ -37,19 +44,31 @@ def code_key(sources: Sequence[Path], distributions: Sequence[str] = ()) -> str:
 def cached_tensors(name: str, key: str, build: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
     """The tensors kept as `name` under `key`, or else those that `build` makes, which are then kept.
 
-    A damaged file is built anew; where nothing can be written the tensors are built every time.
+    A damaged file is built anew, by its checksum; where nothing can be written the tensors are built every time.
     """
     path = cache_folder() / f"{name}-{key}.safetensors"
-    try:
-        return load_file(path)
-    except (OSError, SafetensorError):
-        pass
-    tensors = build()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            save_file(tensors, Path(folder) / path.name)
-            (Path(folder) / path.name).replace(path)
-    except OSError:
-        pass
+    tensors = _read(path)
+    if tensors is None:
+        tensors = build()
+        with contextlib.suppress(OSError, SafetensorError, InputError):  # the last: another process keeps the same just now
+            with alone(path), written_beside(path) as beside:
+                save_file(tensors, beside, {SUM: _digest(tensors)})
     return tensors
+
+
+def _read(path: Path) -> dict[str, Tensor] | None:
+    try:
+        with safe_open(path, "pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+            kept = (file.metadata() or {}).get(SUM)
+    except (OSError, SafetensorError):
+        return None
+    return tensors if kept == _digest(tensors) else None
+
+
+def _digest(tensors: Mapping[str, Tensor]) -> str:
+    digest = hashlib.sha256()
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
+        digest.update(tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy())
+    return digest.hexdigest()

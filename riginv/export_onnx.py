@@ -27,6 +27,7 @@ from riginv.errors import InputError
 from riginv.files import discard, written_beside
 from riginv.geometry.curves import fixed_iterations
 from riginv.inverse import Inverse, load_inverse
+from riginv.locks import alone
 from riginv.rig import RigBackend
 from riginv.sampling.controls import sparse_controls
 from riginv.sampling.seeds import generator_at
@@ -62,7 +63,7 @@ def export_onnx(config: DictConfig) -> None:
     check_packages()
     inverse = load_inverse(plain["bundle"], build(plain["rig"], kind=RigBackend) if plain["rig"].get("_target_") else None)
     console = Console()
-    with console.status("tracing the network, through the rig's own derivative where it has one; up to minutes"):
+    with alone(out), console.status("tracing the network, through the rig's own derivative where it has one; up to minutes"):
         parity = write_onnx(out, inverse, plain["poses"])
     table = Table(title=f"{escape(str(out))}: {out.stat().st_size / 1e6:.1f} MB", box=box.SIMPLE, title_justify="left")
     table.add_column("")

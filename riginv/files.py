@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterator
@@ -30,6 +31,12 @@ def written_beside(path: Path) -> Iterator[Path]:
         os.replace(beside, path)
     finally:
         discard(beside)
+
+
+def half_written(path: Path) -> list[Path]:
+    """What killed processes left beside a file or a folder that they were writing."""
+    part = re.compile(rf"\.{re.escape(path.name)}\.\d+\.part(\..+)?")
+    return [beside for beside in path.parent.iterdir() if part.fullmatch(beside.name)] if path.parent.is_dir() else []
 
 
 def discard(path: Path) -> None:

@@ -21,6 +21,7 @@ from riginv.inversion.results import check_after, write_results
 from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
 from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method, open_clip
 from riginv.inversion.table import InversionProgress, show
+from riginv.locks import alone
 from riginv.recorded_rig import RecordedRig
 from riginv.rig import RigBackend
 
@@ -42,7 +43,8 @@ def invert(config: DictConfig) -> None:
     check_after(plain["after"], plain["look"])
     clip, notes = open_clip(plain, true_rig)
     parts = build_parts(plain, clip, rig, true_rig, inverse)
-    with InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
+    with alone(out), InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
+        free_folder(out)
         arguments = (clip, parts.inverter, parts.judge, plain["window"], progress.advance)
         if parts.method == WHOLE_CLIP:
             solver = plain["solver"]

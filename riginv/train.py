@@ -19,7 +19,7 @@ from riginv.assemble import (
     speed_up,
 )
 from riginv.build import class_of
-from riginv.bundle import write_bundle
+from riginv.bundle import is_damaged, write_bundle
 from riginv.callbacks.hparams import log_choices, log_results
 from riginv.cli.command import command, run_directory
 from riginv.cli.process import this_process
@@ -41,9 +41,10 @@ def train(config: DictConfig) -> None:
     validate(plain)
     process = this_process(plain)
     folder = find_run_folder(run_directory(), plain, config.resume, process.rank == 0)
-    if process.must_start_others and not folder.finished:
+    done = folder.finished and not is_damaged(folder.path / BUNDLE)
+    if process.must_start_others and not done:
         run_in_processes(process.count, folder.path)
-    elif not folder.finished:
+    elif not done:
         rig = build_rig(plain)
         true_rig = build_true_rig(plain, rig)
         if needs_surrogate(plain, rig):

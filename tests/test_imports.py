@@ -11,7 +11,9 @@ ROOT = Path(__file__).parent.parent
 # From the ground up: a module may import from its own floor (within one package) and from floors below.
 FLOORS = [
     {"errors"},
-    {"arguments", "files", "cache"},
+    {"arguments", "files"},
+    {"locks", "seals"},
+    {"cache"},
     {"array_files", "build"},
     {"geometry"},
     {"rig"},

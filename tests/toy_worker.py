@@ -15,7 +15,8 @@ from worker import RefusedError, serve
 
 NAMES = ("wide", "tall", "trouble")
 REST = np.arange(12, dtype=np.float32).reshape(4, 3)
-CRASHES, HANGS, REFUSES = 1.0, 2.0, 3.0  # values of the control `trouble`
+CRASHES, HANGS, REFUSES, LEAKS = 1.0, 2.0, 3.0, 4.0  # values of the control `trouble`
+LEAKED, LEAK_MB = [], 5
 
 
 class ToyScene:
@@ -41,6 +42,8 @@ class ToyScene:
                 os.abort()
             while values["trouble"] == HANGS:
                 time.sleep(1)
+            if values["trouble"] == LEAKS:
+                LEAKED.append(np.ones(LEAK_MB * 125_000))
             if values["trouble"] == REFUSES:
                 raise RefusedError("toy: trouble")
             meshes.append(REST * (1 + values["wide"]) + values["tall"])

@@ -10,9 +10,10 @@ import lightning as L
 import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
-from riginv.cli.run_folder import CHECKPOINT
+from riginv.cli.run_folder import CHECKPOINT, CHECKPOINT_BEFORE
 from riginv.errors import InputError, in_short
 from riginv.files import check_regular, written_beside
+from riginv.seals import seal
 
 START_OVER = "remove it to start over"
 PARTS = {
@@ -23,11 +24,15 @@ PARTS = {
 
 
 class AtomicCheckpoints(TorchCheckpointIO):
-    """Writes a checkpoint beside the last one and renames it; reads without running code."""
+    """Writes a checkpoint beside the last one, which is kept as the one before; reads without running code."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None) -> None:
         with written_beside(Path(path)) as beside:
-            torch.save(checkpoint, beside)
+            with beside.open("wb") as file:  # of which torch passes on that the disk is full
+                torch.save(checkpoint, file)
+            seal(beside)
+            if Path(path).is_file():
+                Path(path).replace(Path(path).with_name(Path(CHECKPOINT_BEFORE).name))
 
     def load_checkpoint(self, path: str | Path, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
         """Tensors and plain values.

@@ -24,6 +24,8 @@ from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
 from riginv.cli.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
 from riginv.cli.sweep_record import FINISHED, read_record
 from riginv.cli.watched import end_with_watcher, is_watched, report
+from riginv.errors import InputError
+from riginv.locks import unlock_folders
 
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
 
@@ -96,7 +98,7 @@ class _Job:
             self.run_in_sweep(config)
             return
         try:
-            self.task(config)
+            self._work(config)
         except Exception as error:
             discard_if_empty(run_directory())
             blamed = None if explain(error, self.config_name) else blame(config, self.config_name, HydraConfig.get())
@@ -116,11 +118,17 @@ class _Job:
         record.started(sweep)
         began, why = time.perf_counter(), None
         try:
-            self.task(config)
+            self._work(config)
         except Exception as error:
             why = explain(error, self.config_name) or blame(config, self.config_name, chosen) or traceback.format_exc()
             Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(why)}", highlight=False)
         record.ended(sweep, time.perf_counter() - began, why)
+
+    def _work(self, config: DictConfig) -> None:
+        try:
+            self.task(config)
+        finally:
+            unlock_folders()
 
 
 def run_directory() -> Path:

@@ -18,7 +18,8 @@ from omegaconf.errors import OmegaConfBaseException
 from riginv.errors import InputError, NonFiniteLossError
 
 PACKAGE = Path(__file__).parent.parent
-DISK_FAULTS = (errno.EACCES, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.ENOTDIR)
+DISK_FAULTS = (errno.EACCES, errno.EROFS, errno.ENOTDIR)
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 CONFIGS = PACKAGE / "conf" if (PACKAGE / "conf").is_dir() else PACKAGE.parent / "conf"  # installed, or in a checkout
 
 
@@ -35,6 +36,10 @@ def explain(error: BaseException, config_name: str) -> str | None:
             return f"cannot read the argument '{cause.override}': expected KEY=VALUE or GROUP=CHOICE"
         if isinstance(cause, ConfigCompositionException) and (key := re.match(r"Could not override '([^']+)'", str(cause))):
             return f"{key[1]}: there is no such key{_near(key[1], _known_keys(config_name))} --cfg job shows them all"
+    if any(_says_full(cause) for cause in causes):
+        return (
+            "the disk is full: free some of it, then type the same command again; resume=true goes on with a run that had begun"
+        )
     for cause in causes:
         if isinstance(cause, OSError) and cause.errno in DISK_FAULTS:
             where = f"{cause.filename}: " if cause.filename else ""
@@ -51,6 +56,13 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
     while error is not None:
         yield error
         error = error.__cause__ or error.__context__
+
+
+def _says_full(error: BaseException) -> bool:
+    """Whether an error tells of a full disk; libraries that write by themselves put the system's words into their own."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno in FULL
+    return any(os.strerror(number) in str(error) for number in FULL)
 
 
 def _unknown_choice(error: MissingConfigException) -> str:

@@ -1,7 +1,8 @@
 """A run's folder: never overwritten silently, and found again by the command that made it.
 
 config.yaml            the resolved config
-checkpoints/last.ckpt  where training stood last
+checkpoints/last.ckpt  where training stood last, sealed with its own checksum; before.ckpt: where it stood before that
+.lock                  locked while a process is at work here
 events.*, hparams.yaml TensorBoard's
 bundle/                the trained model
 surrogate/             a run within the run, where the rig gives no gradients: the surrogate that was trained first
@@ -10,6 +11,8 @@ metrics.json           how good it is; written last: a folder that has it is fin
 
 import datetime
 import hashlib
+import json
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +22,14 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from riginv.errors import InputError
-from riginv.files import discard, read_yaml, write_text
+from riginv.files import discard, half_written, read_yaml, write_text
+from riginv.locks import LOCK, lock_folder
+from riginv.seals import is_whole
 
-CONFIG, METRICS, POSES = "config.yaml", "metrics.json", "poses.png"
-CHECKPOINT, BUNDLE, SURROGATE = "checkpoints/last.ckpt", "bundle", "surrogate"
+CONFIG, METRICS, POSES, CHOICES = "config.yaml", "metrics.json", "poses.png", "hparams.yaml"
+CHECKPOINT, CHECKPOINT_BEFORE = "checkpoints/last.ckpt", "checkpoints/before.ckpt"
+BUNDLE, SURROGATE = "bundle", "surrogate"
+CONFIG_SUM = "# SHA-256 of the lines above: "
 NOT_PART_OF_A_RUN = ("resume",)
 HOW_MANY = ("trainer.devices", "trainer.num_nodes")  # may change when a run is resumed: what is learned does not depend on it
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
@@ -39,31 +46,57 @@ class RunFolder:
         config: the plain config.
         resumed: whether an earlier start of the same run is gone on with.
         written_here: by this process; of several that share a run only the first one writes.
+        was_empty: whether nothing lay there when it was looked at.
     """
 
     path: Path
     config: dict[str, Any]
     resumed: bool
     written_here: bool = True
+    was_empty: bool = False
 
     def begin(self) -> None:
-        """Make the folder this run's, by writing its config there; clear away what a killed start left half-written."""
+        """Make the folder this run's, by locking it and writing its config there; clear away what killed starts left.
+
+        Raises:
+            InputError: another process is at work there, or has begun a run there meanwhile.
+        """
         if not self.written_here:
             return
-        for half_written in self.path.rglob(".*.part"):
-            discard(half_written)
+        if lock_folder(self.path) and self.was_empty and (self.path / CONFIG).is_file():
+            raise InputError(f"{self.path}: another run has just begun there: choose another folder with hydra.run.dir=DIR")
+        for left in (*self.path.rglob(".*.part"), self.path / CHOICES):  # the latter is TensorBoard's, and never mended by it
+            discard(left)
+        self._discard_damaged_checkpoints()
         if not self.resumed:
-            write_text(self.path / CONFIG, yaml.safe_dump(self.config, sort_keys=False))
+            text = yaml.safe_dump(self.config, sort_keys=False)
+            write_text(self.path / CONFIG, f"{text}{CONFIG_SUM}{_digest(text)}\n")
 
     @property
     def checkpoint(self) -> Path | None:
-        """Where training stood last, if it got that far."""
-        path = self.path / CHECKPOINT
-        return path if path.is_file() else None
+        """Where training stood last, if it got that far; one that is damaged does not count."""
+        paths = [self.path / name for name in (CHECKPOINT, CHECKPOINT_BEFORE)]
+        return next((path for path in paths if path.is_file() and is_whole(path)), None)
 
     @property
     def finished(self) -> bool:
-        return (self.path / METRICS).is_file()
+        try:
+            return isinstance(json.loads((self.path / METRICS).read_text(encoding="utf-8")), dict)
+        except (OSError, ValueError):  # not there, or damaged: it is made again
+            return False
+
+    def _discard_damaged_checkpoints(self) -> None:
+        damaged = []
+        for path in (self.path / CHECKPOINT, self.path / CHECKPOINT_BEFORE):
+            if path.is_file() and is_whole(path):
+                break
+            if path.is_file():
+                discard(path)
+                damaged.append(str(path))
+        if damaged:
+            how = f"going on from {self.checkpoint}, the one before" if self.checkpoint else "training starts over"
+            said = f"{', '.join(damaged)}: truncated or altered since it was written (SHA-256 differs)"
+            print(f"{said}: {how}", file=sys.stderr, flush=True)
 
     def wait_until_finished(self) -> None:
         """Wait for the process that writes here."""
@@ -84,13 +117,13 @@ def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool, writ
     path = Path(path)
     if not written_here:
         return RunFolder(path, config, resumed=True, written_here=False)
-    if not (path.is_dir() and any(path.iterdir())):
-        return RunFolder(path, config, resumed=False)
+    if not path.is_dir() or set(path.iterdir()) <= {path / LOCK, *half_written(path / CONFIG)}:
+        return RunFolder(path, config, resumed=False, was_empty=True)
     if not (path / CONFIG).is_file():
         raise InputError(f"{path} holds files that are no run of riginv: choose another folder with hydra.run.dir=DIR")
     if not resume:
         raise InputError(f"{path} holds a run already: add resume=true to go on with it, or choose another hydra.run.dir=DIR")
-    before, now = _flat(read_yaml(path / CONFIG)), _flat(config)
+    before, now = _flat(_read_config(path / CONFIG)), _flat(config)
     differing = sorted(key for key in (before.keys() | now.keys()) - set(HOW_MANY) if before.get(key) != now.get(key))
     if differing:
         key = differing[0]
@@ -142,6 +175,20 @@ def folder_name(text: str) -> str:
     """A text as the name of one folder: no separators, not too long, still unlike that of another text."""
     name = text.replace("/", "_").replace("\\", "_")
     return name if len(name) <= LONGEST else f"{name[: LONGEST - 9]}~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    text, _, digest = path.read_bytes().decode(errors="replace").rpartition(CONFIG_SUM)
+    if digest.strip() != _digest(text):
+        raise InputError(
+            f"{path}: truncated or altered since it was written (SHA-256 differs): bring it back as it was, or choose another "
+            f"folder with hydra.run.dir=DIR"
+        )
+    return read_yaml(path)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -6,6 +6,7 @@ from typing import Any
 from riginv.cli.run_folder import BUNDLE, RunFolder, find_run_folder
 from riginv.errors import InputError
 from riginv.files import discard
+from riginv.locks import unlock_folder
 from riginv.reproduction.cast import rig_in_space, trained_rig
 from riginv.reproduction.sets import captured
 from riginv.reproduction.steps import Task
@@ -26,7 +27,10 @@ def train(task: Task) -> dict[str, Any]:
         rig, config["rig"] = trained_rig(bundle, rig), {**config["rig"], "bundle": bundle}
     folder = _folder(task.folder / RUN, config)
     watched = captured(programmatic.rig, task.places["capture"], config["judging"]["validation_poses"])
-    _, facts = fit_network(config, folder, rig, programmatic.rig, watched)
+    try:
+        _, facts = fit_network(config, folder, rig, programmatic.rig, watched)
+    finally:
+        unlock_folder(folder.path)
     discard(folder.path / "checkpoints")
     return facts
 

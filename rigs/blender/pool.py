@@ -16,6 +16,7 @@ from rigs.blender.process import Message, WorkerLostError, WorkerProcess, Worker
 CHUNK = 16  # poses that a worker gets at a time, at most
 ATTEMPTS = 3  # after so many lost workers in a row the pose is to blame
 POLL_S = 1.0
+GROWTH_MB = 2000.0
 
 
 class PoseLostError(RuntimeError):
@@ -58,6 +59,7 @@ class WorkerPool:
         workers: how many at most.
         timeout_s: for one answer; a worker that takes longer is taken for hung.
         environment: variables for the workers.
+        growth_mb: a worker that holds so much more memory than after its first poses is replaced; None: never.
     """
 
     def __init__(
@@ -67,8 +69,9 @@ class WorkerPool:
         workers: int = 1,
         timeout_s: float = 120.0,
         environment: Mapping[str, str] | None = None,
+        growth_mb: float | None = GROWTH_MB,
     ) -> None:
-        self._settings = (tuple(command), dict(load), workers, timeout_s, dict(environment or {}))
+        self._settings = (tuple(command), dict(load), workers, timeout_s, dict(environment or {}), growth_mb)
         self._crew: _Crew | None = None
         self._starting = threading.Lock()
 
@@ -176,10 +179,12 @@ def _again(task: _Task, loss: WorkerLostError) -> list[_Task]:
 class _Crew:
     """The threads that each look after one worker process. It does not know the pool, so that the pool can be collected."""
 
-    def __init__(self, command: tuple, load: dict, workers: int, timeout_s: float, environment: dict) -> None:
+    def __init__(
+        self, command: tuple, load: dict, workers: int, timeout_s: float, environment: dict, growth_mb: float | None
+    ) -> None:
         self.owner = os.getpid()
         self._command, self._load, self._most = command, load, workers
-        self._timeout_s, self._environment = timeout_s, environment
+        self._timeout_s, self._environment, self._growth_mb = timeout_s, environment, growth_mb
         self._tasks: queue.Queue[_Task | None] = queue.Queue()
         self._threads: list[threading.Thread] = []
         self._running: set[WorkerProcess] = set()
@@ -223,6 +228,9 @@ class _Crew:
                 process = process or self._start()
                 outcome = process.request(task.header, task.arrays, self._timeout_s)
                 _check(outcome, task)
+                if self._growth_mb is not None and task.rows and process.growth_mb() > self._growth_mb:
+                    self._end(process)
+                    process = None
             except WorkerRefusedError as error:
                 outcome = error
             except BaseException as error:

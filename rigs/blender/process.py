@@ -9,14 +9,17 @@ import struct
 import subprocess
 import tempfile
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import psutil
 
 GREETING = b"riginv-worker 1\n"
 LONGEST_HEADER = 1 << 26  # bytes; more is not a header
 PATIENCE_S = 10.0  # for the system to end a process that was killed
+LOOK_S = 0.25  # between two looks at its memory, at least: each takes milliseconds
 
 Message = tuple[dict[str, Any], dict[str, np.ndarray]]
 
@@ -42,6 +45,8 @@ class WorkerProcess:
         self._folder = tempfile.TemporaryDirectory(prefix="riginv-worker-", ignore_cleanup_errors=True)
         self._timed_out = False
         self._greeted = False
+        self._memory_at_first: int | None = None
+        self._looked = -math.inf
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -77,6 +82,19 @@ class WorkerProcess:
         if "error" in answer:
             raise WorkerRefusedError(answer["error"])
         return answer, found
+
+    def growth_mb(self) -> float:
+        """By how much it and all that it has started hold more memory than when this was first asked; 0 between two looks."""
+        if time.monotonic() - self._looked < LOOK_S:
+            return 0.0
+        self._looked = time.monotonic()
+        try:
+            worker = psutil.Process(self.pid)
+            memory = sum(one.memory_info().rss for one in (worker, *worker.children(recursive=True)))
+        except psutil.Error:  # whoever ended meanwhile is not counted, and the next request tells of the worker
+            return 0.0
+        self._memory_at_first = memory if self._memory_at_first is None else self._memory_at_first
+        return (memory - self._memory_at_first) / 1e6
 
     def kill(self) -> None:
         """Kill it and all that it started; whoever waits for its answer is told."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from riginv.errors import InputError
 from riginv.rig import Control, Motion, RigBackend
 from rigs.blender.interpreter import find_interpreter, script_command
-from rigs.blender.pool import PoseLostError, WorkerPool
+from rigs.blender.pool import GROWTH_MB, PoseLostError, WorkerPool
 from rigs.blender.process import WorkerRefusedError
 from rigs.blender.selection import Selection, select
 from rigs.blender.twin import twin_file
@@ -30,6 +30,7 @@ class BlenderRig(RigBackend):
         workers: processes at most; None: one for each CPU core, up to 8.
         interpreter: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
         timeout_s: after which a worker is taken for hung.
+        growth_mb: a worker that holds so much more memory than after its first poses is replaced; None: never.
         scripts: whether the file's own Python may run.
         twin_of: a rig to be exported to Blender, and judged there.
 
@@ -51,6 +52,7 @@ class BlenderRig(RigBackend):
         workers: int | None = None,
         interpreter: str | None = None,
         timeout_s: float = 120.0,
+        growth_mb: float | None = GROWTH_MB,
         scripts: bool = False,
         twin_of: RigBackend | None = None,
     ) -> None:
@@ -58,12 +60,15 @@ class BlenderRig(RigBackend):
             raise InputError(f"rig.workers is {workers}, expected at least 1")
         if not timeout_s > 0:
             raise InputError(f"rig.timeout_s is {timeout_s}, expected seconds above 0")
+        if growth_mb is not None and not growth_mb > 0:
+            raise InputError(f"rig.growth_mb is {growth_mb}, expected megabytes above 0, or null")
         program = find_interpreter(interpreter)
         if file is None and twin_of is None:
             raise InputError("rig.file must be given: the .blend that holds the rig")
         path = twin_file(twin_of, program) if file is None else _checked(file)
         load = {"file": str(path), "mesh": mesh, "scripts": scripts}
-        pool = WorkerPool(script_command(program, "worker.py"), load, workers or min(os.cpu_count() or 1, 8), timeout_s)
+        command, workers = script_command(program, "worker.py"), workers or min(os.cpu_count() or 1, 8)
+        pool = WorkerPool(command, load, workers, timeout_s, growth_mb=growth_mb)
         try:
             header, arrays = pool.describe()
         except (WorkerRefusedError, PoseLostError) as error:

@@ -4,7 +4,7 @@ The table is an .npz, or a folder of .npy files, with the arrays controls `(pose
 mm, float32; rest_vertices `(vertex, 3)`; faces `(face, 3)`; control_names, lower, upper, neutral `(control,)`.
 """
 
-import tempfile
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,8 @@ from riginv.cli.command import command
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
 from riginv.errors import InputError
-from riginv.files import written_beside
+from riginv.files import discard, written_beside
+from riginv.locks import alone
 from riginv.rig import RigBackend
 from riginv.sampling.controls import sparse_controls
 from riginv.sampling.seeds import generator_at
@@ -60,9 +61,12 @@ def write_pairs(rig: RigBackend, controls: torch.Tensor, out: Path) -> None:
         "neutral": rig.neutral_controls.numpy(),
     }
     shape = (len(controls), *rig.rest_vertices.shape)
-    with written_beside(out) as beside, tempfile.TemporaryDirectory(dir=beside.parent, prefix=".riginv-pairs-") as temporary:
-        folder = Path(temporary) if out.suffix else beside
-        folder.mkdir(exist_ok=True)
+    with alone(out), written_beside(out) as beside, contextlib.ExitStack() as stack:
+        folder = beside
+        if out.suffix:
+            folder = beside.with_name(f"{beside.name}.arrays")
+            stack.callback(discard, folder)
+        folder.mkdir()
         vertices = np.lib.format.open_memmap(folder / "vertices.npy", "w+", np.float32, shape)
         for start in track(range(0, len(controls), PIECE), "poses", transient=True):
             vertices[start : start + PIECE] = rig(controls[start : start + PIECE]).numpy()

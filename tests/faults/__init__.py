@@ -1,0 +1,1 @@
+"""Faults, injected for real: whatever dies on the way, nothing is lost (docs/reliability.md)."""
