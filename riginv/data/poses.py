@@ -66,6 +66,7 @@ class PoseDataModule(L.LightningDataModule):
         if isinstance(batch, dict):
             return batch
         device = self.trainer.strategy.root_device
+        self.sampler.at_step(int(batch))
         generator = generator_at(self.seed, "training", int(batch), self.trainer.global_rank, device=device)
         return self.sampler.to(device).sample(self.batch_size, generator)
 
