@@ -121,11 +121,12 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path, run, jobs):
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))  # as a full disk: writing fails in the middle of a file
 
     out = tmp_path / "s.zarr"
-    process = start(out, "samples=2000", jobs, before=little_room)
+    little = ["samples=4000", "chunk=2000"]
+    process = start(out, *little, jobs, before=little_room)
     said = process.communicate(timeout=60)[0]
     assert process.returncode == 1 and "cannot be written: File too large" in said and "Traceback" not in said, said
     assert not list(out.rglob("*.partial")) and complete(out) == 0
-    assert run("sample", *TOY, "samples=2000", f"out={out}").code == 0
+    assert run("sample", *TOY, *little, "jobs=1", f"out={out}").code == 0
     assert run("sample", f"verify={out}").code == 0
 
 

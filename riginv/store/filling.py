@@ -12,7 +12,7 @@ import torch
 from riginv.build import build
 from riginv.errors import InputError
 from riginv.fitted_rig import FittedRig
-from riginv.rig import LinearRig
+from riginv.rig import LinearRig, RigBackend
 from riginv.store.checking import Condition, examine
 from riginv.store.description import check_rig, describe
 from riginv.store.layout import Layout, default_chunk
@@ -86,20 +86,9 @@ def fill(config: Config) -> Filled:
         rig = build(config["rig"])
         jobs = config["jobs"] or (cores() if rig.differentiable else 1)
         workers = None
-        if jobs > 1:
-            task = {"place": str(place), "rig": config["rig"], "sampler": config["sampler"]}
-            workers = stack.enter_context(ChunkWorkers(task, jobs))
-        if not isinstance(rig, LinearRig):
-            fitted = store is not None and store.layout.fitted == len(rig.rest_vertices)
-            rig = store.fitted_rig(rig) if fitted else FittedRig.sampled(rig, **config["mesh_space"])
-        layout, facts = planned(config, rig)
-        if store is None:
-            if place.path is None and isinstance(rig, FittedRig) and shard.number:
-                raise InputError(f"{place}: start shard=0/{shard.of} first: it fits the basis that all shards share")
-            store = PoseStore.begin(place, layout, facts, rig)
-            if isinstance(rig, FittedRig):
-                rig = store.fitted_rig(rig.posed)
-        check_same(store, replace(layout, coefficients=store.layout.coefficients), facts, rig)
+        if jobs > 1 and (store is None or absent_of(store, shard)):  # they build their rig while this process builds its own
+            workers = stack.enter_context(ChunkWorkers(config, jobs))
+        store, rig = begun(config, place, shard, store, rig)
         chunks = shard.chunks(store.layout)
         progress.begin("looking through", sum(map(store.layout.count, chunks)))
         found = examine(store, chunks, config["recheck"], progress.advance)
@@ -108,20 +97,46 @@ def fill(config: Config) -> Filled:
             refusal = f"another process is sampling shard {shard} of it: wait for it, or give another out"
             stack.enter_context(place.alone(f"shard-{shard.number}-of-{shard.of}", refusal))
             progress.begin(f"sampling {rig.name}", sum(map(store.layout.count, found.holes)))
-            store = PoseStore.find(place, read_only=False)
-            if workers is None:
-                done = in_this_process(ChunkMaker(store, rig, build_sampler(config["sampler"], rig)), found.holes)
-            else:
+            if jobs > 1:
+                workers = workers or stack.enter_context(ChunkWorkers(config, jobs))
                 done = workers.make(found.holes)
+            else:
+                done = in_this_process(config, place, rig, found.holes)
             for chunk in done:
                 made += store.layout.count(chunk)
                 progress.advance(store.layout.count(chunk))
-        absent = int((store.ledger()[0][:, 0] == 0).sum())
-        return Filled(store, shard, found, made, absent)
+        return Filled(store, shard, found, made, len(absent_of(store)))
 
 
-def in_this_process(maker: ChunkMaker, chunks: list[int]) -> Iterator[int]:
+def begun(config: Config, place: Place, shard: Shard, store: PoseStore | None, rig: RigBackend) -> tuple[PoseStore, LinearRig]:
+    """The store, begun where there is none, and the rig as it is stored.
+
+    Raises:
+        InputError: the store is of another rig or config, or cannot be begun.
+    """
+    if not isinstance(rig, LinearRig):
+        known = store is not None and store.layout.fitted == len(rig.rest_vertices)
+        rig = store.fitted_rig(rig) if known else FittedRig.sampled(rig, **config["mesh_space"])
+    layout, facts = planned(config, rig)
+    if store is None:
+        if place.path is None and isinstance(rig, FittedRig) and shard.number:
+            raise InputError(f"{place}: start shard=0/{shard.of} first: it fits the basis that all shards share")
+        store = PoseStore.begin(place, layout, facts, rig)
+        if isinstance(rig, FittedRig):
+            rig = store.fitted_rig(rig.posed)  # of the process that was quicker, if one was
+    check_same(store, replace(layout, coefficients=store.layout.coefficients), facts, rig)
+    return store, rig
+
+
+def absent_of(store: PoseStore, shard: Shard | None = None) -> list[int]:
+    """The chunks that the ledger does not have, of a shard or of all."""
+    counts = store.ledger()[0][:, 0]
+    return [chunk for chunk in (shard or Shard(0, 1)).chunks(store.layout) if not counts[chunk]]
+
+
+def in_this_process(config: Config, place: Place, rig: LinearRig, chunks: list[int]) -> Iterator[int]:
     """Make chunks one after the other."""
+    maker = ChunkMaker(PoseStore.find(place, read_only=False), rig, build_sampler(config["sampler"], rig))
     for chunk in chunks:
         maker.make(chunk)
         yield chunk

@@ -18,18 +18,20 @@ class ChunkWorkers:
     """Processes that make chunks; they start, and build their rig, at once.
 
     Args:
-        task: the first line of `riginv.store.worker`.
+        config: the plain config of `riginv.sample`.
         jobs: how many.
     """
 
-    def __init__(self, task: dict[str, Any], jobs: int) -> None:
-        self.task = json.dumps(task)
+    def __init__(self, config: dict[str, Any], jobs: int) -> None:
+        self.task = json.dumps({"place": str(config["out"]), "rig": config["rig"], "sampler": config["sampler"]})
+        self.closed = False
         self.processes = [self._start() for _ in range(jobs)]
 
     def __enter__(self) -> "ChunkWorkers":
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.closed = True
         for process in self.processes:
             process.kill()
             process.wait()
@@ -71,6 +73,8 @@ class ChunkWorkers:
                 answer = ""
             if not answer:
                 code = process.wait()
+                if self.closed:
+                    break
                 self.processes[number] = self._start()
                 continue
             said = json.loads(answer)
