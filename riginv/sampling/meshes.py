@@ -180,8 +180,8 @@ class Mixture(MeshSampler):
         samplers, shares = {}, {}
         for name, sampler in self.samplers.items():
             found = sampler.reading(stored)
-            name = "stored" if found is stored else name
-            samplers[name], shares[name] = found, shares.get(name, 0.0) + self.shares[name]
+            kept = "stored" if found is stored else name
+            samplers[kept], shares[kept] = found, shares.get(kept, 0.0) + self.shares[name]
         return Mixture(None, samplers, shares)
 
     def at_step(self, step: int) -> None:

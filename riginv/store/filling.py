@@ -119,6 +119,7 @@ def begun(config: Config, place: Place, shard: Shard, store: PoseStore | None, r
         rig = store.fitted_rig(rig) if known else FittedRig.sampled(rig, **config["mesh_space"])
     layout, facts = planned(config, rig)
     if store is None:
+        build_sampler(config["sampler"], rig)  # it may refuse, and nothing has been written yet
         if place.path is None and isinstance(rig, FittedRig) and shard.number:
             raise InputError(f"{place}: start shard=0/{shard.of} first: it fits the basis that all shards share")
         store = PoseStore.begin(place, layout, facts, rig)

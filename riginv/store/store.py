@@ -184,7 +184,7 @@ class PoseStore:
     def note(self, **attributes: Any) -> None:
         """Keep attributes beside the description."""
         with self.place.writing():
-            self.group.attrs.update(attributes)
+            self.group = zarr.open_group(self.place.open(read_only=False), mode="r+").update_attributes(attributes)
 
     def fitted_rig(self, rig: RigBackend) -> FittedRig:
         """A rig that does not end in a linear map, in the basis that the store was begun with."""
@@ -207,7 +207,7 @@ def _make(store: Any, layout: Layout, facts: dict[str, Any], constants: dict[str
         array = plan.create_in(group, name)
         if name in constants:
             array[:] = constants[name]
-    group.attrs.update({ATTRIBUTE: facts, SUM: description_sum(facts)})  # last: now it is begun
+    group.update_attributes({ATTRIBUTE: facts, SUM: description_sum(facts)})  # last: now it is begun
 
 
 def _planned(place: Place, group: zarr.Group, name: str, plan: Any) -> zarr.Array:
