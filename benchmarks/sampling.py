@@ -1,23 +1,31 @@
 """What stores cost and give: sampling against the rig's own time, poses a second, shards, and reading against training.
 
-    python benchmarks/sampling.py [--samples 1000000] [--folder DIR] [--steps 300]
+    python benchmarks/sampling.py [--samples 1000000] [--folder DIR] [--steps 100]
 
 Every ratio is of figures from this one run. The stores are made under DIR (a new folder in the system's temporary one unless
 given; about 1.5 GB for a million poses of the face) and removed in the end.
 """
 
 import argparse
-import json
 import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from pathlib import Path
 
 import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from rich.console import Console
 from rich.table import Table
 
+from riginv.assemble import build_module, calibrate
+from riginv.assemble import build_sampler as build_sampler_of
+from riginv.cli.explain import CONFIGS
+from riginv.cli.run_folder import plain_config
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.sampling.seeds import generator_at
 from riginv.store.filling import planned
 from riginv.store.making import ChunkMaker, build_sampler
 from riginv.store.place import Place
@@ -25,7 +33,7 @@ from riginv.store.store import PoseStore
 from riginv.store.windows import WindowReader
 from rigs.face import FaceRig
 
-SLOW_POSES, SLOW_RATE = 2048, 200
+SLOW_POSES, SLOW_RATE, BATCH = 2048, 200, 64
 PLAN = {
     "rig": {"_target_": "rigs.face.FaceRig"},
     "sampler": {
@@ -88,24 +96,37 @@ def steady(store: Path, layout_chunk: int) -> float:
     return (len(times) - 1) * layout_chunk / (times[-1] - times[0])
 
 
-def trained(folder: Path, model: str, steps: int, *more: str) -> float:
-    """Poses a second that training takes."""
-    small = ["judging.test_poses=20", "judging.validation_poses=4", "pictures.every_n_validations=null"]
-    run = folder / f"{model}-{len(more)}"
-    seconds_of(
-        command(
-            "train", f"model={model}", f"trainer.max_steps={steps}", *small, *more, f"hydra.run.dir={run}", "data.batch_size=64"
-        )
-    )
-    metrics = json.loads((run / "metrics.json").read_text())
-    return metrics["train/steps"] * 64 / metrics["train/seconds"]
+def training_speed(model: str, store: Path, steps: int) -> dict[str, float]:
+    """Poses a second that training steps take, drawn as they go and from a store, turn by turn."""
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+        config = plain_config(compose("train", [f"model={model}"]))
+    rig = FaceRig()
+    module = build_module(config, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), rig)
+    drawn = build_sampler_of(config, module.rig)
+    calibrate(config, module, drawn)
+    config["data"]["store"] = str(store)
+    samplers = {"drawn": drawn, "stored": build_sampler_of(config, module.rig)}
+    optimizer = module.configure_optimizers()["optimizer"]
+    spent = dict.fromkeys(samplers, 0.0)
+    for step in range(steps + 2):
+        for name, sampler in samplers.items():
+            began = time.perf_counter()
+            sampler.at_step(step)
+            loss = module.training_step(sampler.sample(BATCH, generator_at(0, "training", step)), 0)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            if step >= 2:  # the first two warm up
+                spent[name] += time.perf_counter() - began
+    return {name: steps * BATCH / seconds for name, seconds in spent.items()}
 
 
 def read(store: PoseStore) -> float:
     """Poses a second that training's reader gives, in batches of 64, over a whole epoch."""
     reader, began = WindowReader(store, seed=0), time.perf_counter()
-    for start in range(0, store.layout.samples - 63, 64):
-        reader.poses(start, 64)
+    for start in range(0, store.layout.samples - BATCH + 1, BATCH):
+        reader.poses(start, BATCH)
     return store.layout.samples / (time.perf_counter() - began)
 
 
@@ -114,39 +135,43 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=1_000_000, help="poses of the store that is read and trained on")
     parser.add_argument("--shard-samples", type=int, default=400_000, help="poses where processes are compared")
-    parser.add_argument("--steps", type=int, default=300, help="training steps that are timed")
+    parser.add_argument("--steps", type=int, default=100, help="training steps that are timed")
     parser.add_argument("--folder", type=Path, default=None)
     given = parser.parse_args()
-    table = Table("what", "measured", "asked for")
+    rows = Table("what", "measured", "asked for")
+
+    def say(*row: str) -> None:
+        rows.add_row(*row)
+        print(": ".join(row), flush=True)
+
+    warnings.filterwarnings("ignore", ".*self.trainer.*")
     with tempfile.TemporaryDirectory(dir=given.folder) as temporary:
         folder = Path(temporary)
-        table.add_row(f"store's overhead at {SLOW_RATE} poses/s", f"{overhead(folder):.1%}", "<= 10 %")
+        say(f"store's overhead at {SLOW_RATE} poses/s", f"{overhead(folder):.1%}", "<= 10 %")
 
         few = f"samples={given.shard_samples}"
         one = seconds_of(command("sample", few, "jobs=1", f"out={folder / 'one.zarr'}"))
         shards = [command("sample", few, "jobs=1", f"shard={n}/2", f"out={folder / 'two.zarr'}") for n in range(2)]
         two = seconds_of(*shards)
-        table.add_row(f"one process, {given.shard_samples:,} poses", f"{given.shard_samples / one:,.0f} poses/s", "")
-        table.add_row("two shards in two processes", f"{given.shard_samples / two:,.0f} poses/s: {one / two:.2f} x", ">= 1.6 x")
+        say(f"one process, {given.shard_samples:,} poses", f"{given.shard_samples / one:,.0f} poses/s", "")
+        say("two shards in two processes", f"{given.shard_samples / two:,.0f} poses/s: {one / two:.2f} x", ">= 1.6 x")
 
         store = folder / "poses.zarr"
         whole = seconds_of(command("sample", f"samples={given.samples}", f"out={store}"))
         opened = PoseStore.find(Place(str(store)))
         rate = steady(store, opened.layout.chunk)
         said = f"{given.samples / whole:,.0f} poses/s with the start, {rate:,.0f} without"
-        table.add_row(f"the face, {given.samples:,} poses, a process for each core", said, ">= 20,000 on 2 cores")
+        say(f"the face, {given.samples:,} poses, a process for each core", said, ">= 20,000 on 2 cores")
         size = sum(path.stat().st_size for path in store.rglob("*") if path.is_file())
-        table.add_row("size of that store", f"{size / 1e9:.2f} GB", "")
+        say("size of that store", f"{size / 1e9:.2f} GB", "")
 
         speed = read(opened)
         for model in ("forward", "inverse"):
-            drawn, stored = (trained(folder, model, given.steps, *more) for more in ([], [f"data.store={store}"]))
-            table.add_row(
-                f"reading it, against model={model}",
-                f"{speed:,.0f} poses/s, training takes {drawn:,.0f}: {speed / drawn:.0f} x; from the store {stored:,.0f}",
-                ">= 5 x",
-            )
-    Console(width=140).print(table)
+            taken = training_speed(model, store, given.steps)
+            ratio = f"{speed:,.0f} poses/s, training takes {taken['drawn']:,.0f}: {speed / taken['drawn']:.0f} x"
+            say(f"reading it, against model={model}", ratio, ">= 5 x")
+            say("its steps from the store, against drawn ones", f"{taken['stored'] / taken['drawn']:.2f} x", ">= 1 x")
+    Console(width=140).print(rows)
 
 
 if __name__ == "__main__":
