@@ -203,10 +203,12 @@ def test_compiled_training_leaves_the_same_bundle(run):
     ids=lambda arguments: arguments[-1],
 )
 def test_every_model_trains_in_two_processes(run, arguments):
-    one = run("train", *UNEVEN, *arguments, folder="one")
-    two = run("train", *UNEVEN, *TWO, *arguments, folder="two")
+    """By steepest descent: Adam makes full steps of what is rounding alone, in weights that nothing depends on."""
+    descent = ["model.optimizer._target_=torch.optim.SGD", "surrogate.optimizer._target_=torch.optim.SGD"]
+    one = run("train", *UNEVEN, *descent, *arguments, folder="one")
+    two = run("train", *UNEVEN, *TWO, *descent, *arguments, folder="two")
     assert one.code == two.code == 0, two.text
-    assert apart(one.folder, two.folder) < 1e-2
+    assert apart(one.folder, two.folder) < 1e-3
     assert names(one.folder) == names(two.folder)
 
 
