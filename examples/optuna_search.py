@@ -15,6 +15,7 @@ from hydra import compose, initialize_config_dir
 
 from riginv.assemble import build_rig, build_true_rig
 from riginv.cli.explain import CONFIGS
+from riginv.cli.quiet import hush
 from riginv.cli.run_folder import METRICS, find_run_folder, plain_config
 from riginv.cli.validation import validate
 from riginv.errors import InputError, NonFiniteLossError
@@ -62,6 +63,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path("runs/search"))
     given = parser.parse_args()
+    hush()
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
         try:
             study = search(given.overrides, given.trials, given.out)

@@ -1,8 +1,11 @@
 """Sweeps: one table, resumed to what is missing, the same in whatever processes the jobs run."""
 
 import csv
+import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,7 +17,7 @@ from tensorboard.plugins.hparams import api_pb2, backend_context, get_experiment
 from riginv.cli.sweep_folder import job_name, new_sweep_folder, with_sweep_folder
 from riginv.cli.sweep_record import read_records
 from riginv.errors import InputError
-from tests.conftest import ROOT
+from tests.conftest import ROOT, SMALL
 
 ERROR = "rig_poses/mean_vertex_error_mm"
 TYPED = "hydra:\n  job: {config_name: train}\n  overrides: {task: ['seed=0,1', 'rig=face']}\n"
@@ -134,3 +137,32 @@ def test_the_same_command_finds_its_sweep_again(tmp_path, monkeypatch):
     (folder / "jobs").rmdir()  # what was typed before was refused
     for free in (["-m", "seed=0,2", f"hydra.sweep.dir={folder}"], same):
         assert with_sweep_folder(free, "train") == free
+
+
+@pytest.mark.slow
+def test_the_comparison_of_rigs_and_models_is_six_jobs(run, tmp_path):
+    few = ["trainer.max_steps=2", "data.batch_size=4", "judging.test_poses=6", "judging.validation_poses=2"]
+    few += ["pictures.every_n_validations=null", "trainer.log_every_n_steps=1", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    made = run("train", "-m", "experiment=rigs_and_models", *few, small=False)
+    assert made.code == 0, made.text
+    rows = rows_of(tmp_path / "sweep")
+    assert [row["rig"] for row in rows] == ["face"] * 3 + ["body"] * 3
+    assert {row["model"] for row in rows} == {"inverse", "holden", "forward"}
+    assert all(float(row[ERROR]) > 0 for row in rows)
+
+
+@pytest.mark.slow
+def test_a_search_by_optuna_goes_on_where_it_was(tmp_path):
+    optuna = pytest.importorskip("optuna", reason="optuna is not installed: pip install 'riginv[search]'")
+    small = [text for text in SMALL if not text.startswith(("rig=", "--config-dir", "data.batch_size"))]
+    typed = [*small, "rig._target_=tests.toys.ToyRig", f"--out={tmp_path / 'search'}", "--trials=1"]
+    for _ in range(2):
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+        program = [sys.executable, str(ROOT / "examples/optuna_search.py"), *typed]
+        made = subprocess.run(program, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert made.returncode == 0, made.stderr
+    assert "The best of 2 trials" in made.stdout
+    study = optuna.load_study(study_name="riginv", storage=f"sqlite:///{tmp_path / 'search/study.db'}")
+    for trial in study.trials:
+        metrics = json.loads((tmp_path / f"search/{trial.number:03d}/metrics.json").read_text())
+        assert trial.value == metrics[ERROR]
