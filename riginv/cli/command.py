@@ -91,7 +91,7 @@ class _Job:
             discard_if_empty(folder)
             message = explain(error, self.config_name)
             hydra = HydraConfig.get()
-            if message is None and (message := blame(config, self.config_name, hydra)):
+            if message is None and (message := blame(error, config, self.config_name, hydra)):
                 error = InputError(message)
             if message is None or hydra.mode != RunMode.MULTIRUN:
                 self.error = error
