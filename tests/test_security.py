@@ -376,6 +376,15 @@ def test_a_folder_of_configs_may_still_choose_rigs_numbers_and_launchers(tmp_pat
     check_config_folders(["-cd", str(tmp_path), "rig=mine"])
 
 
+@pytest.mark.parametrize("option", ["--experimental-rerun", "--exper"])
+def test_hydra_unpickles_no_config_of_another_run(run, tmp_path, mark, option):
+    (tmp_path / "config.pickle").write_bytes(hostile.bomb(mark))
+    with pytest.raises(InputError, match="unpickle"):
+        check_config_folders([f"{option}={tmp_path / 'config.pickle'}"])
+    if option == "--exper":
+        refused(run("check", option, str(tmp_path / "config.pickle"), small=False), "unpickle")
+
+
 def test_a_run_folder_from_a_stranger_is_compared_and_not_built(run, tmp_path, mark):
     """resume=true reads config.yaml only to see that it is the one that was typed."""
     (tmp_path / "run").mkdir()
