@@ -17,7 +17,7 @@ from riginv.errors import InputError, in_short
 
 OURS = ("riginv", "rigs")
 KNOWN = (*OURS, "torch")  # what the classes that a user names may be given, beside those of their own package
-DOES_NOT_FIT = (TypeError, ValueError, AttributeError, LookupError, RuntimeError, ArithmeticError)
+DOES_NOT_FIT = (TypeError, ValueError, AttributeError, LookupError, RuntimeError, OverflowError)
 
 
 def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, ...] | None = None) -> Any:

@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -118,6 +118,14 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
 def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cache of the test's own, empty."""
     monkeypatch.setenv("RIGINV_CACHE", str(tmp_path_factory.mktemp("cache")))
+
+
+@pytest.fixture
+def mark(tmp_path: Path) -> Iterator[Path]:
+    """The file that a payload would make; no test leaves it behind."""
+    path = tmp_path / "ran"
+    yield path
+    assert not path.exists(), "the payload ran"
 
 
 @pytest.fixture(scope="session")

@@ -4,10 +4,15 @@ import io
 import os
 import pickle
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 import torch
+
+from riginv.errors import InputError
 
 
 class Mark:
@@ -62,3 +67,9 @@ def yaml_run(mark: Path) -> str:
 def script_of(mark: Path) -> dict:
     """A class of ours that starts a program, as a config would name it."""
     return {"_target_": "rigs.blender.process.WorkerProcess", "command": ["touch", str(mark)]}
+
+
+def sentence(read: Callable[[], Any], says: str = ".") -> None:
+    with pytest.raises(InputError, match=says) as refusal:
+        read()
+    assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 1000

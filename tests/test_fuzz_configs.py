@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
 from riginv.assemble import build_clip, build_module, build_rig, build_sampler, build_trainer, build_true_rig, needs_surrogate
-from riginv.build import build
+from riginv.build import DOES_NOT_FIT, build
 from riginv.cli.blame import wrong_kind
 from riginv.cli.command import options_first
 from riginv.cli.explain import CONFIGS, explain
@@ -143,7 +143,7 @@ def goes_on(name: str, config: dict, usual: dict, folder: Path) -> str | None:
         validate(plain)
         COMMANDS[name][1](plain, folder)
     except Exception as error:
-        sentence = explain(error, name) or wrong_kind(config, usual)
+        sentence = explain(error, name) or (wrong_kind(config, usual) if isinstance(error, DOES_NOT_FIT) else None)
         if sentence is None:
             raise
         assert sentence and "\n" not in sentence and len(sentence) < 2000, sentence

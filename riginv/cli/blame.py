@@ -5,6 +5,8 @@ What a user gives is compared with the config as its files compose it: a list st
 
 import math
 from collections.abc import Mapping
+from fnmatch import fnmatch
+from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
@@ -13,7 +15,9 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from riginv.build import DOES_NOT_FIT
 from riginv.cli.explain import CONFIGS
+from riginv.cli.validation import MAY_BE_NULL
 
 KINDS = ((bool, "true or false"), (int | float, "a number"), (str, "text"), (Mapping, "values with names"), (list, "a list"))
 
@@ -24,10 +28,12 @@ def usual_config(config_name: str, hydra: DictConfig) -> Mapping[str, Any] | Non
     Args:
         hydra: Hydra's own config of the run that failed.
     """
-    chosen = [
-        f"{group}={choice}" for group, choice in hydra.runtime.choices.items() if choice and not group.startswith("hydra")
-    ]
     folders = [source.path for source in hydra.runtime.config_sources if source.provider == "command-line"]
+    chosen = [
+        f"{group}={choice}"
+        for group, choice in hydra.runtime.choices.items()
+        if choice and any((Path(folder) / group.partition("@")[0]).is_dir() for folder in (CONFIGS, *folders))
+    ]
     if folders:
         chosen.append(f"hydra.searchpath=[{','.join(f'file://{folder}' for folder in folders)}]")
     try:
@@ -63,7 +69,8 @@ def wrong_kind(config: Any, usual: Any, key: str = "") -> str | None:
     if usual is None:
         fits = config is None or (isinstance(config, int | float | str) and not isinstance(config, bool))
     else:
-        fits = _kind(config) == _kind(usual)
+        may_be_null = config is None and any(fnmatch(key, pattern) for pattern in MAY_BE_NULL)
+        fits = may_be_null or _kind(config) == _kind(usual)
     if fits and not (isinstance(config, float) and not math.isfinite(config)):
         return None
     return f"{key} is {config!r:.80}, expected {_kind(usual) if usual is not None else 'null, a name or a number'}"
@@ -75,7 +82,7 @@ def _kind(value: Any) -> str:
     return next((words for kind, words in KINDS if isinstance(value, kind)), "null")
 
 
-def blame(config: DictConfig, config_name: str, hydra: DictConfig) -> str | None:
-    """The sentence for a command that failed, where a value of its config is of another kind than usual."""
-    usual = usual_config(config_name, hydra)
+def blame(error: Exception, config: DictConfig, config_name: str, hydra: DictConfig) -> str | None:
+    """The sentence for a command that failed as it may by a value of another kind than usual, where there is such a value."""
+    usual = usual_config(config_name, hydra) if isinstance(error, DOES_NOT_FIT) else None
     return None if usual is None else wrong_kind(plain(config), usual)

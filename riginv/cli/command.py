@@ -101,7 +101,7 @@ class _Job:
             self._work(config)
         except Exception as error:
             discard_if_empty(run_directory())
-            blamed = None if explain(error, self.config_name) else blame(config, self.config_name, HydraConfig.get())
+            blamed = None if explain(error, self.config_name) else blame(error, config, self.config_name, HydraConfig.get())
             self.error = InputError(blamed) if blamed else error
 
     def run_in_sweep(self, config: DictConfig) -> None:
@@ -120,7 +120,7 @@ class _Job:
         try:
             self._work(config)
         except Exception as error:
-            why = explain(error, self.config_name) or blame(config, self.config_name, chosen) or traceback.format_exc()
+            why = explain(error, self.config_name) or blame(error, config, self.config_name, chosen) or traceback.format_exc()
             Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(why)}", highlight=False)
         record.ended(sweep, time.perf_counter() - began, why)
 

@@ -22,6 +22,7 @@ PLUGINS = ("hydra._internal.core_plugins.", "hydra_plugins.", "riginv.cli.sweep.
 MAKES_THINGS = ("_target_", "()", "class")  # the latter two in log handlers
 NEVER = ("env_set", "searchpath")
 BY_HAND = ("interpreter", "scripts")  # they run programs: for the command line
+RERUN = "--e"  # of --experimental-rerun, which may be shortened
 MOST_FILES = 5000
 
 
@@ -29,10 +30,13 @@ def check_config_folders(arguments: Sequence[str]) -> None:
     """Look through the YAML files of all folders that options of a command line add.
 
     Raises:
-        InputError: a file would have Hydra make objects or set variables, or names a program to run.
+        InputError: a file would have Hydra make objects or set variables, or names a program to run; or an option unpickles.
     """
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for names in (("--config-dir", "-cd"), ("--config-path", "-cp")):
+    for argument in arguments:
+        if argument.startswith(RERUN):
+            raise InputError(f"{argument} would unpickle a file, which may run anything: give the same arguments again instead")
+    parser = argparse.ArgumentParser(add_help=False)
+    for names in (("--config-dir", "-cd"), ("--config-path", "-cp"), ("--config-name", "-cn")):
         parser.add_argument(*names, action="append", default=[])
     try:
         given, rest = parser.parse_known_args(list(arguments))

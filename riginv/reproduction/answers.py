@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 
 from riginv.build import build, class_of
@@ -16,7 +16,7 @@ from riginv.methods.judging import Clocked
 from riginv.metrics import nonzero_controls, roughness
 from riginv.reproduction.cast import rig_in_space, trained_rig
 from riginv.reproduction.sets import CLIP, the_sets
-from riginv.reproduction.steps import Task
+from riginv.reproduction.steps import Task, read_tensors
 from riginv.reproduction.training import bundle_of
 
 FILE = "controls.safetensors"
@@ -58,4 +58,4 @@ def answer(task: Task) -> dict[str, Any]:
 
 def read_answers(folder: str | Path) -> dict[str, Tensor]:
     """The controls `(mesh, control)` that a method found, by set."""
-    return load_file(Path(folder) / FILE)
+    return read_tensors(Path(folder) / FILE)

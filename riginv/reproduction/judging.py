@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 
 from riginv.data.mesh_sets import MeshSet
@@ -18,7 +18,7 @@ from riginv.metrics import VertexError
 from riginv.reproduction.answers import read_answers
 from riginv.reproduction.cast import rig_in_space, the_judge, trained_rig
 from riginv.reproduction.sets import CONTROLS_FILE, VERTICES_FILE, KeptPoses, Rows, the_sets
-from riginv.reproduction.steps import Task
+from riginv.reproduction.steps import Task, read_tensors
 from riginv.reproduction.training import bundle_of
 from riginv.rig import RigBackend
 
@@ -73,7 +73,7 @@ def agree(task: Task) -> dict[str, Any]:
 
 def read_errors(folder: str | Path) -> dict[str, Tensor]:
     """What `judge` left: mean vertex errors, mm, by SET/mesh `(mesh,)` and SET/vertex `(vertex,)`."""
-    return load_file(Path(folder) / ERRORS_FILE)
+    return read_tensors(Path(folder) / ERRORS_FILE)
 
 
 @torch.no_grad()

@@ -7,6 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from riginv.errors import InputError, in_short
 from riginv.files import write_json
 
 FORMAT = 1  # of what a step leaves; another one is not read
@@ -101,6 +106,18 @@ class Graph:
 def write_done(folder: Path, seconds: float, figures: Mapping[str, Any]) -> None:
     """Mark a step as finished; written last."""
     write_json(folder / DONE, {"format": FORMAT, "seconds": round(seconds, 2), "figures": figures})
+
+
+def read_tensors(path: Path) -> dict[str, Tensor]:
+    """The tensors that a finished step left.
+
+    Raises:
+        InputError: they cannot be read.
+    """
+    try:
+        return load_file(path)
+    except (OSError, ValueError, KeyError, SafetensorError) as error:
+        raise InputError(f"{path}: damaged ({in_short(error)}): remove its folder, and the step is run again") from None
 
 
 def read_done(folder: Path) -> dict[str, Any] | None:

@@ -24,6 +24,7 @@ from riginv.inverse import load_inverse
 from riginv.inversion.control_names import read_mask
 from riginv.inversion.regions import read_region
 from riginv.pairs import read_pairs, write_pairs
+from riginv.reproduction.answers import read_answers
 from riginv.reproduction.steps import read_done, write_done
 from rigs.gltf import GltfRig
 from rigs.shapes import ShapesRig
@@ -207,6 +208,13 @@ def _kept_step(folder: Path) -> Target:
     return Target([folder / "done.json"], lambda: read_done(folder))
 
 
+def _step_tensors(folder: Path) -> Target:
+    from safetensors.torch import save_file
+
+    save_file({"clip": torch.rand(3, 4)}, folder / "controls.safetensors")
+    return Target([folder / "controls.safetensors"], lambda: read_answers(folder))
+
+
 def _cache(folder: Path) -> Target:
     def read() -> None:
         found = cached_tensors("fuzz", "key", lambda: {"a": torch.arange(6.0)})
@@ -267,6 +275,7 @@ READERS: dict[str, Make] = {
     "results": _results,
     "kept methods": _kept_methods,
     "kept steps": _kept_step,
+    "step tensors": _step_tensors,
     "cache": _cache,
     "control masks": _masks,
     "vertex regions": _regions,
