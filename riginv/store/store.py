@@ -171,7 +171,7 @@ class PoseStore:
             self.arrays[LEDGER][chunk] = np.array([self.layout.count(chunk), *sums], np.uint32)
 
     def clear_leftovers(self) -> None:
-        """Remove what processes that were killed left half-written; only once every chunk is complete, since others may write."""
+        """Remove what killed processes left half-written; only once every chunk is complete, since others may be writing."""
         if self.place.path is not None:
             with self.place.writing():
                 for left in self.place.path.rglob("*.partial"):
