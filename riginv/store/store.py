@@ -165,21 +165,17 @@ class PoseStore:
         """
         sums = [checksum(values[name]) for name in self.layout.checked]
         with self.place.writing():
-            self._clear_leftovers(chunk)
+            self.arrays[LEDGER][chunk] = 0  # while it is written it is absent
             for name in self.layout.checked:
                 self.arrays[name][self.layout.place(name, chunk)] = values[name]
             self.arrays[LEDGER][chunk] = np.array([self.layout.count(chunk), *sums], np.uint32)
 
-    def _clear_leftovers(self, chunk: int) -> None:
-        """Remove what a process that was killed left of writing a chunk, and its row of the ledger: it is absent now."""
-        if self.place.path is None:
-            return
-        for name in (LEDGER, *self.layout.checked):
-            folder = self.place.path / name / "c" / str(chunk)
-            if folder.is_dir():
-                for left in [*folder.rglob("*.partial"), *(folder.rglob("*") if name == LEDGER else ())]:
-                    if left.is_file():
-                        discard(left)
+    def clear_leftovers(self) -> None:
+        """Remove what killed processes left half-written; only once every chunk is complete, since others may be writing."""
+        if self.place.path is not None:
+            with self.place.writing():
+                for left in self.place.path.rglob("*.partial"):
+                    discard(left)
 
     def note(self, **attributes: Any) -> None:
         """Keep attributes beside the description."""

@@ -20,7 +20,7 @@ def range_seen(store: PoseStore) -> dict[str, list[float]]:
 
 
 def cost(store: PoseStore) -> dict[str, float]:
-    """What storing cost, by the kinds of `ERRORS`, over all chunks; the last chunk may be smaller, which means do not heed."""
+    """What storing cost, by the kinds of `ERRORS`, over all chunks."""
     values = store.arrays[COST][:]
     counts = store.arrays[LEDGER][:, 0].astype(float)
     found = {}
@@ -36,6 +36,7 @@ def cost(store: PoseStore) -> dict[str, float]:
 
 def finish(store: PoseStore) -> None:
     """Let a store whose chunks are all there say so, with the range of each control and what storing cost."""
+    store.clear_leftovers()
     said = {"finished": True, "range_seen": range_seen(store), "errors": cost(store)}
     if any(store.group.attrs.get(key) != value for key, value in said.items()):
         store.note(**said)
