@@ -41,7 +41,7 @@ def ranked_by(rows: Sequence[Row]) -> str | None:
 
 
 def error_columns(rows: Sequence[Row]) -> list[str]:
-    return [key for key in dict.fromkeys(key for row in rows for key in row) if key.endswith(ERROR) and "neutral" not in key]
+    return [key for key in dict.fromkeys(key for row in rows for key in row) if key.endswith(ERROR)]
 
 
 def swept_columns(rows: Sequence[Row]) -> list[str]:
