@@ -1,7 +1,9 @@
 """Stores of poses: what a stranger reads there, what is missing or damaged, and the order in which training reads."""
 
 import json
+import os
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -203,6 +205,25 @@ def test_of_two_that_write_one_shard_one_refuses(tmp_path):
             filled(tmp_path / "s.zarr", shard="0/2")
     assert fill({**PLAN, "out": str(tmp_path / "s.zarr"), "shard": "0/2"}).absent == 0
     assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
+
+
+def test_a_read_only_folder_is_one_sentence():
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        closed = Path(folder, "closed")
+        filled(closed / "begun.zarr", shard="0/2")
+        closed.chmod(0o555)
+        root = os.geteuid() == 0  # who may write anywhere
+        if root:
+            os.seteuid(65534)
+        try:
+            for name in ("begun.zarr", "new.zarr"):
+                with pytest.raises(InputError, match="cannot be written: Permission denied"):
+                    filled(closed / name)
+        finally:
+            if root:
+                os.seteuid(0)
+            closed.chmod(0o755)
 
 
 def test_nan_names_the_pose(tmp_path):
