@@ -3,7 +3,7 @@
     python benchmarks/sampling.py [--samples 1000000] [--folder DIR] [--steps 100]
 
 Every ratio is of figures from this one run. The stores are made under DIR (a new folder in the system's temporary one unless
-given; about 1.5 GB for a million poses of the face) and removed in the end.
+given; about 0.8 GB for a million poses of the face) and removed in the end.
 """
 
 import argparse
