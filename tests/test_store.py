@@ -15,6 +15,8 @@ from filelock import FileLock
 from riginv.errors import InputError
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig import LinearRig
+from riginv.sampling.controls import PlausibleControls, SparseControls
+from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
 from riginv.store.checking import examine
 from riginv.store.filling import Shard, fill
 from riginv.store.layout import Layout
@@ -134,6 +136,13 @@ def test_damage_is_named_and_made_good(whole, copy, damage, name):
     assert (name, damage) == ("ledger", Path.unlink) or f"chunk 3 of '{name}'" in found.damaged[3]
     assert fill({**PLAN, "out": str(copy)}).made == 20
     assert same(whole, copy) and examine(PoseStore.find(Place(str(copy)))).whole
+
+
+@pytest.mark.parametrize("damage", [flip, Path.unlink])
+def test_damage_in_other_shards_is_named_at_the_end(copy, damage):
+    damage(copy / "control_range/c/3/0/0")
+    with pytest.raises(InputError, match="'control_range' is .*again, which makes it anew, for all shards"):
+        finish(PoseStore.find(Place(str(copy))))
 
 
 def test_a_chunk_in_the_place_of_another_is_noticed(copy):
@@ -334,6 +343,18 @@ def test_stored_poses_are_those_of_the_rig(whole, tmp_path, toy):
     halved = StoreSampler(toy, str(tmp_path / "half.zarr"), seed=0).sample(64, torch.Generator())
     assert halved["coefficients"].dtype == torch.float32 and torch.equal(halved["controls"], batch["controls"])
     torch.testing.assert_close(halved["coordinates"], batch["coordinates"], atol=0.05, rtol=0)
+
+
+def test_stored_poses_take_the_share_of_those_that_ask_the_rig(whole, toy):
+    parts = {"drawn": RandomCombinations(toy), "sparse": RigPoses(toy, SparseControls(toy))}
+    parts["plausible"] = RigPoses(toy, PlausibleControls(toy))
+    stored = StoreSampler(toy, str(whole), seed=0)
+    mixed = Mixture(toy, parts, {"drawn": 2, "sparse": 1, "plausible": 1}).reading(stored)
+    assert mixed.shares == {"drawn": 0.5, "stored": 0.5}
+    mixed.at_step(3)
+    batch = mixed.sample(64, torch.Generator())
+    expected = stored.reader.poses(3 * 32, 32)
+    torch.testing.assert_close(batch["coordinates"][32:], toy.coordinates_of(expected["coefficients"]))
 
 
 def test_training_refuses_other_and_unfinished_stores(whole, tmp_path, toy):

@@ -147,7 +147,7 @@ class PoseStore:
         except UNREADABLE as error:
             raise DamagedError(f"{self}: '{name}' is damaged ({_first_line(error)}): {AGAIN}, for all shards") from None
         if not np.isfinite(values).all():
-            raise DamagedError(f"{self}: part of '{name}' is missing: {AGAIN}, for all shards")
+            raise DamagedError(f"{self}: a part of '{name}' is missing: {AGAIN}, for all shards")
         return values
 
     def ledger(self) -> tuple[np.ndarray, list[int]]:
