@@ -3,7 +3,7 @@
     python benchmarks/sampling.py [--samples 1000000] [--folder DIR] [--steps 100]
 
 Every ratio is of figures from this one run. The stores are made under DIR (a new folder in the system's temporary one unless
-given; about 1.5 GB for a million poses of the face) and removed in the end.
+given; about 0.8 GB for a million poses of the face) and removed in the end.
 """
 
 import argparse
@@ -134,7 +134,7 @@ def main() -> None:
     """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=1_000_000, help="poses of the store that is read and trained on")
-    parser.add_argument("--shard-samples", type=int, default=400_000, help="poses where processes are compared")
+    parser.add_argument("--shard-samples", type=int, default=600_000, help="poses where processes are compared")
     parser.add_argument("--steps", type=int, default=100, help="training steps that are timed")
     parser.add_argument("--folder", type=Path, default=None)
     given = parser.parse_args()

@@ -1,7 +1,9 @@
 """Stores of poses: what a stranger reads there, what is missing or damaged, and the order in which training reads."""
 
 import json
+import os
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,8 @@ from filelock import FileLock
 from riginv.errors import InputError
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig import LinearRig
+from riginv.sampling.controls import PlausibleControls, SparseControls
+from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
 from riginv.store.checking import examine
 from riginv.store.filling import Shard, fill
 from riginv.store.layout import Layout
@@ -134,6 +138,13 @@ def test_damage_is_named_and_made_good(whole, copy, damage, name):
     assert same(whole, copy) and examine(PoseStore.find(Place(str(copy)))).whole
 
 
+@pytest.mark.parametrize("damage", [flip, Path.unlink])
+def test_damage_in_other_shards_is_named_at_the_end(copy, damage):
+    damage(copy / "control_range/c/3/0/0")
+    with pytest.raises(InputError, match="'control_range' is .*again, which makes it anew, for all shards"):
+        finish(PoseStore.find(Place(str(copy))))
+
+
 def test_a_chunk_in_the_place_of_another_is_noticed(copy):
     shutil.copy(copy / "coefficients/c/4/0", copy / "coefficients/c/5/0")
     assert list(examine(PoseStore.find(Place(str(copy)))).damaged) == [5]
@@ -203,6 +214,25 @@ def test_of_two_that_write_one_shard_one_refuses(tmp_path):
             filled(tmp_path / "s.zarr", shard="0/2")
     assert fill({**PLAN, "out": str(tmp_path / "s.zarr"), "shard": "0/2"}).absent == 0
     assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
+
+
+def test_a_read_only_folder_is_one_sentence():
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        closed = Path(folder, "closed")
+        filled(closed / "begun.zarr", shard="0/2")
+        closed.chmod(0o555)
+        root = os.geteuid() == 0  # who may write anywhere
+        if root:
+            os.seteuid(65534)
+        try:
+            for name in ("begun.zarr", "new.zarr"):
+                with pytest.raises(InputError, match="cannot be written: Permission denied"):
+                    filled(closed / name)
+        finally:
+            if root:
+                os.seteuid(0)
+            closed.chmod(0o755)
 
 
 def test_nan_names_the_pose(tmp_path):
@@ -313,6 +343,18 @@ def test_stored_poses_are_those_of_the_rig(whole, tmp_path, toy):
     halved = StoreSampler(toy, str(tmp_path / "half.zarr"), seed=0).sample(64, torch.Generator())
     assert halved["coefficients"].dtype == torch.float32 and torch.equal(halved["controls"], batch["controls"])
     torch.testing.assert_close(halved["coordinates"], batch["coordinates"], atol=0.05, rtol=0)
+
+
+def test_stored_poses_take_the_share_of_those_that_ask_the_rig(whole, toy):
+    parts = {"drawn": RandomCombinations(toy), "sparse": RigPoses(toy, SparseControls(toy))}
+    parts["plausible"] = RigPoses(toy, PlausibleControls(toy))
+    stored = StoreSampler(toy, str(whole), seed=0)
+    mixed = Mixture(toy, parts, {"drawn": 2, "sparse": 1, "plausible": 1}).reading(stored)
+    assert mixed.shares == {"drawn": 0.5, "stored": 0.5}
+    mixed.at_step(3)
+    batch = mixed.sample(64, torch.Generator())
+    expected = stored.reader.poses(3 * 32, 32)
+    torch.testing.assert_close(batch["coordinates"][32:], toy.coordinates_of(expected["coefficients"]))
 
 
 def test_training_refuses_other_and_unfinished_stores(whole, tmp_path, toy):

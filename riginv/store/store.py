@@ -20,7 +20,7 @@ from riginv.store.layout import BASIS, FORMAT, LEDGER, NEUTRAL, Layout
 from riginv.store.place import Place
 
 ATTRIBUTE, SUM = "riginv", "riginv_sha256"
-AGAIN = "give the sampling command again to make it anew"
+AGAIN = "give the sampling command again, which makes it anew"
 UNREADABLE = (ValueError, KeyError, TypeError, RuntimeError, EOFError)  # of what zarr says of damaged files
 
 
@@ -135,6 +135,20 @@ class PoseStore:
         if not np.isfinite(values).all():
             raise DamagedError(f"{self}: '{name}' is missing: sample another store")
         return torch.from_numpy(values)
+
+    def of_all_chunks(self, name: str) -> np.ndarray:
+        """A whole array that has one row for each chunk, of a store whose chunks are all there.
+
+        Raises:
+            DamagedError: part of it cannot be read, or is missing.
+        """
+        try:
+            values = self.arrays[name][:]
+        except UNREADABLE as error:
+            raise DamagedError(f"{self}: '{name}' is damaged ({_first_line(error)}): {AGAIN}, for all shards") from None
+        if not np.isfinite(values).all():
+            raise DamagedError(f"{self}: a part of '{name}' is missing: {AGAIN}, for all shards")
+        return values
 
     def ledger(self) -> tuple[np.ndarray, list[int]]:
         """The ledger `(chunk, 1 + array)`, with 0 for chunks that are absent, and the chunks whose row is damaged."""

@@ -7,22 +7,21 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from riginv.store.layout import CONTROL_RANGE, COST, ERRORS, LEDGER
+from riginv.store.layout import CONTROL_RANGE, COST, ERRORS
 from riginv.store.store import PoseStore
 
 
 def range_seen(store: PoseStore) -> dict[str, list[float]]:
     """The least and the greatest value of each control over all chunks."""
-    seen = store.arrays[CONTROL_RANGE][:]
-    least, greatest = np.nanmin(seen[:, 0], axis=0).tolist(), np.nanmax(seen[:, 1], axis=0).tolist()
+    seen = store.of_all_chunks(CONTROL_RANGE)
+    least, greatest = seen[:, 0].min(axis=0).tolist(), seen[:, 1].max(axis=0).tolist()
     names = [control["name"] for control in store.facts["rig"]["controls"]]
     return {name: list(ends) for name, ends in zip(names, zip(least, greatest))}
 
 
 def cost(store: PoseStore) -> dict[str, float]:
     """What storing cost, by the kinds of `ERRORS`, over all chunks."""
-    values = store.arrays[COST][:]
-    counts = store.arrays[LEDGER][:, 0].astype(float)
+    values, counts = store.of_all_chunks(COST), store.ledger()[0][:, 0].astype(float)
     found = {}
     for kind, column in zip(ERRORS, values.T):
         if "greatest" in kind:
