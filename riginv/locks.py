@@ -1,7 +1,7 @@
 """One process at a time in a folder: locks of the operating system, which go with the process however it ends."""
 
 import os
-import socket
+import platform
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -84,5 +84,5 @@ def _locked(file: Path, of: Path) -> FileLock:
                 f"wait until it has ended, end it, or choose another place"
             ) from None
         raise FolderInUseError(f"{of} is in use by another process: wait until it has ended, or choose another place") from None
-    file.write_text(f"process {os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
+    file.write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
     return lock

@@ -7,12 +7,13 @@ one prints on the terminal; what the others print is thrown away. Should this pr
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+from lightning.fabric.plugins.environments.lightning import find_free_network_port
 
 from riginv.cli.watched import REPORT, WATCHER, read_report
 from riginv.errors import InputError
@@ -57,7 +58,7 @@ def _start(count: int, folder: Path, reports: Path) -> list[subprocess.Popen]:
         WATCHER: str(os.getpid()),
         "WORLD_SIZE": str(count),
         "MASTER_ADDR": "127.0.0.1",
-        "MASTER_PORT": str(_free_port()),
+        "MASTER_PORT": str(find_free_network_port()),
         "NODE_RANK": "0",
     }
     processes: list[subprocess.Popen] = []
@@ -127,9 +128,3 @@ def _tell(died: dict[int, int], count: int, reports: Path) -> None:
         first = "".join((reports / f"{rank}.stderr").read_text(errors="replace") for rank in died)
     print(first, file=sys.stderr)
     sys.exit(1)
-
-
-def _free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]

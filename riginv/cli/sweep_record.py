@@ -8,7 +8,7 @@ sweep.csv, sweep.md   the table, once all have ended
 """
 
 import json
-import socket
+import platform
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -59,7 +59,7 @@ class JobRecord:
     def started(self, sweep: Path) -> None:
         """Note that it runs here, and forget why it failed before."""
         discard(sweep / self.name / FAILURE)
-        self.starts, self.why, self.host = self.starts + 1, "", socket.gethostname()
+        self.starts, self.why, self.host = self.starts + 1, "", platform.node()
         self._write(sweep, RUNNING)
 
     def ended(self, sweep: Path, seconds: float, why: str | None) -> None:
