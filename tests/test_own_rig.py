@@ -34,7 +34,11 @@ def installed(tmp_path_factory) -> Path:
 
 
 def test_the_wheel_holds_code_and_configs_and_nothing_else(installed):
-    assert {path.name for path in installed.iterdir() if not path.name.endswith(".dist-info")} == {"riginv", "rigs"}
+    assert {path.name for path in installed.iterdir() if not path.name.endswith(".dist-info")} == {
+        "riginv",
+        "rigs",
+        "hydra_plugins",
+    }
     assert (installed / "riginv/conf/rig/face.yaml").is_file() and (installed / "riginv/conf/train.yaml").is_file()
 
 

@@ -160,7 +160,7 @@ def test_a_sweep_over_shards_fills_one_store(tmp_path, run):
     assert run("sample", *LITTLE, f"out={whole}").code == 0
     sweep = ["-m", "shard=0/2,1/2", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
     ended = run("sample", *sweep, *LITTLE, f"out={swept}")
-    assert ended.code == 0 and ended.text.rstrip().endswith("finished"), ended.text
+    assert ended.code == 0 and "finished" in ended.text, ended.text
     assert same(whole, swept)
 
 

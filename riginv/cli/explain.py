@@ -75,7 +75,8 @@ def _unknown_choice(error: MissingConfigException) -> str:
             if f"{typed.partition('@')[0]}/{one}" == path:
                 group, choice = typed.partition("@")[0], one
     folder = CONFIGS / group
-    files = list(folder.glob("*.yaml")) or list(folder.rglob("*.yaml"))
+    files = [] if "/" in choice else list(folder.glob("*.yaml"))  # of choices in folders all are shown
+    files = files or list(folder.rglob("*.yaml"))
     known = {file.relative_to(folder).with_suffix("").as_posix() for file in files}
     known |= {option for option in error.options or [] if not (folder / option).is_dir()}
     return f"{group}={choice}: there is no such {group}{_near(choice, known)} Known: {', '.join(sorted(known))}"
