@@ -1,5 +1,6 @@
 """riginv.sample as a user types it: killed, stopped, spread over jobs, and trained from."""
 
+import contextlib
 import os
 import resource
 import shutil
@@ -50,7 +51,7 @@ def test_killed_and_given_again_it_ends_in_the_same_arrays(tmp_path, run):
     assert made.code == 0 and "finished" in made.text, made.text
     process = start(broken, "jobs=2")
     wait_for(process, broken, chunks=5)
-    workers = subprocess.run(["ps", "--ppid", str(process.pid), "-o", "pid="], capture_output=True, text=True).stdout.split()
+    workers = children(process.pid)
     process.kill()
     process.communicate()
     assert len(workers) == 2 and ended(workers)
@@ -73,6 +74,16 @@ def wait_for(process: subprocess.Popen, out: Path, chunks: int) -> None:
     while process.poll() is None and complete(out) < chunks:
         time.sleep(0.005)
     assert process.poll() is None, process.communicate()[0]
+
+
+def children(parent: int) -> list[str]:
+    """The processes that a process has started."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            if int(stat.read_text().rpartition(")")[2].split()[1]) == parent:
+                found.append(stat.parent.name)
+    return found
 
 
 def ended(pids: list[str]) -> bool:
