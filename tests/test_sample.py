@@ -95,6 +95,7 @@ def ended(pids: list[str]) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_replaced(tmp_path):
     config = {**PLAN, "out": str(tmp_path / "s.zarr")}
     fill({**config, "shard": "12/13"})  # one chunk, to begin it
@@ -178,13 +179,11 @@ def test_a_sweep_over_shards_fills_one_store(tmp_path, run):
 @pytest.fixture(scope="module")
 def store(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("stores") / "poses.zarr"
-    arguments = [CONFIGS, "rig=toy", "samples=4000", "chunk=50", "jobs=1", f"out={out}"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, "-m", "riginv.sample", *arguments], env=environment, check=True, capture_output=True)
+    fill({**PLAN, "samples": 4000, "chunk": 50, "out": str(out)})
     return out
 
 
-@pytest.mark.parametrize("model", ["forward", "holden", "inverse"])
+@pytest.mark.parametrize("model", ["forward", "inverse", pytest.param("holden", marks=pytest.mark.slow)])
 def test_every_model_trains_from_a_store(store, run, model):
     small = [] if model == "inverse" else ["model.optimizer.lr=1e-3"]
     made = run("train", f"model={model}", f"data.store={store}", *small)
