@@ -102,6 +102,7 @@ def test_the_result_does_not_depend_on_shards(whole, tmp_path, shards):
     assert same(whole, tmp_path / "s.zarr")
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_jobs(whole, tmp_path):
     filled(tmp_path / "two.zarr", jobs=2)
     assert same(whole, tmp_path / "two.zarr")
