@@ -31,6 +31,7 @@ from riginv.sampling.choice import fitted
 from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise
 from riginv.sampling.noise import CaptureNoise
 from riginv.sampling.seeds import generator_at
+from riginv.store.training import reading_store, rig_of_store
 
 Config = dict[str, Any]
 CALIBRATION_MESHES = 1024
@@ -44,7 +45,10 @@ def build_rig(config: Config) -> LinearRig:
         InputError: it cannot be built or posed.
     """
     rig = build(config["rig"])
-    return rig if isinstance(rig, LinearRig) else FittedRig.sampled(rig, **config["mesh_space"])
+    if isinstance(rig, LinearRig):
+        return rig
+    stored = config.get("data", {}).get("store")
+    return rig_of_store(stored, rig) if stored else FittedRig.sampled(rig, **config["mesh_space"])
 
 
 def needs_surrogate(config: Config, rig: LinearRig) -> bool:
@@ -115,7 +119,9 @@ def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:
         sampler = StoredPoses(rig.rig.poses_to_train_on(rig.space))
     else:
         sampler = build(fitted(config["sampler"], rig.rig), rig)
-        if not rig.rig.differentiable:
+        if config["data"]["store"]:
+            sampler = reading_store(sampler, rig, config)
+        elif not rig.rig.differentiable:
             stored = stored or config["data"]["black_box_poses"]
     if stored:
         sampler = StoredPoses.drawn(sampler, stored, generator_at(config["seed"], "stored poses"))

@@ -75,8 +75,11 @@ class FittedRig(LinearRig):
         return cls(rig, basis)
 
     def coefficients(self, controls: Tensor) -> Tensor:
-        change = self.posed(controls) - self.rest_vertices.to(controls)
-        return change.flatten(1) @ self.projection.to(controls)
+        return self.coefficients_of(self.posed(controls))
+
+    def coefficients_of(self, vertices: Tensor) -> Tensor:
+        """The coefficients `(batch, coefficient)` of meshes `(batch, vertex, 3)`, mm, of the rig."""
+        return (vertices - self.rest_vertices.to(vertices)).flatten(1) @ self.projection.to(vertices)
 
     def neutral_coefficients(self) -> Tensor:
         return self.basis.new_zeros(1, len(self.basis))

@@ -11,7 +11,7 @@ import pytest
 import torch
 from hydra.core.global_hydra import GlobalHydra
 
-from riginv import check, compare, evaluate, export_onnx, invert, reproduce, train
+from riginv import check, compare, evaluate, export_onnx, invert, reproduce, sample, train
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
@@ -27,6 +27,7 @@ COMMANDS = {
     "invert": invert.invert,
     "export_onnx": export_onnx.export_onnx,
     "reproduce": reproduce.reproduce,
+    "sample": sample.sample,
 }
 SMALL = [
     "rig=toy",
@@ -93,6 +94,7 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
         if not any(argument.startswith(("hydra.run.dir", "hydra.sweep.dir")) for argument in given) and name not in (
             "check",
             "invert",
+            "sample",
         ):
             given.append(f"hydra.run.dir={target}")
         monkeypatch.setattr(sys, "argv", [f"riginv.{name}", *given])

@@ -19,6 +19,7 @@ WIDTHS: Check = (
 )
 WHOLE: Check = ("a whole number", lambda value: _is_whole(value))
 BOOLEAN: Check = ("true or false", lambda value: isinstance(value, bool))
+TEXT: Check = ("a path or a URL", lambda value: isinstance(value, str) and value != "")
 
 # Key in the resolved config (with wildcards) -> what it must be; null is allowed where a default says so.
 RULES: dict[str, Check] = {
@@ -27,7 +28,13 @@ RULES: dict[str, Check] = {
     "refine": AT_LEAST_0,
     "poses": AT_LEAST_1,
     "stop_below_lr": POSITIVE,
+    "data.store": TEXT,
     "data.*": AT_LEAST_1,
+    "samples": AT_LEAST_1,
+    "chunk": AT_LEAST_1,
+    "vertices": BOOLEAN,
+    "recheck": BOOLEAN,
+    "dtype": ("float32 or float16", lambda value: value in ("float32", "float16")),
     "mesh_space.samples": AT_LEAST_1,
     "*residual_mm": POSITIVE,
     "methods.*.smoothness": NOT_NEGATIVE,
@@ -93,6 +100,7 @@ RULES: dict[str, Check] = {
 MAY_BE_NULL = (
     *("frames.first", "frames.last"),
     *("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations"),
+    *("data.store", "chunk"),
     *("jobs", "budget.frames", "budget.networks.*.steps"),
 )
 

@@ -65,6 +65,7 @@ class PoseDataModule(L.LightningDataModule):
     def on_after_batch_transfer(self, batch: torch.Tensor | PoseBatch, dataloader_idx: int) -> PoseBatch:
         if isinstance(batch, dict):
             return batch
+        self.sampler.at_step(int(batch))
         device = self.trainer.strategy.root_device
         generator = generator_at(self.seed, "training", int(batch), self.trainer.global_rank, device=device)
         return self.sampler.to(device).sample(self.batch_size, generator)

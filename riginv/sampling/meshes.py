@@ -48,6 +48,23 @@ class MeshSampler(nn.Module, ABC):
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         """A batch of `count` meshes, without gradients."""
 
+    def sample_controls(self, count: int, generator: torch.Generator) -> Tensor:
+        """Controls `(count, control)` alone, for who poses the rig elsewhere.
+
+        Raises:
+            InputError: it draws meshes that are no poses of the rig.
+        """
+        raise InputError(
+            f"{type(self).__name__} draws meshes that no controls make: choose a sampler of poses, such as sampler=rig_poses"
+        )
+
+    def reading(self, stored: "MeshSampler") -> "MeshSampler":
+        """The same sampler, with poses that are stored in place of those that it would ask the rig for."""
+        return self
+
+    def at_step(self, step: int) -> None:
+        """Training has come to a step; what reads stored poses in order goes to its place."""
+
 
 class RigPoses(MeshSampler):
     """Poses of the rig, with the controls that made them."""
@@ -55,6 +72,12 @@ class RigPoses(MeshSampler):
     def __init__(self, rig: RigInMeshSpace, controls: ControlSampler) -> None:
         super().__init__()
         self.rig, self.controls = rig, controls
+
+    def sample_controls(self, count: int, generator: torch.Generator) -> Tensor:
+        return self.controls.sample(count, generator)
+
+    def reading(self, stored: MeshSampler) -> MeshSampler:
+        return stored
 
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
@@ -132,7 +155,7 @@ class Mixture(MeshSampler):
         InputError: the names differ, or a share is negative, or all are zero.
     """
 
-    def __init__(self, rig: RigInMeshSpace, samplers: Mapping[str, MeshSampler], shares: Mapping[str, float]) -> None:
+    def __init__(self, rig: RigInMeshSpace | None, samplers: Mapping[str, MeshSampler], shares: Mapping[str, float]) -> None:
         super().__init__()
         if set(samplers) != set(shares):
             raise InputError(f"sampler.shares names {sorted(shares)}, expected {sorted(samplers)} as in sampler.samplers")
@@ -146,13 +169,30 @@ class Mixture(MeshSampler):
         self.shares = {name: shares[name] / total for name in samplers}
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
-        ends = torch.tensor(list(self.shares.values())).cumsum(0).mul(count).round().long().tolist()
-        parts = []
-        for sampler, start, end in zip(self.samplers.values(), [0, *ends], ends):
-            if end > start:
-                parts.append(sampler.sample(end - start, generator))
+        parts = [sampler.sample(size, generator) for sampler, size in self._sizes(count)]
         common = set.intersection(*(set(part) for part in parts))  # controls only where every part knows them
         return PoseBatch({key: torch.cat([part[key] for part in parts]) for key in sorted(common)})
+
+    def sample_controls(self, count: int, generator: torch.Generator) -> Tensor:
+        return torch.cat([sampler.sample_controls(size, generator) for sampler, size in self._sizes(count)])
+
+    def reading(self, stored: MeshSampler) -> MeshSampler:
+        samplers, shares = {}, {}
+        for name, sampler in self.samplers.items():
+            found = sampler.reading(stored)
+            kept = "stored" if found is stored else name
+            samplers[kept], shares[kept] = found, shares.get(kept, 0.0) + self.shares[name]
+        return Mixture(None, samplers, shares)
+
+    def at_step(self, step: int) -> None:
+        for sampler in self.samplers.values():
+            sampler.at_step(step)
+
+    def _sizes(self, count: int) -> list[tuple[MeshSampler, int]]:
+        """How many of a batch each sampler makes, those left out that make none."""
+        ends = torch.tensor(list(self.shares.values())).cumsum(0).mul(count).round().long().tolist()
+        sizes = zip(self.samplers.values(), [0, *ends], ends)
+        return [(sampler, end - start) for sampler, start, end in sizes if end > start]
 
 
 class WithNoise(MeshSampler):
@@ -161,6 +201,9 @@ class WithNoise(MeshSampler):
     def __init__(self, sampler: MeshSampler, noise: nn.Module) -> None:
         super().__init__()
         self.sampler, self.noise = sampler, noise
+
+    def at_step(self, step: int) -> None:
+        self.sampler.at_step(step)
 
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:

@@ -1,0 +1,94 @@
+"""python -m riginv.sample: poses of a rig, by the million, in a store that any process may go on with."""
+
+import sys
+import time
+from typing import Any
+
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from riginv.cli.command import command
+from riginv.cli.run_folder import plain_config
+from riginv.cli.validation import validate
+from riginv.errors import InputError
+from riginv.store.checking import examine
+from riginv.store.filling import Filled, fill
+from riginv.store.place import Place
+from riginv.store.progress import SamplingProgress
+from riginv.store.store import PoseStore
+from riginv.store.summary import findings, finish, show
+
+NAMED = 8  # chunks by name, at most, where many are missing
+
+
+def sample(config: DictConfig) -> None:
+    """Fill the holes of a shard of `config.out`, or look a store through."""
+    plain = plain_config(config)
+    validate(plain)
+    if plain["verify"]:
+        verify(str(plain["verify"]))
+        return
+    if not plain["out"]:
+        raise InputError("out must be given: add out=NAME.zarr")
+    began = time.perf_counter()
+    try:
+        filled = fill(plain)
+    except KeyboardInterrupt:
+        raise InputError(f"stopped; the same command goes on with {plain['out']} where this one was") from None
+    if not filled.absent:
+        finish(filled.store)
+    show(filled.store, said(filled, time.perf_counter() - began))
+
+
+def said(filled: Filled, seconds: float) -> dict[str, str]:
+    """What a run did, for the table."""
+    rows = {}
+    if filled.found.damaged:
+        rows["repaired"] = "; ".join(list(filled.found.damaged.values())[:NAMED])
+    if filled.made:
+        rows["made now"] = f"{filled.made:,} poses in {seconds:.0f} s: {filled.made / seconds:,.0f} a second"
+    if filled.absent:
+        rows["state"] = f"shard {filled.shard} is complete; {filled.absent} chunks of other shards are absent"
+        return rows
+    return {**rows, **findings(filled.store), "state": "finished" if filled.made else "finished: there was nothing to do"}
+
+
+def verify(path: str) -> None:
+    """Read every chunk of a store, name those that are absent or damaged, and exit with 1 where there are any."""
+    store = PoseStore.find(Place(path))
+    if store is None:
+        raise InputError(f"verify={path}: there is no store of poses")
+    with SamplingProgress() as progress:
+        progress.begin("looking through", store.layout.samples)
+        found = examine(store, advance=progress.advance)
+    rows: dict[str, str] = {}
+    if found.absent:
+        rows["absent"] = f"{len(found.absent)} chunks: {_some(found.absent)}"
+    for number, fault in enumerate(list(found.damaged.values())[:NAMED]):
+        rows[f"damaged ({number + 1} of {len(found.damaged)})"] = fault
+    if found.whole:
+        show(store, {**findings(store), "state": "finished, and every chunk is what was written"})
+        return
+    show(store, {**rows, "state": "give the command that sampled it once more: it makes these chunks anew"})
+    sys.exit(1)
+
+
+def _some(chunks: list[int]) -> str:
+    return ", ".join(map(str, chunks[:NAMED])) + (", ..." if len(chunks) > NAMED else "")
+
+
+class ShardsEnd(Callback):
+    """After a multirun: how the store stands that its jobs have filled."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        store = PoseStore.find(Place(str(config.out))) if config.out else None
+        if store is not None:
+            absent = int((store.ledger()[0][:, 0] == 0).sum())
+            state = (
+                f"{absent} of {store.layout.chunks} chunks are absent: give the same command again" if absent else "finished"
+            )
+            show(store, {"state": state})
+
+
+if __name__ == "__main__":
+    command("sample")(sample)()

@@ -1,0 +1,202 @@
+"""From a config to a store with no holes in this shard: begun or found, looked through, and filled."""
+
+import contextlib
+import importlib.metadata
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+
+from riginv.build import build
+from riginv.errors import InputError
+from riginv.fitted_rig import FittedRig
+from riginv.rig import LinearRig, RigBackend
+from riginv.store.checking import Condition, examine
+from riginv.store.description import check_rig, describe
+from riginv.store.layout import Layout, default_chunk
+from riginv.store.making import ChunkMaker, build_sampler
+from riginv.store.place import Place
+from riginv.store.progress import SamplingProgress
+from riginv.store.store import PoseStore
+from riginv.store.workers import ChunkWorkers
+
+UNITS = {"controls": "as each control says", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}
+Config = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Every `of`-th chunk of a store, from `number` on."""
+
+    number: int
+    of: int
+
+    @classmethod
+    def parse(cls, text: Any) -> "Shard":
+        """From `i/n`.
+
+        Raises:
+            InputError: it is no such text.
+        """
+        number, _, of = str(text).partition("/")
+        if not (number.isdecimal() and of.isdecimal() and int(number) < int(of)):
+            raise InputError(f"shard is {text!r}, expected i/n with i from 0 to n - 1, as shard=0/4")
+        return cls(int(number), int(of))
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.of}"
+
+    def chunks(self, layout: Layout) -> range:
+        """Its chunks."""
+        return range(self.number, layout.chunks, self.of)
+
+
+@dataclass(frozen=True)
+class Filled:
+    """What a run has done.
+
+    Attributes:
+        found: how the shard's chunks were when it began.
+        made: how many poses it has made.
+        absent: chunks of the whole store that are still to be made, by other shards.
+    """
+
+    store: PoseStore
+    shard: Shard
+    found: Condition
+    made: int
+    absent: int
+
+
+def fill(config: Config) -> Filled:
+    """Sample what is missing of a shard.
+
+    Args:
+        config: the plain config of `riginv.sample`.
+
+    Raises:
+        InputError: the store is of another rig or config, another process is at the shard, the rig gives what is no number, or
+            the disk does not take it.
+    """
+    place, shard = Place(str(config["out"])), Shard.parse(config["shard"])
+    store = PoseStore.find(place)
+    with one_thread(), contextlib.ExitStack() as stack, SamplingProgress() as progress:
+        rig = build(config["rig"])
+        jobs = config["jobs"] or (cores() if rig.differentiable else 1)
+        workers = None
+        if jobs > 1 and (store is None or absent_of(store, shard)):  # they build their rig while this process builds its own
+            workers = stack.enter_context(ChunkWorkers(config, jobs))
+        store, rig = begun(config, place, shard, store, rig)
+        chunks = shard.chunks(store.layout)
+        progress.begin("looking through", sum(map(store.layout.count, chunks)))
+        found = examine(store, chunks, config["recheck"], progress.advance)
+        made = 0
+        if found.holes:
+            refusal = f"another process is sampling shard {shard} of it: wait for it, or give another out"
+            stack.enter_context(place.alone(f"shard-{shard.number}-of-{shard.of}", refusal))
+            progress.begin(f"sampling {rig.name}", sum(map(store.layout.count, found.holes)))
+            if jobs > 1:
+                workers = workers or stack.enter_context(ChunkWorkers(config, jobs))
+                done = workers.make(found.holes)
+            else:
+                done = in_this_process(config, place, rig, found.holes)
+            for chunk in done:
+                made += store.layout.count(chunk)
+                progress.advance(store.layout.count(chunk))
+        return Filled(store, shard, found, made, len(absent_of(store)))
+
+
+def begun(config: Config, place: Place, shard: Shard, store: PoseStore | None, rig: RigBackend) -> tuple[PoseStore, LinearRig]:
+    """The store, begun where there is none, and the rig as it is stored.
+
+    Raises:
+        InputError: the store is of another rig or config, or cannot be begun.
+    """
+    if not isinstance(rig, LinearRig):
+        known = store is not None and store.layout.fitted == len(rig.rest_vertices)
+        rig = store.fitted_rig(rig) if known else FittedRig.sampled(rig, **config["mesh_space"])
+    layout, facts = planned(config, rig)
+    if store is None:
+        build_sampler(config["sampler"], rig)  # it may refuse, and nothing has been written yet
+        if place.path is None and isinstance(rig, FittedRig) and shard.number:
+            raise InputError(f"{place}: start shard=0/{shard.of} first: it fits the basis that all shards share")
+        store = PoseStore.begin(place, layout, facts, rig)
+        if isinstance(rig, FittedRig):
+            rig = store.fitted_rig(rig.posed)  # of the process that was quicker, if one was
+    check_same(store, replace(layout, coefficients=store.layout.coefficients), facts, rig)
+    return store, rig
+
+
+def absent_of(store: PoseStore, shard: Shard | None = None) -> list[int]:
+    """The chunks that the ledger does not have, of a shard or of all."""
+    counts = store.ledger()[0][:, 0]
+    return [chunk for chunk in (shard or Shard(0, 1)).chunks(store.layout) if not counts[chunk]]
+
+
+def in_this_process(config: Config, place: Place, rig: LinearRig, chunks: list[int]) -> Iterator[int]:
+    """Make chunks one after the other."""
+    maker = ChunkMaker(PoseStore.find(place, read_only=False), rig, build_sampler(config["sampler"], rig))
+    for chunk in chunks:
+        maker.make(chunk)
+        yield chunk
+
+
+def planned(config: Config, rig: LinearRig) -> tuple[Layout, Config]:
+    """The sizes of the store that a config asks for, and what it says of itself."""
+    vertices = len(rig.rest_vertices)
+    layout = Layout(
+        config["samples"],
+        1,
+        config["dtype"],
+        len(rig.controls),
+        len(rig.coefficient_names),
+        vertices if config["vertices"] else 0,
+        vertices if isinstance(rig, FittedRig) else 0,
+    )
+    layout = replace(layout, chunk=config["chunk"] or default_chunk(layout, slow=not rig.differentiable))
+    facts = {
+        "version": importlib.metadata.version("riginv"),
+        "seed": config["seed"],
+        "sampler": config["sampler"],
+        "units": UNITS,
+        "rig": describe(rig, config["rig"]),
+    }
+    return layout, facts
+
+
+def check_same(store: PoseStore, layout: Layout, facts: Config, rig: LinearRig) -> None:
+    """Raises InputError where a store was begun with another rig or another config."""
+    check_rig(str(store), store.facts["rig"], rig)
+    before = {**store.layout.as_dict(), "seed": store.facts["seed"], **_flat(store.facts["sampler"], "sampler.")}
+    now = {**layout.as_dict(), "seed": facts["seed"], **_flat(facts["sampler"], "sampler.")}
+    for key in sorted(before.keys() | now.keys()):
+        if before.get(key) != now.get(key):
+            raise InputError(
+                f"{store} was begun with another config: {key} was {before.get(key)!r}, now {now.get(key)!r}; give the same "
+                f"arguments as before, or another out"
+            )
+
+
+def _flat(config: Config, prefix: str) -> Config:
+    found: Config = {}
+    for key, value in config.items():
+        found.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
+    return found
+
+
+def cores() -> int:
+    """The CPU cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute in one thread meanwhile, so that a pose has the same bits in whatever process it is made."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

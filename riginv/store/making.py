@@ -1,0 +1,135 @@
+"""The poses of one chunk: drawn from the seed and the chunk's number alone, so that it matters not who makes it, or when."""
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.build import build
+from riginv.errors import InputError
+from riginv.files import write_json
+from riginv.fitted_rig import FittedRig
+from riginv.geometry.blendshapes import apply_deltas
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig import LinearRig
+from riginv.sampling.choice import fitted
+from riginv.sampling.meshes import MeshSampler
+from riginv.sampling.seeds import generator_at
+from riginv.store.layout import COEFFICIENTS, CONTROL_RANGE, CONTROLS, COST, ERRORS, VERTICES, Layout
+from riginv.store.store import PoseStore
+
+PIECE = 512  # poses that the rig is asked for at a time
+LOOKED_AT = 8  # poses of each chunk whose meshes are compared with those of rounded coefficients
+
+
+def build_sampler(config: dict[str, Any], rig: LinearRig) -> MeshSampler:
+    """What draws the controls, from its config.
+
+    Raises:
+        InputError: it draws meshes that are no poses of the rig.
+    """
+    sampler = build(fitted(config, rig), _LazilyMapped(rig))
+    sampler.sample_controls(1000, generator_at(0, "trial"))
+    return sampler
+
+
+class _LazilyMapped:
+    """A rig in mesh space, which takes seconds to find: most samplers of controls do not ask for it."""
+
+    def __init__(self, rig: LinearRig) -> None:
+        self.rig = rig
+
+    @cached_property
+    def mapped(self) -> RigInMeshSpace:
+        return RigInMeshSpace(self.rig, MeshSpace.from_rig(self.rig))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.mapped, name)
+
+    def __call__(self, controls: Tensor) -> Tensor:
+        return self.mapped(controls)
+
+
+class ChunkMaker:
+    """Makes the chunks of a store.
+
+    Args:
+        sampler: as from `build_sampler`.
+    """
+
+    def __init__(self, store: PoseStore, rig: LinearRig, sampler: MeshSampler) -> None:
+        self.store, self.rig, self.sampler = store, rig, sampler
+        self.neutral = rig.neutral_coefficients()
+
+    @torch.no_grad()
+    def make(self, chunk: int) -> None:
+        """Pose the rig, and write the chunk.
+
+        Raises:
+            InputError: the rig gives NaN or infinite values, the dtype cannot hold them, or nothing can be written.
+        """
+        layout, seed = self.store.layout, self.store.facts["seed"]
+        controls = self.sampler.sample_controls(layout.count(chunk), generator_at(seed, "sample", chunk)).float()
+        values = {CONTROLS: controls.numpy(), CONTROL_RANGE: torch.stack([controls.amin(0), controls.amax(0)])[None].numpy()}
+        costs = np.zeros((1, len(ERRORS)), np.float32)
+        coefficients, vertices, outside = self._pose(controls, chunk)
+        values[COEFFICIENTS] = self._rounded(coefficients, layout, chunk)
+        if layout.dtype != "float32":
+            costs[0, :4] = self._cost_of_rounding(coefficients, values[COEFFICIENTS])
+        if layout.vertices:
+            values[VERTICES] = self._rounded(vertices, layout, chunk)
+            apart = (torch.from_numpy(values[VERTICES]).float() - vertices).norm(dim=2)
+            costs[0, 4:6] = float(apart.max()), float(apart.mean())
+        costs[0, 6] = outside
+        self.store.write(chunk, {**values, COST: costs})
+
+    def _pose(self, controls: Tensor, chunk: int) -> tuple[Tensor, Tensor | None, float]:
+        """Coefficients, vertices where they are stored, and how far meshes lie outside the span of a fitted basis, mm."""
+        coefficients, vertices, squares = [], [], 0.0
+        for start in range(0, len(controls), PIECE):
+            piece = controls[start : start + PIECE]
+            if isinstance(self.rig, FittedRig):
+                posed = self.rig.posed(piece)
+                found = self.rig.coefficients_of(posed)
+                squares += float((posed - apply_deltas(self.rig.rest_vertices, self.rig.basis, found)).square().sum())
+            else:
+                found = self.rig.coefficients(piece)
+                posed = self.rig(piece) if self.store.layout.vertices else None
+            self._check_finite(found if posed is None else torch.cat([found, posed.flatten(1)], dim=1), piece, chunk, start)
+            coefficients.append(found)
+            if self.store.layout.vertices:
+                vertices.append(posed)
+        outside = (squares / (len(controls) * len(self.rig.rest_vertices))) ** 0.5
+        return torch.cat(coefficients), torch.cat(vertices) if vertices else None, outside
+
+    def _check_finite(self, values: Tensor, controls: Tensor, chunk: int, start: int) -> None:
+        broken = (~values.isfinite().all(dim=1)).nonzero()[:, 0]
+        if not len(broken):
+            return
+        row = int(broken[0])
+        pose = self.store.layout.rows(chunk).start + start + row
+        place = self.store.place.path
+        name = f"{place.name if place else self.store.facts['rig']['name']}.pose-{pose}.json"
+        file = place.with_name(name) if place else Path(name)
+        write_json(file, dict(zip(self.rig.control_names, controls[row].tolist())))
+        raise InputError(
+            f"rig '{self.rig.name}' gives NaN or infinite values at pose {pose} (chunk {chunk}), whose controls are in {file}: "
+            f"mend the rig, or draw its controls with another sampler"
+        )
+
+    def _rounded(self, values: Tensor, layout: Layout, chunk: int) -> np.ndarray:
+        with np.errstate(over="ignore"):
+            found = values.numpy().astype(layout.dtype)
+        if not np.isfinite(found).all():
+            raise InputError(
+                f"{self.store}: {layout.dtype} cannot hold {float(values.abs().max()):.4g} in chunk {chunk}: give dtype=float32"
+            )
+        return found
+
+    def _cost_of_rounding(self, exact: Tensor, rounded: np.ndarray) -> tuple[float, ...]:
+        apart = torch.from_numpy(rounded).float() - exact
+        moved = (apart[:LOOKED_AT] @ self.rig.basis.flatten(1)).unflatten(1, self.rig.rest_vertices.shape).norm(dim=2)
+        return float(apart.abs().max()), float(apart.abs().mean()), float(moved.max()), float(moved.mean())

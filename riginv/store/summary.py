@@ -1,0 +1,83 @@
+"""What a finished store says of itself, and what the terminal shows of any."""
+
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from riginv.store.layout import CONTROL_RANGE, COST, ERRORS, LEDGER
+from riginv.store.store import PoseStore
+
+
+def range_seen(store: PoseStore) -> dict[str, list[float]]:
+    """The least and the greatest value of each control over all chunks."""
+    seen = store.arrays[CONTROL_RANGE][:]
+    least, greatest = np.nanmin(seen[:, 0], axis=0).tolist(), np.nanmax(seen[:, 1], axis=0).tolist()
+    names = [control["name"] for control in store.facts["rig"]["controls"]]
+    return {name: list(ends) for name, ends in zip(names, zip(least, greatest))}
+
+
+def cost(store: PoseStore) -> dict[str, float]:
+    """What storing cost, by the kinds of `ERRORS`, over all chunks; the last chunk may be smaller, which means do not heed."""
+    values = store.arrays[COST][:]
+    counts = store.arrays[LEDGER][:, 0].astype(float)
+    found = {}
+    for kind, column in zip(ERRORS, values.T):
+        if "greatest" in kind:
+            found[kind] = float(column.max())
+        elif kind == "outside_mean_mm":
+            found[kind] = float(np.sqrt((counts * column.astype(float) ** 2).sum() / counts.sum()))
+        else:
+            found[kind] = float((counts * column).sum() / counts.sum())
+    return found
+
+
+def finish(store: PoseStore) -> None:
+    """Let a store whose chunks are all there say so, with the range of each control and what storing cost."""
+    said = {"finished": True, "range_seen": range_seen(store), "errors": cost(store)}
+    if any(store.group.attrs.get(key) != value for key, value in said.items()):
+        store.note(**said)
+
+
+def table(store: PoseStore, rows: dict[str, Any]) -> Table:
+    """A store and what is to be said about it."""
+    layout, rig = store.layout, store.facts["rig"]
+    found = Table(title=str(store), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=False)
+    found.add_column("what", no_wrap=True)
+    found.add_column("value", overflow="fold")
+    arrays = f"{layout.controls} controls, {layout.coefficients} coefficients"
+    found.add_row("poses", f"{layout.samples:,} of rig '{rig['name']}': {arrays}{', vertices' if layout.vertices else ''}")
+    found.add_row("chunks", f"{layout.chunks:,} of {layout.chunk:,} poses, {layout.dtype}, seed {store.facts['seed']}")
+    for what, value in rows.items():
+        found.add_row(what, value)
+    return found
+
+
+def findings(store: PoseStore) -> dict[str, str]:
+    """Rows for `table` about a finished store: the range of the controls, and what storing cost."""
+    seen, errors = range_seen(store), cost(store)
+    shares = {
+        control["name"]: (seen[control["name"]][1] - seen[control["name"]][0]) / (control["upper"] - control["lower"])
+        for control in store.facts["rig"]["controls"]
+    }
+    least = min(shares, key=shares.get)
+    rows = {"controls seen": f"each over at least {shares[least]:.0%} of its range ('{least}' the least)"}
+    if store.layout.dtype != "float32":
+        rows["rounding"] = (
+            f"coefficients: greatest {errors['coefficient_greatest']:.2g}, mean {errors['coefficient_mean']:.2g}; "
+            f"their meshes: greatest {errors['mesh_greatest_mm']:.2g} mm, mean {errors['mesh_mean_mm']:.2g} mm"
+        )
+        if store.layout.vertices:
+            rows["rounding"] += (
+                f"; vertices: greatest {errors['vertices_greatest_mm']:.2g} mm, mean {errors['vertices_mean_mm']:.2g} mm"
+            )
+    if store.layout.fitted:
+        rows["outside the basis"] = f"{errors['outside_mean_mm']:.2g} mm, root mean square"
+    return rows
+
+
+def show(store: PoseStore, rows: dict[str, str]) -> None:
+    """Show a store in the terminal."""
+    Console().print(table(store, rows), highlight=False)

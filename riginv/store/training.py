@@ -1,0 +1,97 @@
+"""Stored poses as what networks train on."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.mesh_space import RigInMeshSpace
+from riginv.rig import LinearRig, RigBackend
+from riginv.sampling.meshes import MeshSampler, PoseBatch
+from riginv.store.description import check_rig
+from riginv.store.layout import BASIS, NEUTRAL
+from riginv.store.place import Place
+from riginv.store.store import PoseStore
+from riginv.store.windows import WindowReader
+
+
+def finished_store(path: str) -> PoseStore:
+    """A store to train on.
+
+    Raises:
+        InputError: there is none, it is damaged, or some of its chunks are absent.
+    """
+    store = PoseStore.find(Place(path))
+    if store is None:
+        raise InputError(f"data.store={path}: there is no store of poses: sample one with python -m riginv.sample out={path}")
+    absent = int((store.ledger()[0][:, 0] == 0).sum())
+    if absent:
+        raise InputError(
+            f"data.store={path}: the store is not finished: {absent} of its {store.layout.chunks} chunks are absent; give the "
+            f"command that sampled it once more, which goes on where it stopped"
+        )
+    return store
+
+
+def rig_of_store(path: str, rig: RigBackend) -> LinearRig:
+    """A rig that does not end in a linear map, in the basis of a store of its poses: nothing is fitted anew.
+
+    Raises:
+        InputError: as `finished_store`, or the store is of another rig.
+    """
+    store = finished_store(path)
+    if not store.layout.fitted or store.layout.fitted != len(rig.rest_vertices):
+        raise InputError(f"data.store={path} holds poses of rig '{store.facts['rig']['name']}', not of rig '{rig.name}'")
+    return store.fitted_rig(rig)
+
+
+class StoreSampler(MeshSampler):
+    """The poses of a store, in an order that depends on nothing but the seed, and a batch on nothing but its step.
+
+    Args:
+        path: of the store.
+        seed: of the order.
+
+    Raises:
+        InputError: as `finished_store`, or the store is of another rig.
+    """
+
+    neutral: Tensor
+    linear_map: Tensor
+
+    def __init__(self, rig: RigInMeshSpace, path: str, seed: int) -> None:
+        super().__init__()
+        store = finished_store(path)
+        check_rig(f"data.store={path}", store.facts["rig"], rig.rig)
+        basis = store.constant(BASIS).to(rig.linear_map) if store.layout.fitted else None
+        linear_map = rig.linear_map if basis is None else basis.flatten(1) @ rig.space.frame.flatten(1).T
+        self.register_buffer("neutral", store.constant(NEUTRAL).to(rig.linear_map), persistent=False)
+        self.register_buffer("linear_map", linear_map, persistent=False)
+        self.reader, self.step = WindowReader(store, seed), 0
+
+    def at_step(self, step: int) -> None:
+        self.step = step
+
+    @torch.no_grad()
+    def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
+        poses = self.reader.poses(self.step * count, count)
+        found = {name: values.to(self.linear_map) for name, values in poses.items()}
+        coordinates = (found["coefficients"] - self.neutral) @ self.linear_map
+        return PoseBatch(coordinates=coordinates, **found)
+
+
+def reading_store(sampler: MeshSampler, rig: RigInMeshSpace, config: dict[str, Any]) -> MeshSampler:
+    """A sampler whose poses of the rig come from `data.store`; what needs no posing is still drawn as training goes.
+
+    Raises:
+        InputError: the sampler holds no poses of the rig, or as `StoreSampler`.
+    """
+    stored = StoreSampler(rig, config["data"]["store"], config["seed"])
+    found = sampler.reading(stored)
+    if not any(part is stored for part in found.modules()):
+        raise InputError(
+            f"data.store={config['data']['store']} is given, and the sampler draws no poses of the rig: "
+            f"choose sampler=rig_poses"
+        )
+    return found
