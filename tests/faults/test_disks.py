@@ -80,7 +80,12 @@ def test_full_while_exporting(disks, whole, tmp_path, trained):
 
 
 def test_a_folder_that_cannot_be_written(disks, tmp_path, clip, trained):
-    for name, work in {"train": training(*QUICK), "sample": sampling(), "solve": solving(clip), "export": exporting(trained)}.items():
+    for name, work in {
+        "train": training(*QUICK),
+        "sample": sampling(),
+        "solve": solving(clip),
+        "export": exporting(trained),
+    }.items():
         here = work.prepare(tmp_path / name)
         before = contents(here)
         disks.mount("--bind", str(here), str(here))
