@@ -69,7 +69,8 @@ def alone(path: Path) -> Iterator[None]:
             discard(left)
         yield
     finally:
-        beside.unlink(missing_ok=True)  # while it is locked: whoever opens it now sees that it has no name any more
+        with suppress(OSError):  # while it is locked: whoever has it open finds that it has no name any more
+            beside.unlink()
         lock.release()
 
 
@@ -84,5 +85,7 @@ def _locked(file: Path, of: Path) -> FileLock:
                 f"wait until it has ended, end it, or choose another place"
             ) from None
         raise FolderInUseError(f"{of} is in use by another process: wait until it has ended, or choose another place") from None
-    file.write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
+    with suppress(OSError):  # it is there to be read by people
+        file.write_text(f"process {os.getpid()} on {platform.node()}
+", encoding="utf-8")
     return lock

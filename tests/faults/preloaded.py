@@ -11,10 +11,15 @@ import sys
 import traceback
 from typing import Any, NoReturn
 
-from riginv import export_onnx, invert, train
+from riginv import export_onnx, invert, sample, train
 from riginv.cli.command import command
 
-COMMANDS = {"train": train.train, "invert": invert.invert, "export_onnx": export_onnx.export_onnx}
+COMMANDS = {
+    "train": train.train,
+    "sample": sample.sample,
+    "invert": invert.invert,
+    "export_onnx": export_onnx.export_onnx,
+}
 ALSO = (
     "torch.onnx",
     "torch.export",

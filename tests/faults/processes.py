@@ -72,6 +72,7 @@ class Commands:
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
         self.environment, self.namespace = dict(environment or {}), own_mounts()
+        self._started: list[Running] = []
 
     def __enter__(self) -> "Commands":
         self._server = subprocess.Popen(
@@ -86,16 +87,19 @@ class Commands:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._server.stdin.close()
-        self._server.stdout.close()
-        self._server.wait(20)
+        for running in self._started:
+            if running.code is None:  # a test was stopped in its midst
+                running.kill()
+        self._server.kill()
+        self._server.communicate()
 
     def start(self, name: str, arguments: Sequence[str], folder: Path) -> Running:
         """Start a command in a folder."""
         log = folder.with_name(f"{folder.name}.{time.monotonic_ns()}.log")
         began = time.monotonic()
         process = self.ask({"name": name, "arguments": list(arguments), "folder": str(folder), "log": str(log)})
-        return Running(self, process, log, began)
+        self._started.append(Running(self, process, log, began))
+        return self._started[-1]
 
     def run(self, name: str, arguments: Sequence[str], folder: Path, kill_after_s: float = PATIENCE_S) -> Running:
         """Run a command in a folder to its end, or kill it after a while."""

@@ -51,7 +51,7 @@ class Clock:
     def jump_until_end(self, running: Running) -> int:
         """Jump about until a command has ended; how often."""
         jumps = 0
-        while not running.ends_within(0.1):
+        while not running.ends_within(0.3):
             self.jump()
             jumps += 1
         return jumps
@@ -75,10 +75,11 @@ def clocked(clock) -> Iterator[Commands]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["train", "invert"])
-def test_jumps_while_a_command_runs(whole, clocked, clock, clip, tmp_path, name):
-    work = training(*QUICK, "trainer.max_steps=300") if name == "train" else solving(clip)
-    expected = whole(work).contents
-    for number in range(5):
+def test_jumps_while_a_command_runs(clocked, clock, clip, tmp_path, name):
+    work = training(*QUICK) if name == "train" else solving(clip)
+    clock.set(0)
+    expected = work.unbroken(clocked, tmp_path / "whole").contents
+    for number in range(2):
         here = work.prepare(tmp_path / f"jumping {number}")
         running = clocked.start(work.name, work.arguments, here)
         jumps = clock.jump_until_end(running)
@@ -88,11 +89,12 @@ def test_jumps_while_a_command_runs(whole, clocked, clock, clip, tmp_path, name)
 
 
 @pytest.mark.slow
-def test_a_run_named_by_a_wrong_clock_is_found_again(whole, clocked, clock, tmp_path):
+def test_a_run_named_by_a_wrong_clock_is_found_again(clocked, clock, tmp_path):
     work = training(*QUICK)
-    expected, seconds, _ = whole(work)
+    clock.set(0)
+    expected, seconds, _ = work.unbroken(clocked, tmp_path / "whole")
     arguments = [argument for argument in work.arguments if not argument.startswith("hydra.run.dir")]
-    for number, years in enumerate((-30, -1, 1, 8)):
+    for number, years in enumerate((-30, 8)):
         here = work.prepare(tmp_path / f"named {number}")
         clock.set(0)
         clocked.run(work.name, arguments, here, seconds * 0.7)

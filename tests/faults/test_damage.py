@@ -13,7 +13,7 @@ from riginv.errors import InputError
 from riginv.seals import is_whole, seal
 from tests.faults.contents import contents
 from tests.faults.tally import fault
-from tests.faults.works import QUICK, training
+from tests.faults.works import QUICK, sampling, training
 
 LAST, BEFORE = "run/checkpoints/last.ckpt", "run/checkpoints/before.ckpt"
 NAMED = "truncated or altered since it was written (SHA-256 differs)"
@@ -101,6 +101,23 @@ def test_a_damaged_bundle_of_a_finished_run_is_made_again(commands, whole, tmp_p
             done = commands.run(work.name, [*work.arguments, *work.again], here)
             assert done.code == 0 and "is made again" in done.said, f"{path.name}: {how}: {done.said}"
             assert contents(here) == expected
+        shutil.rmtree(here)
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.slow)])
+def test_a_damaged_chunk_of_a_store_is_named_and_made_again(commands, whole, tmp_path, count):
+    work, draw = sampling(), random.Random(5)
+    expected = whole(work).contents
+    for number in range(count):
+        here = shutil.copytree(whole(work).folder, tmp_path / f"copy {number}")
+        chunks = sorted(path for path in (here / "poses.zarr").rglob("c/*/*") if path.is_file() and path.stat().st_size)
+        path = draw.choice(chunks)
+        with fault("damaged chunk of a store", "named by its checksum; the same command makes it again"):
+            how = f"{path}: {damage(path, draw)}"
+            done = commands.run(work.name, ["verify=poses.zarr"], here)
+            assert done.code == 1 and "Traceback" not in done.said and " damaged" in done.said, how + done.said
+            done = commands.run(work.name, work.arguments, here)
+            assert done.code == 0 and contents(here) == expected, how + done.said
         shutil.rmtree(here)
 
 

@@ -9,9 +9,10 @@ import pytest
 from tests.faults.contents import contents
 from tests.faults.processes import Commands
 from tests.faults.tally import fault
-from tests.faults.works import QUICK, Whole, Work, exporting, solving, training
+from tests.faults.works import QUICK, Whole, Work, exporting, sampling, solving, training
 
 LARGE = "256m"
+FULL = ("the disk is full", "No space left on device")
 
 
 @pytest.fixture
@@ -44,7 +45,7 @@ def fill(commands: Commands, work: Work, whole: Whole, folder: Path, count: int,
         with fault(kind, "one sentence; with more room the same command goes on", full):
             assert done.code in (0, 1)
             if full:
-                assert "Traceback" not in done.said and "the disk is full" in done.said, done.said
+                assert "Traceback" not in done.said and any(words in done.said for words in FULL), done.said
                 commands.mount("-o", f"remount,size={LARGE}", str(here))
                 done = commands.run(work.name, [*work.arguments, *work.again], here)
             assert done.code == 0, done.said
@@ -64,6 +65,12 @@ def test_full_while_solving(disks, whole, tmp_path, clip, count):
     fill(disks, work, whole(work), tmp_path, count, "full disk while solving")
 
 
+@pytest.mark.parametrize("count", [1, pytest.param(15, marks=pytest.mark.slow)])
+def test_full_while_sampling(disks, whole, tmp_path, count):
+    work = sampling()
+    fill(disks, work, whole(work), tmp_path, count, "full disk while sampling into a store")
+
+
 @pytest.mark.slow
 def test_full_while_exporting(disks, whole, tmp_path, trained):
     pytest.importorskip("onnxscript")
@@ -73,7 +80,12 @@ def test_full_while_exporting(disks, whole, tmp_path, trained):
 
 
 def test_a_folder_that_cannot_be_written(disks, tmp_path, clip, trained):
-    for name, work in {"train": training(*QUICK), "solve": solving(clip), "export": exporting(trained)}.items():
+    for name, work in {
+        "train": training(*QUICK),
+        "sample": sampling(),
+        "solve": solving(clip),
+        "export": exporting(trained),
+    }.items():
         here = work.prepare(tmp_path / name)
         before = contents(here)
         disks.mount("--bind", str(here), str(here))

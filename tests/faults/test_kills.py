@@ -9,7 +9,7 @@ import pytest
 from tests.faults.contents import contents
 from tests.faults.processes import Commands
 from tests.faults.tally import fault
-from tests.faults.works import QUICK, Whole, Work, exporting, solving, training
+from tests.faults.works import QUICK, Whole, Work, exporting, sampling, solving, training
 
 HOW = "the same command again; every file compared byte by byte"
 WHILE_TRAINING, WHILE_SOLVING = "SIGKILL while training", "SIGKILL while solving a clip and writing its curves"
@@ -62,3 +62,10 @@ def test_exporting(commands, whole, tmp_path, trained):
     pytest.importorskip("onnxruntime")
     work = exporting(trained)
     strike(commands, work, whole(work), tmp_path, 100, "SIGKILL while exporting ONNX")
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_sampling(commands, whole, tmp_path, jobs, count):
+    work = sampling(jobs)
+    strike(commands, work, whole(work), tmp_path, count // jobs, f"SIGKILL while sampling into a store, jobs={jobs}")

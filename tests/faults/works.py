@@ -64,3 +64,8 @@ def solving(clip: Path) -> Work:
 
 def exporting(trained: Path) -> Work:
     return Work("export_onnx", [*TOY, "bundle=run", "out=inverse.onnx", "poses=5"], [], lambda folder: False, trained)
+
+
+def sampling(jobs: int = 1) -> Work:
+    arguments = [*TOY, "out=poses.zarr", "samples=12000", "chunk=500", "seed=3", f"jobs={jobs}"]
+    return Work("sample", arguments, [], lambda folder: False)
