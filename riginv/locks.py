@@ -86,6 +86,5 @@ def _locked(file: Path, of: Path) -> FileLock:
             ) from None
         raise FolderInUseError(f"{of} is in use by another process: wait until it has ended, or choose another place") from None
     with suppress(OSError):  # it is there to be read by people
-        file.write_text(f"process {os.getpid()} on {platform.node()}
-", encoding="utf-8")
+        file.write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
     return lock
