@@ -48,7 +48,7 @@ def invert(config: DictConfig) -> None:
         arguments = (clip, parts.inverter, parts.judge, plain["window"], progress.advance)
         if parts.method == WHOLE_CLIP:
             solver = plain["solver"]
-            how = Smoothness(*(solver[key] for key in ("smoothness", "clip_steps", "mean_steps", "blur")))
+            how = Smoothness(*(solver[key] for key in ("smoothness", "clip_steps", "blur", "mean_steps")))
             found = invert_smoothly(*arguments, how)
         else:
             found = invert_clip(*arguments)

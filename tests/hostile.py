@@ -1,5 +1,6 @@
 """Payloads that would leave a mark if anything ran them: a file whose path they carry."""
 
+import hashlib
 import io
 import os
 import pickle
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from riginv.cli.run_folder import CONFIG_SUM
 from riginv.errors import InputError
 
 
@@ -73,3 +75,8 @@ def sentence(read: Callable[[], Any], says: str = ".") -> None:
     with pytest.raises(InputError, match=says) as refusal:
         read()
     assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 1000
+
+
+def signed(config: str) -> str:
+    """A run's config.yaml with the checksum that belongs to it, as who means harm would write it."""
+    return f"{config}{CONFIG_SUM}{hashlib.sha256(config.encode()).hexdigest()}\n"

@@ -214,7 +214,13 @@ def test_the_papers_budget_is_its_protocol_and_its_time_is_reckoned():
     assert steps["sample"].config["poses"] == 10_000
     assert steps["surrogate-seed2"].config["training"]["data"]["stored_poses"] == 90_000
     inverse = steps["trained-seed1"].config["training"]
-    assert inverse["data"] == {"batch_size": 64, "steps_per_epoch": 10_000, "stored_poses": None, "black_box_poses": 8000}
+    assert inverse["data"] == {
+        "batch_size": 64,
+        "steps_per_epoch": 10_000,
+        "stored_poses": None,
+        "store": None,
+        "black_box_poses": 8000,
+    }
     assert (inverse["model"]["optimizer"]["lr"], inverse["stop_below_lr"]) == (1e-4, 1e-6)
     assert inverse["model"]["network"]["control_map"] == "range_tanh" and inverse["seed"] == 1
     assert expected_steps(inverse) == 7 * 21 * 10_000  # seven halvings from 1e-4 to below 1e-6, 21 epochs each at the least

@@ -1,7 +1,6 @@
 """Hostile files for every load path: nothing in them runs, and each is refused in one sentence."""
 
 import contextlib
-import hashlib
 import json
 import os
 import zipfile
@@ -16,7 +15,7 @@ import zarr
 from riginv.build import OURS, build
 from riginv.bundle import copy_bundle, read_bundle
 from riginv.callbacks.saving import AtomicCheckpoints
-from riginv.cli.run_folder import CONFIG_SUM, find_run_folder
+from riginv.cli.run_folder import find_run_folder
 from riginv.errors import InputError
 from riginv.evaluation import load_model
 from riginv.files import read_yaml, sha256
@@ -177,8 +176,7 @@ def test_tags_of_yaml_make_no_objects(tmp_path, mark, name):
         rewrite_sums(bundle)
         sentence(lambda: read_bundle(bundle), "plain values")
     elif name == "config.yaml":
-        signed = f"{text}{CONFIG_SUM}{hashlib.sha256(text.encode()).hexdigest()}\n"  # as who means harm would
-        (tmp_path / name).write_text(signed)
+        (tmp_path / name).write_text(hostile.signed(text))
         sentence(lambda: find_run_folder(tmp_path, {"seed": 0}, resume=True), "plain values")
     else:
         (tmp_path / name).write_text(text)

@@ -83,6 +83,7 @@ def test_hydra_unpickles_no_config_of_another_run(run, tmp_path, mark, option):
 def test_a_run_folder_from_a_stranger_is_compared_and_not_built(run, tmp_path, mark):
     """resume=true reads config.yaml only to see that it is the one that was typed."""
     (tmp_path / "run").mkdir()
-    (tmp_path / "run/config.yaml").write_text(yaml.safe_dump({"rig": {"_target_": "os.system", "command": f"touch {mark}"}}))
+    text = yaml.safe_dump({"rig": {"_target_": "os.system", "command": f"touch {mark}"}})
+    (tmp_path / "run/config.yaml").write_text(hostile.signed(text))
     refused(run("train", "resume=true"), "cannot be resumed with another config")
     shutil.rmtree(tmp_path / "run")

@@ -46,8 +46,8 @@ class Smoothness:
 
     smoothness: float
     steps: int
-    mean_steps: int
     blur: float
+    mean_steps: int = 0
 
 
 def invert_clip(
