@@ -49,7 +49,7 @@ def curves(folder: Path) -> dict[str, list[float]]:
 
 def names(folder: Path) -> set[str]:
     paths = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    return {"events" if path.startswith("events.") else path for path in paths}
+    return {path.partition("events.")[0] + "events" if "events." in path else path for path in paths}
 
 
 def apart(one: Path, other: Path) -> float:
