@@ -173,16 +173,13 @@ def test_a_job_whose_ray_node_is_lost_goes_on_at_another(tmp_path):
     with ray_cluster(head_cores=0) as cluster:
         lost = cluster.add_node(num_cpus=1)
         made = jobs(tmp_path, "nothing sleep=8")
-
-        def lose() -> None:
-            wait_until((tmp_path / made[0].name / "starts.txt").is_file, 120)
-            cluster.add_node(num_cpus=1)
-            cluster.remove_node(lost, allow_graceful=False)
-
-        losing = threading.Thread(target=lose)
-        losing.start()
-        launcher(tmp_path, "ray", f"hydra.launcher.init.address='{cluster.address}'").run_all(made)
-        losing.join()
+        by_ray = launcher(tmp_path, "ray", f"hydra.launcher.init.address='{cluster.address}'")
+        running = threading.Thread(target=by_ray.run_all, args=(made,))
+        running.start()
+        wait_until((tmp_path / made[0].name / "starts.txt").is_file, 120)
+        cluster.add_node(num_cpus=1)  # Ray wants the main thread for that
+        cluster.remove_node(lost, allow_graceful=False)
+        running.join()
     assert states(made) == ["finished"]
     assert [start[0] for start in starts(made[0])] == ["false", "true"]
     assert not alive(int(starts(made[0])[0][2]))
