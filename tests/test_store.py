@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 
@@ -227,6 +228,8 @@ def test_a_read_only_folder_is_one_sentence():
         if root:
             os.seteuid(65534)
         try:
+            if not os.access(sys.prefix, os.R_OK | os.X_OK, effective_ids=True):
+                pytest.skip("the environment of Python is closed to all but root")
             for name in ("begun.zarr", "new.zarr"):
                 with pytest.raises(InputError, match="cannot be written: Permission denied"):
                     filled(closed / name)

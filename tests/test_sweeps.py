@@ -98,7 +98,7 @@ def test_joblib_gives_what_one_process_gives(run, tmp_path, monkeypatch):
     assert made.code == 1 and "seed=-1  failed in" in made.text and "1 of 2 jobs failed" in made.text, made.text
     rows = rows_of(sweep)
     assert [row["state"] for row in rows] == ["finished", "failed"] and rows[1]["why"].startswith("seed is -1")
-    assert float(rows[0][ERROR]) == here.metrics[ERROR]
+    assert float(rows[0][ERROR]) == pytest.approx(here.metrics[ERROR], rel=1e-6)  # with other threads
     assert "true rig, toy" in (sweep / "jobs/00_seed-3.log").read_text()
 
 
