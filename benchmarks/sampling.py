@@ -134,7 +134,7 @@ def main() -> None:
     """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=1_000_000, help="poses of the store that is read and trained on")
-    parser.add_argument("--shard-samples", type=int, default=600_000, help="poses where processes are compared")
+    parser.add_argument("--shard-samples", type=int, default=2_000_000, help="poses where processes are compared")
     parser.add_argument("--steps", type=int, default=100, help="training steps that are timed")
     parser.add_argument("--folder", type=Path, default=None)
     given = parser.parse_args()
