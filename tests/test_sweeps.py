@@ -16,6 +16,7 @@ from tensorboard.plugins.hparams import api_pb2, backend_context, get_experiment
 
 from riginv.cli.sweep_folder import job_name, new_sweep_folder, with_sweep_folder
 from riginv.cli.sweep_record import read_records
+from riginv.cli.sweep_rows import shown
 from riginv.errors import InputError
 from tests.conftest import ROOT, SMALL
 
@@ -106,6 +107,10 @@ def test_a_sweep_of_checks_needs_no_metrics(run, tmp_path):
     made = run("check", "-m", "rig=toy,plain", f"--config-dir={ROOT / 'tests/conf'}", f"hydra.sweep.dir={tmp_path / 'sweep'}")
     assert made.code == 0, made.text
     assert [(row["rig"], row["state"]) for row in rows_of(tmp_path / "sweep")] == [("toy", "finished"), ("plain", "finished")]
+
+
+def test_cells_are_short():
+    assert [shown(value) for value in (0.12345, 2119.966, 42, None, "face")] == ["0.123", "2,120", "42", "-", "face"]
 
 
 def test_a_folder_is_named_by_what_is_swept(tmp_path, monkeypatch):

@@ -65,7 +65,9 @@ def shown(value: Any) -> str:
     """A cell as people read it."""
     if value is None or value == "":
         return "-"
-    return f"{value:.3g}" if isinstance(value, float) and abs(value) < 1000 else str(value)
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
+    return str(value)
 
 
 def write_tables(sweep: Path, rows: Sequence[Row]) -> None:
