@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -29,16 +29,7 @@ CODECS = {  # of zarr: those that compute, none that makes objects (numcodecs ha
     *("fixedscaleoffset", "packbits", "crc32", "adler32", "fletcher32"),
 }
 BROKEN = (ValueError, KeyError, TypeError, SyntaxError, RecursionError, OverflowError, EOFError, TokenError, MemoryError)
-BROKEN_ZIP = (
-    zipfile.BadZipFile,
-    zlib.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    struct.error,
-    ValueError,
-    OverflowError,
-)
+DAMAGED_ZIP = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, struct.error)
 
 
 def check_npy(path: Path) -> None:
@@ -74,7 +65,7 @@ def check_npz(path: Path) -> None:
                 _check_header(f"{path}, {member.filename}", io.BytesIO(start), member.file_size, alone=False)
     except InputError:
         raise
-    except BROKEN_ZIP as error:
+    except (*DAMAGED_ZIP, ValueError, OverflowError) as error:
         raise InputError(f"{path}: no .npz, or a damaged one ({in_short(error)}): save it again with np.savez") from None
 
 
@@ -114,22 +105,47 @@ def codecs_of(metadata: Any) -> Iterator[str]:
         yield from codecs_of(metadata.to_dict())
 
 
-def _check_header(where: str, file: BinaryIO, size: int, alone: bool) -> None:
+class Header(NamedTuple):
+    """What the header of an array says."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype
+    length: int  # of the header itself, bytes
+
+
+def read_header(where: str, file: BinaryIO) -> Header:
+    """The header of an array, from the start of an open .npy.
+
+    Raises:
+        InputError: there is none, or it is damaged.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             version = np.lib.format.read_magic(file)
             read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-            shape, _, dtype = read(file, max_header_size=LONGEST_HEADER)
+            shape, fortran, dtype = read(file, max_header_size=LONGEST_HEADER)
     except BROKEN as error:
         raise InputError(
             f"{where}: no NumPy array, or a damaged one ({in_short(error)}): save it again with np.save or np.savez"
         ) from None
+    return Header(shape, fortran, dtype, file.tell())
+
+
+def check_shape(where: str, header: Header) -> None:
+    """Raises InputError where the lengths of an array cannot be meant."""
+    if any(not isinstance(length, int) or length < 0 for length in header.shape):
+        raise InputError(f"{where}: an array of shape {header.shape}: damaged; save it again")
+
+
+def _check_header(where: str, file: BinaryIO, size: int, alone: bool) -> None:
+    header = read_header(where, file)
+    shape, dtype = header.shape, header.dtype
     if dtype.hasobject and not alone:
         return  # one member among others, that may never be asked for: NumPy refuses to load it
     if dtype.hasobject or dtype.kind not in PLAIN:
         raise InputError(f"{where}: it holds {dtype}, and Python objects are never loaded: save plain numbers")
-    if any(not isinstance(length, int) or length < 0 for length in shape):
-        raise InputError(f"{where}: an array of shape {shape}: damaged; save it again")
-    if math.prod(shape) * dtype.itemsize > size - file.tell():
+    check_shape(where, header)
+    if math.prod(shape) * dtype.itemsize > size - header.length:
         raise InputError(f"{where}: an array of shape {shape} does not fit into its {size:,} bytes: truncated; save it again")

@@ -20,7 +20,7 @@ import torch
 import zarr
 from torch import Tensor
 
-from riginv.array_files import BROKEN, BROKEN_ZIP, check_npy, check_npz, check_zarr
+from riginv.array_files import BROKEN, DAMAGED_ZIP, check_npy, check_npz, check_zarr
 from riginv.errors import InputError, in_short
 from riginv.files import written_beside
 from riginv.rig import Control
@@ -36,7 +36,7 @@ SHAPES = {
     "neutral": ("control",),
 }
 
-NOT_READ = (OSError, AttributeError, *BROKEN, *BROKEN_ZIP)  # what libraries raise for damage
+NOT_READ = (OSError, AttributeError, *BROKEN, *DAMAGED_ZIP)  # what libraries raise for damage
 
 
 @dataclass(frozen=True)

@@ -5,55 +5,30 @@ stream, from the first frame to the last, and from the start again where an earl
 """
 
 import struct
-import warnings
 import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tokenize import TokenError
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 
+from riginv.array_files import DAMAGED_ZIP, Header, check_shape, read_header
 from riginv.clips.files import opened, read_numbers
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.errors import InputError, in_short
 
 VERTICES = ("vertices", "verts", "points", "positions")
-LONGEST_HEADER = 10_000  # bytes; NumPy's own bound for headers that are not trusted
 LOCAL_HEADER = struct.Struct("<4s22xHH")  # of a zip's member: its signature, and how long its name and its extra field are
 LARGEST_SMALL = 1 << 30  # bytes of any array but the vertices
-NO_HEADER = (ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError, OverflowError, EOFError, TokenError)
-DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, struct.error)
 
 
-class Layout(NamedTuple):
-    """What the header of an array says."""
-
-    shape: tuple[int, ...]
-    fortran: bool
-    dtype: np.dtype
-    length: int  # of the header itself, bytes
-
-
-def _layout(path: str, file: BinaryIO) -> Layout:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            version = np.lib.format.read_magic(file)
-            read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-            shape, fortran, dtype = read(file, max_header_size=LONGEST_HEADER)
-    except NO_HEADER as error:
-        reason = str(error).splitlines()[0][:80] if str(error) else type(error).__name__
-        raise InputError(
-            f"{path}: no NumPy array, or a damaged one ({reason}): save it again with np.save or np.savez"
-        ) from None
-    if dtype.hasobject:
-        raise InputError(f"{path}: it holds Python objects, which are never loaded: save plain numbers")
-    if any(not isinstance(length, int) or length < 0 for length in shape):
-        raise InputError(f"{path}: an array of shape {shape}: damaged; save it again")
-    return Layout(shape, fortran, dtype, file.tell())
+def _layout(where: str, file: BinaryIO) -> Header:
+    header = read_header(where, file)
+    if header.dtype.hasobject:
+        raise InputError(f"{where}: it holds Python objects, which are never loaded: save plain numbers")
+    check_shape(where, header)
+    return header
 
 
 class ArrayClip(MeshSequence):
@@ -114,7 +89,7 @@ class ArrayClip(MeshSequence):
             self._skip(self._stream, (start - self._stream_at) * self.frame_bytes)
             wanted = (stop - start) * self.frame_bytes
             data = self._stream.read(wanted)
-        except (*DAMAGE, OSError) as error:
+        except (*DAMAGED_ZIP, OSError) as error:
             raise InputError(
                 f"{self.path}: {self.member.filename} cannot be unpacked ({error}): damaged; copy it again"
             ) from None
@@ -133,7 +108,7 @@ class ArrayClip(MeshSequence):
         try:
             with opened(self.file) as file, zipfile.ZipFile(file) as archive:
                 yield archive
-        except (*DAMAGE, UnicodeDecodeError) as error:
+        except (*DAMAGED_ZIP, UnicodeDecodeError) as error:
             raise InputError(f"{self.file}: no .npz, or a damaged one ({in_short(error)}): copy it or save it again") from None
 
     def _small(self, archive: zipfile.ZipFile, name: str | None) -> np.ndarray | None:
