@@ -1,21 +1,20 @@
 """A job of a sweep in a process of its own: it shares nothing with the others, and whatever kills it kills no other.
 
-The process ends with the one that started it, even where that is killed: it watches its standard input, a pipe whose other
-end closes then.
+The process ends with the one that started it, even where that is killed.
 """
 
 import os
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from riginv.cli.parent import end_with
 from riginv.cli.sweep_record import FINISHED, TRACEBACK, JobRecord, read_record, record_file
 
 THREADS = "OMP_NUM_THREADS MKL_NUM_THREADS OPENBLAS_NUM_THREADS BLIS_NUM_THREADS VECLIB_MAXIMUM_THREADS NUMEXPR_NUM_THREADS"
-WATCHES = "RIGINV_ENDS_WITH_STDIN"  # set for the process of a job
+STARTER = "RIGINV_STARTER"  # the number of the process that started that of a job
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,8 @@ def run_apart(job: Job, threads: int | None = None) -> None:
         with subprocess.Popen(
             [sys.executable, "-m", job.module, *job.arguments, *resume],
             cwd=job.directory if job.directory.is_dir() else None,
-            env={**os.environ, WATCHES: "1", **(dict.fromkeys(THREADS.split(), str(threads)) if threads else {})},
-            stdin=subprocess.PIPE,
+            env={**os.environ, STARTER: str(os.getpid()), **(dict.fromkeys(THREADS.split(), str(threads)) if threads else {})},
+            stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
         ) as process:
@@ -78,13 +77,9 @@ def run_apart(job: Job, threads: int | None = None) -> None:
 
 def end_with_starter() -> None:
     """In the process of a job: end as soon as the process that started it has."""
-    if os.environ.pop(WATCHES, None):
-        threading.Thread(target=_wait_for_the_end, daemon=True).start()
-
-
-def _wait_for_the_end() -> None:
-    os.read(0, 1)  # nobody writes there; not sys.stdin, whose lock would stand in the way of a good end
-    os._exit(1)
+    starter = os.environ.pop(STARTER, None)
+    if starter is not None:
+        end_with(int(starter))
 
 
 def _why(said: str, code: int) -> str:

@@ -1,28 +1,19 @@
 """How far a comparison is: a bar with the method at work, and a line with the errors of each that has finished."""
 
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+
+from riginv.cli.bar import Bar
 
 
-class ComparisonProgress:
+class ComparisonProgress(Bar):
     """To be entered with the number of methods; where there is no terminal only the lines are shown."""
 
     def __init__(self, methods: int) -> None:
-        self.console = Console(stderr=True)
-        columns = (BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-        self.bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
+        super().__init__(BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
         self.task = self.bar.add_task("", total=methods)
-
-    def __enter__(self) -> "ComparisonProgress":
-        self.bar.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.bar.stop()
 
     def at(self, method: str, what: str) -> None:
         """A method is at something now: a set's name, or that it is being prepared."""

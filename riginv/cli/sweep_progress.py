@@ -3,18 +3,19 @@
 import threading
 from collections.abc import Sequence
 from types import TracebackType
+from typing import Self
 
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
 from riginv.cli.apart import Job
+from riginv.cli.bar import Bar
 from riginv.cli.sweep_record import FAILED, RUNNING, JobRecord
 
 EVERY = 0.5  # seconds between two looks
 
 
-class SweepProgress:
+class SweepProgress(Bar):
     """Reads the jobs' records until it is left; where there is no terminal only the lines are shown.
 
     Args:
@@ -23,22 +24,20 @@ class SweepProgress:
 
     def __init__(self, jobs: Sequence[Job]) -> None:
         self.jobs, self.total, self.failed = list(jobs), len(jobs), 0
-        self.console = Console(stderr=True)
-        columns = (BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-        self.bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
+        super().__init__(BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
         self.task = self.bar.add_task("", total=self.total)
         self.over = threading.Event()
         self.watching = threading.Thread(target=self._watch, daemon=True)
 
-    def __enter__(self) -> "SweepProgress":
-        self.bar.start()
+    def __enter__(self) -> Self:
+        super().__enter__()
         self.watching.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.over.set()
         self.watching.join()
-        self.bar.stop()
+        super().__exit__(kind, error, trace)
 
     def _watch(self) -> None:
         while not self.over.wait(EVERY):

@@ -1,4 +1,4 @@
-"""A process of a run that another one has started and watches (`riginv.cli.processes`): it speaks to that one alone.
+"""A process of a run that another one has started and watches (`riginv.cli.starter`): it speaks to that one alone.
 
 What ends it goes into a file of its own, so that of all that fail together one is heard. Where the process that watches dies,
 however it dies, this one ends too.
@@ -6,14 +6,13 @@ however it dies, this one ends too.
 
 import json
 import os
-import threading
-import time
 import traceback
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from riginv.cli.parent import end_with
+
 WATCHER, REPORT = "RIGINV_WATCHER", "RIGINV_REPORT"
-EVERY_SECONDS = 0.5
 
 
 @dataclass(frozen=True)
@@ -47,11 +46,4 @@ def read_report(path: Path) -> Report | None:
 
 def end_with_watcher() -> None:
     """End this process as soon as the one that watches it is gone."""
-    watcher = int(os.environ[WATCHER])
-
-    def watch() -> None:
-        while os.getppid() == watcher:
-            time.sleep(EVERY_SECONDS)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    end_with(int(os.environ[WATCHER]))

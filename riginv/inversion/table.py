@@ -3,17 +3,17 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
 import roma
 import torch
 from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from torch import Tensor
 
+from riginv.cli.bar import Bar
 from riginv.curves.animation import Animation, FrameErrors
 from riginv.rig import RigBackend
 
@@ -26,7 +26,7 @@ MEANINGS = {
 }
 
 
-class InversionProgress:
+class InversionProgress(Bar):
     """To be entered; says what was guessed, then shows how far each pass is; without a terminal there is no bar.
 
     Args:
@@ -35,24 +35,16 @@ class InversionProgress:
     """
 
     def __init__(self, frames: int, notes: Sequence[str]) -> None:
-        self.console, self.frames, self.passes = Console(stderr=True), frames, {}
-        columns = (
+        super().__init__(
             TextColumn("{task.description}"),
             BarColumn(24),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
         )
-        self.bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
+        self.frames, self.passes = frames, {}
         for note in notes:
             self.console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
-
-    def __enter__(self) -> "InversionProgress":
-        self.bar.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.bar.stop()
 
     def advance(self, what: str, frames: int) -> None:
         """So many frames more of a pass are done; none: it has begun, and cannot say how far it is."""
