@@ -12,6 +12,8 @@ from riginv.bundle import SUMS, read_bundle
 from riginv.cli.command import command
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
+from riginv.clips.open import open_clip
+from riginv.clips.options import clip_options
 from riginv.curves.animation import Animation
 from riginv.curves.formats import check_formats
 from riginv.errors import InputError
@@ -19,7 +21,7 @@ from riginv.files import sha256, written_beside
 from riginv.inverse import load_inverse
 from riginv.inversion.results import check_after, write_results
 from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
-from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method, open_clip
+from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method
 from riginv.inversion.table import InversionProgress, show
 from riginv.locks import alone
 from riginv.recorded_rig import RecordedRig
@@ -41,7 +43,7 @@ def invert(config: DictConfig) -> None:
         raise InputError(f"formats is {plain['formats']!r}, expected a list: formats=[csv,glb]")
     check_formats(true_rig, plain["formats"])
     check_after(plain["after"], plain["look"])
-    clip, notes = open_clip(plain, true_rig)
+    clip, notes = open_clip(str(plain["clip"]), true_rig, *clip_options(plain))
     parts = build_parts(plain, clip, rig, true_rig, inverse)
     with alone(out), InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
         free_folder(out)

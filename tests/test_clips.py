@@ -11,6 +11,7 @@ import torch
 from riginv.clips.clip import Clip
 from riginv.clips.obj_text import read_points
 from riginv.clips.open import open_sequence
+from riginv.clips.options import ReadingOptions
 from riginv.clips.picked import PickedVertices
 from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
@@ -31,8 +32,6 @@ from tests.clips import (
 )
 from tests.toys import ToyRig
 
-OPTIONS = {"mesh": None, "missing_frames": "error", "fps": None, "interpreter": None}
-
 
 @pytest.fixture(scope="module")
 def rig() -> ToyRig:
@@ -45,7 +44,7 @@ def meshes(rig) -> np.ndarray:
 
 
 def opened(path, rig, **options) -> MeshSequence:
-    return open_sequence(str(path), rig, {**OPTIONS, **options})
+    return open_sequence(str(path), rig, ReadingOptions(**options))
 
 
 def as_clip(sequence, rig, unit="auto", up="auto", fps=None, **frames) -> Clip:

@@ -21,9 +21,11 @@ from riginv.cli.command import options_first
 from riginv.cli.explain import CONFIGS, explain
 from riginv.cli.run_folder import RunFolder, plain_config, register_folder_resolvers
 from riginv.cli.validation import validate
+from riginv.clips.open import open_clip
+from riginv.clips.options import clip_options
 from riginv.errors import InputError
 from riginv.inversion.results import check_after
-from riginv.inversion.setup import build_parts, chosen_method, open_clip
+from riginv.inversion.setup import build_parts, chosen_method
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.methods.choice import suited_methods
 from riginv.reproduction.cast import rig_in_space
@@ -57,7 +59,7 @@ def before_inverting(plain: dict[str, Any], folder: Path) -> None:
     rig = build_rig(plain)
     true_rig = build_true_rig(plain, rig)
     check_after(plain["after"], plain["look"])
-    clip, _ = open_clip(plain, true_rig)
+    clip, _ = open_clip(str(plain["clip"]), true_rig, *clip_options(plain))
     build_parts(plain, clip, rig, true_rig, None)
 
 

@@ -32,7 +32,9 @@ from riginv.sampling.seeds import generator_at
 from tests.clips import performance
 from tests.toys import ToyRig
 
-CONFIG = OmegaConf.to_container(OmegaConf.load(Path(__file__).parent.parent / "conf/invert.yaml"))
+CONF = Path(__file__).parent.parent / "conf"
+CONFIG = OmegaConf.to_container(OmegaConf.load(CONF / "invert.yaml"))
+CONFIG["frames"] = OmegaConf.to_container(OmegaConf.load(CONF / "frames/all.yaml"))
 
 
 class Given(MeshSequence):

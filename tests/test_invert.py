@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from riginv.clips.open import open_sequence
+from riginv.clips.options import ReadingOptions
 from tests.clips import obj_sequence, performance, write_npz
 from tests.conftest import ROOT
 from tests.toys import ToyRig
@@ -64,8 +65,7 @@ def test_what_is_written_as_an_avatar_is_the_clip_again(run, rig, tmp_path):
     outcome = run("invert", *TOY, *PLAIN, f"clip={clip}", "out=o", "formats=[glb]", "method=levenberg_marquardt")
     assert outcome.code == 0, outcome.text
     assert "turns of " in outcome.text
-    options = {"mesh": None, "missing_frames": "error", "fps": None, "interpreter": None}
-    again = open_sequence(str(tmp_path / "o/animation.glb"), rig, options)
+    again = open_sequence(str(tmp_path / "o/animation.glb"), rig, ReadingOptions())
     assert len(again) == 20 and np.linalg.norm(1000 * again.read(0, 20) - world, axis=2).mean() < 0.1
 
 

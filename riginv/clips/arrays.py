@@ -15,6 +15,7 @@ import numpy as np
 
 from riginv.array_files import DAMAGED_ZIP, Header, check_shape, read_header
 from riginv.clips.files import opened, read_numbers
+from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.errors import InputError, in_short
 
@@ -38,8 +39,8 @@ class ArrayClip(MeshSequence):
         InputError: there is no array of vertices, or it is truncated, damaged, or of another shape or type.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.file = path
+    def __init__(self, name: str, options: ReadingOptions) -> None:
+        self.file = path = Path(name)
         self.member: zipfile.ZipInfo | None = None
         faces, fps, numbers = None, None, None
         if path.suffix.lower() == ".npz":

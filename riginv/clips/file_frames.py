@@ -8,6 +8,7 @@ import numpy as np
 from riginv.clips.files import read_bytes
 from riginv.clips.numbered import find_frames
 from riginv.clips.obj_text import face_lines, read_points, read_polygons
+from riginv.clips.options import ReadingOptions
 from riginv.clips.ply_file import read_ply
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.errors import InputError
@@ -18,7 +19,7 @@ class FileFrames(MeshSequence):
 
     Args:
         path: as in `find_frames`.
-        bridge: let missing frames count as unknown.
+        options: what the user says about the files.
 
     Raises:
         InputError: there are no files, some are missing, or the first one is no mesh.
@@ -26,8 +27,8 @@ class FileFrames(MeshSequence):
 
     suffixes: tuple[str, ...] = ()
 
-    def __init__(self, path: str, bridge: bool = False) -> None:
-        self.frames = find_frames(path, self.suffixes, bridge)
+    def __init__(self, path: str, options: ReadingOptions) -> None:
+        self.frames = find_frames(path, self.suffixes, options.missing_frames == "bridge")
         points, self.face_bytes = self.parse(self.frames.first)
         super().__init__(path, self.frames.numbers, len(points), self.polygons(self.frames.first))
 

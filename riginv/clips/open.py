@@ -1,39 +1,39 @@
-"""Which reader a path needs: by the ending of its name."""
+"""Opening a clip: the reader that its name calls for, checked against the rig, in millimetres."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from riginv.build import build
+from riginv.build import class_of
 from riginv.clips.arrays import ArrayClip
+from riginv.clips.clip import Clip
 from riginv.clips.file_frames import ObjFrames, PlyFrames
 from riginv.clips.live_link import live_link_clip
 from riginv.clips.numbered import is_pattern
+from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.picked import PickedVertices
 from riginv.clips.point_caches import MddCache, Pc2Cache
 from riginv.clips.sequence import MeshSequence, Polygons
+from riginv.clips.topology import check_topology
+from riginv.clips.units import meaning_of
 from riginv.errors import InputError
 from riginv.rig import RigBackend
 
 FRAMES: Mapping[str, type[MeshSequence]] = {".obj": ObjFrames, ".ply": PlyFrames}
-CACHES: Mapping[str, Callable[[Path], MeshSequence]] = {
+READERS: Mapping[str, Callable[[str, ReadingOptions], MeshSequence]] = {
     ".npz": ArrayClip,
     ".npy": ArrayClip,
     ".mdd": MddCache,
     ".pc2": Pc2Cache,
+    **FRAMES,
 }
 PLUG_INS = {
     **dict.fromkeys((".glb", ".gltf", ".vrm"), "rigs.gltf.clip.GltfClip"),
     **dict.fromkeys((".abc", ".fbx"), "rigs.blender.clip.BlenderClip"),
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "rigs.usd.clip.UsdClip"),
 }
-KNOWN = (*CACHES, *FRAMES, *PLUG_INS, ".csv")
-TAKEN = {  # the options that a plug-in takes
-    "rigs.gltf.clip.GltfClip": ("mesh", "fps"),
-    "rigs.blender.clip.BlenderClip": ("mesh", "fps", "interpreter"),
-    "rigs.usd.clip.UsdClip": ("mesh",),
-}
+KNOWN = (*READERS, *PLUG_INS, ".csv")
 
 
 class RecordedShapes(MeshSequence):
@@ -48,36 +48,48 @@ class RecordedShapes(MeshSequence):
         return self.shapes.vertices(start, stop).float().cpu().numpy()
 
 
-def open_sequence(path: str, rig: RigBackend, options: Mapping[str, Any]) -> MeshSequence:
+def open_clip(path: str, rig: RigBackend, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
+    """A clip of a rig, and notes about what was guessed.
+
+    Raises:
+        InputError: it cannot be read, is no clip of the rig, or a value about it is wrong.
+    """
+    sequence = open_sequence(path, rig, reading)
+    if reading.vertices is not None:
+        sequence = PickedVertices(sequence, Path(str(reading.vertices)))
+    note = check_topology(sequence, rig, reading.check_faces)
+    meaning = meaning_of(sequence, rig, reading.unit, reading.scale, reading.up, reading.fps)
+    clip = Clip(sequence, meaning, frames.first, frames.last, frames.exclude)
+    return clip, [*sequence.facts.notes, *meaning.notes, *([note] if note else [])]
+
+
+def open_sequence(path: str, rig: RigBackend, options: ReadingOptions) -> MeshSequence:
     """Open a clip with the reader that its name calls for.
 
     Args:
         rig: whose mesh it should hold.
-        options: `mesh`: which mesh of a file with several; `missing_frames`: `error` or `bridge`; `fps`, where given;
-            `interpreter`: a Python with bpy, or Blender, for Alembic and FBX.
+        options: what the user says about the file.
 
     Raises:
         InputError: no reader knows the name, or the file is missing or damaged.
     """
     given = Path(path)
     suffix = given.suffix.lower()
-    bridge = options["missing_frames"] == "bridge"
     if _is_folder(given):
         inside = {file.suffix.lower() for file in given.iterdir()} & set(FRAMES)
         if len(inside) != 1:
             raise InputError(f"{path}: a folder, expected to hold OBJ or PLY files, one for each frame, and not both")
-        return FRAMES[inside.pop()](path, bridge)
+        return FRAMES[inside.pop()](path, options)
     if suffix in FRAMES:
-        return FRAMES[suffix](path, bridge)
+        return FRAMES[suffix](path, options)
     if is_pattern(path) and not given.exists():
         raise InputError(f"{path}: patterns are for OBJ and PLY files, one for each frame: expected one ending in .obj or .ply")
-    if suffix in CACHES:
-        return CACHES[suffix](given)
+    if suffix in READERS:
+        return READERS[suffix](path, options)
     if suffix == ".csv":
         return RecordedShapes(given, rig)
     if suffix in PLUG_INS:
-        plug_in = PLUG_INS[suffix]
-        return build({"_target_": plug_in, "path": path, **{name: options[name] for name in TAKEN[plug_in]}}, kind=MeshSequence)
+        return class_of(PLUG_INS[suffix], kind=MeshSequence)(path, options)
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from riginv.clips.files import opened, read_numbers
+from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MOST_VERTICES, MeshSequence
 from riginv.errors import InputError
 
@@ -52,7 +53,8 @@ class MddCache(PointCache):
         InputError: it is truncated or no MDD.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, name: str, options: ReadingOptions) -> None:
+        path = Path(name)
         frames, vertices = (int(number) for number in read_numbers(path, np.dtype(">i4"), (2,), 0))
         _check_counts(path, frames, vertices, "MDD")
         if _size(path) < 8 + 4 * frames:
@@ -69,7 +71,8 @@ class Pc2Cache(PointCache):
         InputError: it is truncated or no PC2.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, name: str, options: ReadingOptions) -> None:
+        path = Path(name)
         header = np.frombuffer(read_numbers(path, np.dtype("u1"), (PC2_HEADER.itemsize,), 0), PC2_HEADER)[0]
         if header["signature"] != PC2_SIGNATURE.rstrip(b"\0"):
             raise InputError(f"{path}: it starts with {bytes(header['signature'])[:12]!r}, expected {PC2_SIGNATURE!r}: no PC2")

@@ -52,11 +52,35 @@ class Polygons:
             )
 
 
+@dataclass(frozen=True)
+class SourceFacts:
+    """What a reader took from a file and what it passed over, so that the user can be told.
+
+    Attributes:
+        format: of the file, as people call it: `USD`, `glTF`, `Live Link Face CSV`.
+        meshes: names of the meshes that were read, in the order of their vertices.
+        other_meshes: names of those that were left out.
+        animation: name of the animation that was read, where a file can hold several.
+        other_animations: names of those that were not.
+        rate_source: where the frames a second come from: `timeCodesPerSecond`, `the spacing of its keys`.
+        notes: whole sentences: what was mended, guessed, or contradicts itself.
+    """
+
+    format: str
+    meshes: tuple[str, ...] = ()
+    other_meshes: tuple[str, ...] = ()
+    animation: str = ""
+    other_animations: tuple[str, ...] = ()
+    rate_source: str = ""
+    notes: tuple[str, ...] = ()
+
+
 class MeshSequence(ABC):
     """Meshes of one topology, one after the other, in the units and axes of their file; nothing is held but a window.
 
     Attributes:
         path: what messages call it.
+        facts: what was read, and what was left out.
         frame_numbers: as the source counts them, `(frame,)`, rising.
         vertex_count: of each mesh.
         faces: where the file says them, else None.
@@ -74,7 +98,9 @@ class MeshSequence(ABC):
         fps: float | None = None,
         unit_mm: float | None = None,
         up: str | None = None,
+        facts: SourceFacts | None = None,
     ) -> None:
+        self.facts = facts or SourceFacts(Path(str(path)).suffix.lstrip(".").upper())
         self.path, self.frame_numbers, self.vertex_count = str(path), np.asarray(frame_numbers, np.int64), int(vertex_count)
         self.faces, self.fps, self.unit_mm, self.up = faces, fps, unit_mm, up
         if not len(self.frame_numbers):

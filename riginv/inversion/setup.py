@@ -2,16 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from riginv.clips.clip import Clip
-from riginv.clips.open import open_sequence
-from riginv.clips.picked import PickedVertices
-from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
 from riginv.errors import InputError
 from riginv.inverse import Inverse
 from riginv.inversion.anchors import Anchors
@@ -71,24 +66,6 @@ def chosen_method(config: Config) -> str:
     if refine and method in (NETWORK, EACH_FRAME):
         raise InputError(f"refine={refine} is for method={REFINED} or {WHOLE_CLIP}: leave it out with method={method}")
     return method
-
-
-def open_clip(config: Config, rig: RigBackend) -> tuple[Clip, list[str]]:
-    """The clip of a config, checked against the rig, and what was guessed about it.
-
-    Raises:
-        InputError: it cannot be read, is no clip of the rig, or a value about it is wrong.
-    """
-    reading, frames = config["reading"], config["frames"]
-    if reading["missing_frames"] not in ("error", "bridge"):
-        raise InputError(f"reading.missing_frames is {reading['missing_frames']!r}, expected error or bridge")
-    sequence = open_sequence(str(config["clip"]), rig, reading)
-    if reading["vertices"] is not None:
-        sequence = PickedVertices(sequence, Path(str(reading["vertices"])))
-    note = check_topology(sequence, rig, reading["check_faces"])
-    meaning = meaning_of(sequence, rig, reading["unit"], reading["scale"], reading["up"], reading["fps"])
-    clip = Clip(sequence, meaning, frames["first"], frames["last"], frames["exclude"])
-    return clip, [*meaning.notes, *([note] if note else [])]
 
 
 def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend, inverse: Inverse | None) -> Parts:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.clips.units import DEFAULT_FPS
 from riginv.errors import InputError
@@ -20,19 +21,18 @@ class BlenderClip(MeshSequence):
 
     Args:
         path: of the file.
-        mesh: the name of the mesh object; None: the only one.
-        fps: at which an Alembic file, which does not say, is played; None: 30.
-        interpreter: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
+        options: `mesh`: the name of the mesh object; None: the only one. `fps`: at which an Alembic file, which does not say,
+            is played; None: 30. `interpreter`: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
 
     Raises:
         InputError: no Blender, no such file or mesh, or Blender cannot import it.
     """
 
-    def __init__(self, path: str, mesh: str | None = None, fps: float | None = None, interpreter: str | None = None) -> None:
+    def __init__(self, path: str, options: ReadingOptions) -> None:
         file = Path(path).expanduser().absolute()
         _check(path, file)
-        load = {"file": str(file), "mesh": mesh, "fps": float(fps or DEFAULT_FPS)}
-        self.pool = WorkerPool(script_command(find_interpreter(interpreter), "play.py"), load, 1, TIMEOUT_S)
+        load = {"file": str(file), "mesh": options.mesh, "fps": float(options.fps or DEFAULT_FPS)}
+        self.pool = WorkerPool(script_command(find_interpreter(options.interpreter), "play.py"), load, 1, TIMEOUT_S)
         self.path = path
         try:
             facts, arrays = self.pool.describe()

@@ -8,6 +8,7 @@ import numpy as np
 import roma
 import torch
 
+from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.clips.units import DEFAULT_FPS
 from riginv.errors import InputError
@@ -30,20 +31,20 @@ class GltfClip(MeshSequence):
 
     Args:
         path: of the file.
-        mesh: the name of a mesh or its node; None: all that can move, in the order of the file, as `rig=gltf` takes them.
-        fps: to sample at; None: what its keys are spaced by, where they are even, else 30.
+        options: `mesh`: the name of a mesh or its node; None: all that can move, in the order of the file, as `rig=gltf` takes
+            them. `fps`: to sample at; None: what its keys are spaced by, where they are even, else 30.
 
     Raises:
         InputError: the file cannot be read, or holds no animation.
     """
 
-    def __init__(self, path: str, mesh: str | None = None, fps: float | None = None) -> None:
+    def __init__(self, path: str, options: ReadingOptions) -> None:
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file; clip=PATH names a clip")
         self.file = open_gltf(path)
         self.scene = read_scene(self.file)
         try:
-            chosen = chosen_nodes(self.file, self.scene, [str(mesh)] if mesh else [], [], joints=True)
+            chosen = chosen_nodes(self.file, self.scene, options.mesh_names, [], joints=True)
         except InputError as error:  # a clip is told so by another key than a rig
             raise InputError(str(error).replace("rig.include", "reading.mesh")) from None
         self.pieces = pieces(self.file, chosen)
@@ -55,7 +56,7 @@ class GltfClip(MeshSequence):
         self.channels = read_channels(self.file, {node: len(found) for node, found in self.weights.items()})
         start = min(channel.times[0] for channel in self.channels)
         end = max(channel.times[-1] for channel in self.channels)
-        rate = _positive(fps) or _rate(self.channels) or DEFAULT_FPS
+        rate = _positive(options.fps) or _rate(self.channels) or DEFAULT_FPS
         if not (end - start) * rate < MOST_FRAMES:
             raise InputError(f"{path}: {end - start:.3g} s at {rate:g} frames a second are more than can be meant: damaged?")
         self.times = start + np.arange(round((end - start) * rate) + 1) / rate

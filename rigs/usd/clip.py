@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.errors import InputError
 from rigs.blender.pool import PoseLostError, WorkerPool
@@ -20,18 +21,18 @@ class UsdClip(MeshSequence):
 
     Args:
         path: the stage.
-        mesh: the path or the name of its prim; None: the only one whose points move.
+        options: `mesh`: the path or the name of its prim; None: the only one whose points move.
 
     Raises:
         InputError: usd-core is not installed, the stage cannot be opened, or no mesh, or more than one, could be meant.
     """
 
-    def __init__(self, path: str, mesh: str | None = None) -> None:
+    def __init__(self, path: str, options: ReadingOptions) -> None:
         if importlib.util.find_spec("pxr") is None:
             raise InputError(f"{path}: reading USD needs usd-core: pip install 'riginv[usd]'")
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file; clip=PATH names a clip")
-        load = {"file": str(Path(path).absolute()), "mesh": mesh}
+        load = {"file": str(Path(path).absolute()), "mesh": options.mesh}
         self.path = path
         self.pool = WorkerPool([sys.executable, str(SCRIPT)], load, 1, TIMEOUT_S)
         try:

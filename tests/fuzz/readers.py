@@ -17,6 +17,7 @@ from riginv.cli.run_folder import RunFolder, find_run_folder
 from riginv.cli.summary import show
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
+from riginv.clips.options import ReadingOptions
 from riginv.clips.picked import read_picked
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
@@ -35,7 +36,6 @@ from tests.fuzz.tally import Target
 from tests.test_bundle import rewrite_sums
 from tests.toys import ToyRig
 
-OPTIONS = {"mesh": None, "missing_frames": "error", "fps": None, "interpreter": None}
 Make = Callable[[Path], Target]
 
 
@@ -47,7 +47,7 @@ def toy() -> ToyRig:
 def read_clip(path: Path) -> np.ndarray:
     """As the command does: opened, compared with the rig, measured, and read window by window."""
     rig = toy()
-    sequence = open_sequence(str(path), rig, OPTIONS)
+    sequence = open_sequence(str(path), rig, ReadingOptions())
     check_topology(sequence, rig)
     clip = Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", None))
     pieces = [clip.vertices(start, min(start + 5, len(clip))).numpy() for start in range(0, len(clip), 5)]
