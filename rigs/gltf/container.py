@@ -26,12 +26,19 @@ class GltfFile:
         path: of the file.
         document: as from `checked_document`.
         chunk: the binary chunk of a .glb, `(byte,)`; None where there is none.
+        notes: whole sentences: what was mended or passed over while the file was read, each once.
     """
 
     path: Path
     document: Document
     chunk: np.ndarray | None
+    notes: list[str] = field(default_factory=list)
     _buffers: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def note(self, sentence: str) -> None:
+        """Add to `notes`; parts of a file may be read twice, and are noted once."""
+        if sentence not in self.notes:
+            self.notes.append(sentence)
 
     def item(self, kind: str, index: int, user: str) -> dict[str, Any]:
         """One of the document's `kind` (`accessors`, `nodes`...).
