@@ -88,6 +88,23 @@ class AvatarWriter:
         self.document.skins.append(gltf.Skin(joints=joints, inverseBindMatrices=accessor, name="skin"))
         return len(self.document.skins) - 1
 
+    def animation(self, name: str | None, *channels: tuple) -> int:
+        """An animation of channels `(node, path, times, values)`, and how it goes on between keys where not linearly."""
+        found = gltf.Animation(name=name)
+        inputs: dict[bytes, int] = {}
+        for node, path, times, values, *how in channels:
+            times = np.asarray(times, np.float32)
+            if times.tobytes() not in inputs:
+                inputs[times.tobytes()] = self.accessor(times)
+            values = np.asarray(values, np.float64)
+            output = self.accessor(values.reshape(-1) if path == "weights" else values.reshape(-1, values.shape[-1]))
+            sampler = gltf.AnimationSampler(input=inputs[times.tobytes()], output=output, interpolation=(how or ["LINEAR"])[0])
+            found.samplers.append(sampler)
+            target = gltf.AnimationChannelTarget(node=node, path=path)
+            found.channels.append(gltf.AnimationChannel(sampler=len(found.samplers) - 1, target=target))
+        self.document.animations.append(found)
+        return len(self.document.animations) - 1
+
     def write(self, path: Path) -> Path:
         self.document.buffers = [gltf.Buffer(byteLength=len(self.blob))]
         self.document.set_binary_blob(self.blob)

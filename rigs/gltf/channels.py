@@ -9,7 +9,7 @@ import numpy as np
 from riginv.errors import InputError
 from rigs.gltf.accessors import count_of, read_numbers
 from rigs.gltf.animation import CUBIC, LINEAR, ROTATION, SCALE, STEP, TANGENTS, TRANSLATION, WEIGHTS, Channel
-from rigs.gltf.container import GltfFile
+from rigs.gltf.container import GltfFile, printable
 from rigs.gltf.targets import target_count
 
 KINDS = {TRANSLATION: "VEC3", ROTATION: "VEC4", SCALE: "VEC3", WEIGHTS: "SCALAR"}
@@ -22,7 +22,8 @@ MAY_MOVE = re.compile(r"/(nodes|meshes|skins|accessors)/")  # pointers to someth
 def animation_names(file: GltfFile) -> list[str]:
     """The names of the file's animations; one without a name is called by its number, which counts from 1."""
     found = file.document.get("animations", [])
-    return [animation.get("name") or unnamed(number) for number, animation in enumerate(found)]
+    names = [animation.get("name") for animation in found]
+    return [printable(name) if isinstance(name, str) and name else unnamed(number) for number, name in enumerate(names)]
 
 
 def unnamed(number: int) -> str:

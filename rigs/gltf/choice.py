@@ -1,6 +1,6 @@
-"""Which of a file's animations is read: the one that the user names, else the first that moves the chosen meshes."""
+"""Which of a file's animations is read: those that the user names, else the first that moves the chosen meshes."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,16 +17,16 @@ KNOWN = 10  # animations that a message lists
 
 
 class Chosen(NamedTuple):
-    """An animation that is read.
+    """What is read.
 
     Attributes:
-        number: from 0.
-        channels: all of its channels.
-        moves: whether it moves the meshes.
-        asked: whether the user named it.
+        numbers: of the animations, from 0.
+        channels: all of theirs; what two of them move is moved by the later.
+        moves: whether they move the meshes.
+        asked: whether the user named them.
     """
 
-    number: int
+    numbers: tuple[int, ...]
     channels: list[Channel]
     moves: bool
     asked: bool = False
@@ -36,7 +36,8 @@ def choose_animation(file: GltfFile, meshes: PosedMeshes, asked: Any) -> Chosen 
     """The animation to read.
 
     Args:
-        asked: its name, or its number from 1; None: the first that moves the meshes, or else holds them in a pose.
+        asked: its name, or its number from 1, or a list of these; None: the first that moves the meshes, or else holds them
+            in a pose.
 
     Returns:
         None where none was asked for and none has anything to do with the meshes.
@@ -48,18 +49,14 @@ def choose_animation(file: GltfFile, meshes: PosedMeshes, asked: Any) -> Chosen 
     if not names:
         raise InputError(f"{file.path}: no animation in it: export it with its animation, or give another clip")
     if asked is not None:
-        number = _number_of(file, names, asked)
-        channels = read_channels(file, number)
-        if not channels:
-            raise InputError(f"{file.path}: animation {number + 1} moves nothing; its animations are: {known(names)}")
-        return Chosen(number, channels, is_moved(meshes, channels), asked=True)
+        return _asked(file, meshes, names, asked if isinstance(asked, list | tuple) else [asked])
     still = None
     for number in range(len(names)):
         channels = read_channels(file, number)
         if is_moved(meshes, channels):
-            return Chosen(number, channels, True)
+            return Chosen((number,), channels, True)
         if still is None and any(meshes.follows(channel) for channel in channels):
-            still = Chosen(number, channels, False)
+            still = Chosen((number,), channels, False)
     return still
 
 
@@ -83,41 +80,75 @@ def is_moved(meshes: PosedMeshes, channels: Iterable[Channel]) -> bool:
     return False
 
 
-def choice_notes(file: GltfFile, meshes: PosedMeshes, chosen: Chosen) -> Iterable[str]:
+def choice_notes(file: GltfFile, meshes: PosedMeshes, chosen: Chosen) -> list[str]:
     """What the user should know of a choice: what was passed over, and that nothing moves."""
-    names = animation_names(file)
-    read = named(names, chosen.number)
-    if not chosen.moves:
-        yield f"{read} does not move the meshes that were read: all frames are one pose."
+    names, read = animation_names(file), chosen.numbers[0]
+    said = f"Animation {read + 1}" + f", '{names[read]}'," * (names[read] != unnamed(read))
+    notes = [] if chosen.moves else [f"{said} does not move the meshes that were read: all frames are one pose."]
     if chosen.asked or len(names) == 1:
-        return
+        return notes
+    others = [number for number in range(len(names)) if number != read]
     why = "the first that moves the meshes that were read" if chosen.moves else "the first that holds them in a pose"
-    others = [number for number in range(len(names)) if number != chosen.number]
-    yield f"{read} was read, {why}; not read: {_several(names, others)} (reading.animation=NAME or NUMBER chooses)."
+    notes.append(f"{said} was read, {why}; not read: {_several(names, others)} (reading.animation=NAME or NUMBER chooses).")
+    if found := _parts_elsewhere(file, meshes, chosen, others[:KNOWN]):
+        numbers = ",".join(str(number + 1) for number in (read, *found))
+        notes.append(
+            f"What that animation leaves still of these meshes is moved by {_several(names, found)}: "
+            f"reading.animation=[{numbers}] plays them together."
+        )
+    return notes
 
 
-def no_motion(file: GltfFile, scene_names: str) -> InputError:
+def no_motion(file: GltfFile, meshes: str) -> InputError:
     """What to say where no animation has anything to do with the meshes."""
     names = animation_names(file)
     return InputError(
-        f"{file.path}: none of its animations ({known(names)}) moves {scene_names}: name other meshes with "
-        f"reading.mesh=[NAME], or read one of them as a still with reading.animation=NUMBER"
+        f"{file.path}: none of its animations ({_all(names)}) moves {meshes}: name other meshes with reading.mesh=[NAME], or "
+        f"read one of them as a still with reading.animation=NUMBER"
     )
 
 
-def named(names: list[str], number: int) -> str:
-    """An animation, at the beginning of a sentence."""
-    return f"Animation {number + 1}" + f", '{names[number]}'," * (names[number] != unnamed(number))
+def _asked(file: GltfFile, meshes: PosedMeshes, names: list[str], asked: Sequence[Any]) -> Chosen:
+    numbers = tuple(dict.fromkeys(_number_of(file, names, one) for one in asked))
+    found: dict[tuple[int, str], Channel] = {}
+    for number in numbers:
+        found |= {(channel.node, channel.what): channel for channel in read_channels(file, number)}
+    channels = list(found.values())
+    if not channels:
+        raise InputError(
+            f"{file.path}: reading.animation={_said(asked)} moves nothing; the file's animations are: {_all(names)}"
+        )
+    return Chosen(numbers, channels, is_moved(meshes, channels), asked=True)
 
 
-def known(names: list[str]) -> str:
-    """All animations, for a message."""
+def _parts_elsewhere(file: GltfFile, meshes: PosedMeshes, chosen: Chosen, others: Iterable[int]) -> list[int]:
+    """Other animations that move what the chosen one does not, and nothing else, as where exporters make one of each action."""
+    if not chosen.moves:
+        return []
+    taken, found = {(one.node, one.what) for one in chosen.channels if meshes.follows(one)}, []
+    for number in others:
+        try:
+            channels = [channel for channel in read_channels(file, number) if meshes.follows(channel)]
+        except InputError:  # it is not read
+            continue
+        moved = {(channel.node, channel.what) for channel in channels}
+        if not moved & taken and is_moved(meshes, channels):
+            found.append(number)
+            taken |= moved
+    return found
+
+
+def _all(names: list[str]) -> str:
     return _several(names, range(len(names)))
 
 
 def _several(names: list[str], numbers: Iterable[int]) -> str:
     each = [f"{number + 1}" + f" '{names[number]}'" * (names[number] != unnamed(number)) for number in numbers]
     return ", ".join(each[:KNOWN]) + (f" and {len(each) - KNOWN} more" if len(each) > KNOWN else "")
+
+
+def _said(asked: Sequence[Any]) -> str:
+    return ",".join(str(one) for one in asked)[:80]
 
 
 def _number_of(file: GltfFile, names: list[str], asked: Any) -> int:
@@ -127,14 +158,14 @@ def _number_of(file: GltfFile, names: list[str], asked: Any) -> int:
     alike = alike or [number for number, name in enumerate(names) if name.casefold() == said.casefold()]
     whole = isinstance(asked, int) and not isinstance(asked, bool)
     if (whole or not alike) and said.isascii() and said.isdigit() and 1 <= int(said[:9]) <= len(names):
-        return int(said) - 1
+        return int(said[:9]) - 1
     if len(alike) == 1:
         return alike[0]
     if alike:
         raise InputError(
-            f"{file.path}: {len(alike)} animations are named {said!r}: give a number, reading.animation={alike[0] + 1} or "
+            f"{file.path}: {len(alike)} animations are named {said[:80]!r}: give a number, reading.animation={alike[0] + 1} or "
             f"{alike[1] + 1}"
         )
     raise InputError(
-        f"{file.path}: reading.animation is {said[:80]!r}, no animation is called or numbered so; they are: {known(names)}"
+        f"{file.path}: reading.animation is {said[:80]!r}, no animation is called or numbered so; they are: {_all(names)}"
     )

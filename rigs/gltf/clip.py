@@ -28,8 +28,8 @@ class GltfClip(MeshSequence):
 
     Args:
         path: of the file.
-        options: `mesh`: names or globs of meshes or their nodes; None: the rig's. `animation`: a name, or a number from 1;
-            None: the first that moves the meshes. `fps`: to sample at; None: what the times of the keys point to.
+        options: `mesh`: names or globs of meshes or their nodes; None: the rig's. `animation`: a name, a number from 1 or
+            several of these; None: the first that moves the meshes. `fps`: to sample at; None: what the keys' times tell.
         rig: that the clip is for, whose meshes are looked for in the file; None: those that a rig of the file would take.
 
     Raises:
@@ -105,13 +105,13 @@ def _facts(file: GltfFile, scene: Scene, taken: ClipMeshes, meshes: PosedMeshes,
         notes.append("Vertices at seams were welded as in the rig (rig.weld=true).")
     notes += choice_notes(file, meshes, chosen)
     notes += [timing.rate.note] if timing.rate.note else []
-    animations = animation_names(file)
+    animations = list(enumerate(animation_names(file)))
     return SourceFacts(
         "glTF",
         meshes=tuple(names[node].shown for node in taken.nodes),
         other_meshes=tuple(name.shown for name in others),
-        animation=animations.pop(chosen.number),
-        other_animations=tuple(animations),
+        animation=", ".join(name for number, name in animations if number in chosen.numbers),
+        other_animations=tuple(name for number, name in animations if number not in chosen.numbers),
         rate_source=timing.rate.source,
         notes=(*notes, *file.notes),
     )

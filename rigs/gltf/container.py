@@ -2,6 +2,7 @@
 
 import codecs
 import json
+import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,8 +38,9 @@ class GltfFile:
 
     def note(self, sentence: str) -> None:
         """Add to `notes`; parts of a file may be read twice, and are noted once."""
-        if sentence not in self.notes:
-            self.notes.append(sentence)
+        said = printable(sentence)
+        if said not in self.notes:
+            self.notes.append(said)
 
     def item(self, kind: str, index: int, user: str) -> dict[str, Any]:
         """One of the document's `kind` (`accessors`, `nodes`...).
@@ -99,6 +101,11 @@ class GltfFile:
                 f"{self.path}: buffers[{index}] names no file, and the file has no binary part for it: export it again"
             )
         return self.chunk
+
+
+def printable(text: str) -> str:
+    """A name from a file without what would move a cursor or end a line."""
+    return "".join("?" if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") else letter for letter in text)
 
 
 def open_gltf(path: str | Path) -> GltfFile:

@@ -11,11 +11,13 @@ from riginv.clips.units import DEFAULT_FPS
 COMMON = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)
 NTSC = {base: base * 1000 / 1001 for base in (24.0, 30.0, 48.0, 60.0, 120.0)}  # 23.976, 29.97, 47.95, 59.94, 119.88
 EXACT = 5e-4  # of a frame, that a key may be off it beside the rounding of its time
-ROUNDED_S, ROUNDED = 6e-4, 0.1  # seconds, and of a frame, that keys may be off where times were rounded to milliseconds
+DECIMALS, ROUNDED = (2, 3, 4, 5), 0.16  # to which exporters round seconds, and of a frame, that keys may be off it then
+TELEVISION = 0.85  # of how far keys are off a common rate, that they must be nearer to what television makes of it
 COARSE = 0.25  # of a frame, beyond which a time tells no frame
 HOLD_S, HOLD = 2e-3, 0.15  # seconds, and of a step, within which a key only holds a value up to the next key
 DENSE = 8.0  # keys a second, from which on their spacing may be that of frames
-EVEN, UNEVEN = 0.1, 0.5  # of a step, that evenly spaced keys, and recorded ones, may be off it
+SAME = 1e-4  # of a rate, within which it is a common one
+EVEN, UNEVEN = 0.1, 0.6  # of a step, that evenly spaced keys, and recorded ones, may be off it
 FEW, MANY = 4, 8  # keys: fewer than FEW make any rate a guess, and MANY show a rate in spite of rounded or stray times
 MOSTLY = 0.8  # of the keys, for the others to count as strays
 
@@ -46,11 +48,14 @@ class KeyTimes:
     Attributes:
         times: each once, rising, without those that only hold a value.
         resolution: how far apart neighbouring times are in the file, seconds: float32 is coarse far from 0.
+        rounding: how far a key may be from where it stood, seconds, because its time was rounded to decimals; 0: it was not.
     """
 
     def __init__(self, times: np.ndarray) -> None:
         self.times = _without_holds(np.unique(times))
         self.resolution = float(np.spacing(np.float32(np.abs(self.times[[0, -1]]).max())))
+        off = {places: np.abs(self.times - np.round(self.times, places)).max() for places in DECIMALS}
+        self.rounding = next((0.5 * 0.1**places for places in DECIMALS if off[places] <= self.resolution + 1e-9), 0.0)
 
     def too_coarse(self) -> bool:
         """Whether frames cannot be told apart any more by times as large as these."""
@@ -61,8 +66,8 @@ class KeyTimes:
         return min(self.resolution * fps + EXACT, COARSE)
 
     def rounded(self, fps: float) -> float:
-        """The same, where times were rounded to milliseconds."""
-        return min(ROUNDED_S * fps + self.exact(fps), ROUNDED)
+        """The same, where times were rounded to decimals."""
+        return min(self.rounding * fps + self.exact(fps), ROUNDED)
 
     def phase(self, fps: float, tolerance: float) -> float:
         """How far after whole frames the keys stand, in frames, in [-0.5, 0.5]: 0, or where most do, or the first."""
@@ -79,7 +84,7 @@ class KeyTimes:
             return self._guess("its keys all stand at one time")
         evidence = (
             lambda: self._on_frames(self.exact, 2),
-            lambda: self._on_frames(self.rounded, MANY),
+            lambda: self._on_frames(self.rounded, 3) if self.rounding else None,
             lambda: self._evenly_spaced(DENSE),
             self._mostly_on_frames,
             self._recorded,
@@ -110,14 +115,15 @@ class KeyTimes:
         return Rate(fps, "the frames that its keys stand on" + ", a guess" * bool(note), tolerance(fps), note)
 
     def _nearer(self, base: float, tolerance: Callable[[float], float]) -> float | None:
-        """A common rate or what television makes of it, whichever fits better; None where neither does."""
-        found = []
+        """A common rate, or what television makes of it where many keys fit that better; None where neither fits."""
+        found = {}
         for fps in (base, NTSC.get(base, base)):
             frames = self.times * fps
             off = _off(frames, self.phase(fps, tolerance(fps)))
             if off.max() <= tolerance(fps):
-                found.append((float(np.sqrt((off**2).mean())), fps))
-        return min(found)[1] if found else None
+                found[fps] = float(np.sqrt((off**2).mean()))
+        better = len(found) < 2 or (len(self.times) >= MANY and found[NTSC[base]] < TELEVISION * found[base])
+        return list(found)[-1 if better else 0] if found else None
 
     def _evenly_spaced(self, least: float) -> Rate | None:
         """The rate of keys that stand at every frame."""
@@ -128,7 +134,7 @@ class KeyTimes:
         fps = 1 / step
         unsure = fps * self.resolution / float(self.times[-1] - self.times[0])
         fps = float(round(fps)) if abs(fps - round(fps)) <= unsure else round(fps, 3)
-        return Rate(_nearest(fps, (*COMMON, *NTSC.values()), 1e-3), "the even spacing of its keys", COARSE)
+        return Rate(_nearest(fps, (*COMMON, *NTSC.values()), SAME), "the even spacing of its keys", COARSE)
 
     def _mostly_on_frames(self) -> Rate | None:
         """The rate on whose frames all keys stand but for a few, such as the end of a clip that was cut."""
@@ -150,8 +156,9 @@ class KeyTimes:
     def _recorded(self) -> Rate | None:
         """The rate of keys that were recorded as they came, unevenly."""
         steps = np.diff(self.times)
-        step = float(np.median(steps))
-        if len(self.times) < MANY or step * DENSE > 1 or (np.abs(steps - step) < UNEVEN * step).mean() < MOSTLY:
+        near = np.abs(steps - np.median(steps)) < UNEVEN * np.median(steps)
+        step = float(steps[near].mean())
+        if len(self.times) < MANY or step * DENSE > 1 or near.mean() < MOSTLY:
             return None
         fps = _nearest(round(1 / step, 3), COMMON, EVEN)
         note = f"{fps:.5g} frames a second taken, because its keys are {1000 * step:.3g} ms apart, unevenly (reading.fps=...)."

@@ -72,14 +72,14 @@ DOCUMENT: Document = {
     "skins": [{"name": TEXT, "joints!": [WHOLE], "inverseBindMatrices": WHOLE}],
     "animations": [
         {
-            "name": TEXT,
+            "name": ANYTHING,
             "channels!": [{"sampler!": WHOLE, "target!": {"node": WHOLE, "path!": TEXT, "extensions": OBJECT}}],
             "samplers!": [{"input!": WHOLE, "output!": WHOLE, "interpolation": TEXT}],
         }
     ],
     "accessors": [
         {
-            "name": TEXT,
+            "name": ANYTHING,
             "bufferView": WHOLE,
             "byteOffset": WHOLE,
             "componentType!": WHOLE,

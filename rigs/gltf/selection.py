@@ -5,7 +5,7 @@ from fnmatch import fnmatchcase
 from typing import NamedTuple
 
 from riginv.errors import InputError
-from rigs.gltf.container import GltfFile
+from rigs.gltf.container import GltfFile, printable
 from rigs.gltf.scene import Scene
 from rigs.gltf.targets import target_count
 
@@ -21,7 +21,7 @@ class MeshName(NamedTuple):
     @property
     def shown(self) -> str:
         """The name for messages; nodes without a name are numbered, and then the mesh's own says more."""
-        return self.mesh if self.mesh and self.node.startswith("node_") else self.node
+        return printable(self.mesh if self.mesh and self.node.startswith("node_") else self.node)
 
     def fits(self, glob: str) -> bool:
         return any(name == glob or fnmatchcase(name, glob) for name in self)

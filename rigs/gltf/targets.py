@@ -153,5 +153,5 @@ def _names_of_accessors(file: GltfFile, targets: list[dict]) -> Iterator[str]:
     accessors = file.document.get("accessors", [])
     for target in targets:
         place = target.get("POSITION", len(accessors))
-        name = accessors[place].get("name", "") if place < len(accessors) else ""
-        yield "" if NUMBERED.fullmatch(name) else name
+        name = accessors[place].get("name") if place < len(accessors) else None
+        yield name if isinstance(name, str) and not NUMBERED.fullmatch(name) else ""
