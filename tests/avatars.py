@@ -112,6 +112,28 @@ class AvatarWriter:
         return path
 
 
+def add_cube(
+    avatar: AvatarWriter, name: str, names: list[str] | None, seed: int, parent: int | None = None, skin: int | None = None
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """A node with a crooked cube of about 0.2 m, a morph target for each name; bound to the first two joints of a skin.
+
+    Returns:
+        the node, the positions `(8, 3)` and the deltas `(target, 8, 3)`, metres.
+    """
+    rng, (corners, faces) = np.random.default_rng(seed), cube()
+    points = 0.1 * corners + 0.01 * rng.normal(size=corners.shape) + [0.05 * seed, 0, 0]
+    deltas = 0.02 * rng.normal(size=(len(names or []), *points.shape))
+    more = {}
+    if skin is not None:
+        shares = np.zeros((8, 4))
+        shares[:, 0] = rng.uniform(0.1, 0.9, 8)
+        shares[:, 1] = 1 - shares[:, 0]
+        joints = np.tile([0, 1, 0, 0], (8, 1))
+        more = {"JOINTS_0": avatar.accessor(joints, "u1"), "WEIGHTS_0": avatar.accessor(shares)}
+    primitive = avatar.primitive(avatar.accessor(points), faces, [avatar.accessor(delta) for delta in deltas], **more)
+    return avatar.node(name, parent, mesh=avatar.mesh(name, [primitive], names), skin=skin), points, deltas
+
+
 def face_avatar(path: Path, face: FaceRig, targets: int, joints: bool = False) -> Path:
     """The face rig's first primary shapes as the morph targets of an avatar, in metres, some of them sparse.
 

@@ -193,9 +193,7 @@ for fps, name, options in facts["files"]:
     bpy.ops.export_scene.gltf(filepath=path, export_format="GLB", export_animations=True, **options)
 """
 BLENDERS_WAYS = {"linear": "LINEAR", "step": "CONSTANT", "smooth": "BEZIER"}
-ACTIONS = {"export_animation_mode": "ACTIONS", "export_optimize_animation_size": False}
 TOGETHER = {"export_animation_mode": "SCENE", "export_optimize_animation_size": False}
-UNSAMPLED = {"export_animation_mode": "SCENE", "export_force_sampling": False}
 OPTIMISED = {"export_animation_mode": "SCENE", "export_optimize_animation_size": True}
 WRITTEN = [
     *((((fps, 1.0), f"sampled_{fps}_{how}", TOGETHER)) for fps in (24, 25, 30, 60) for how in BLENDERS_WAYS),
