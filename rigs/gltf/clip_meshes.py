@@ -17,6 +17,7 @@ from rigs.gltf.rig import GltfRig
 from rigs.gltf.scene import Scene
 from rigs.gltf.selection import MeshName, mesh_name, mesh_nodes, named_meshes, with_targets, with_targets_or_skin
 
+BY_NAME = "those of the rig"
 MOST_COMPARED = 12  # selections of the rig's number of vertices whose faces are compared with the rig's
 
 
@@ -59,6 +60,8 @@ def clip_meshes(file: GltfFile, scene: Scene, options: ReadingOptions, rig: RigB
             if sum(counts[node] for node in nodes) in rest and len(found) < MOST_COMPARED:
                 fitting = _fitting(trial, nodes, options, rig)
                 found += [fitting._replace(why=why)] if fitting else []
+                if fitting and why == BY_NAME:  # another mesh of the same faces is another mesh
+                    break
     return found or [ClipMeshes(given[0][0], None, given[0][1])]
 
 
@@ -66,7 +69,7 @@ def _candidates(file: GltfFile, scene: Scene, rig: RigBackend | None) -> Iterato
     """Selections, each once, and why they would be taken."""
     nodes, seen = mesh_nodes(file, scene), set()
     several = (
-        (_of_names(file, scene, rig.meshes) if isinstance(rig, GltfRig) else [], "those of the rig"),
+        (_of_names(file, scene, rig.meshes) if isinstance(rig, GltfRig) else [], BY_NAME),
         (with_targets(file, nodes), "those with morph targets"),
         (with_targets_or_skin(file, nodes), "those with morph targets or a skin"),
         (nodes, "all that there are"),

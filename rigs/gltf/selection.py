@@ -1,6 +1,6 @@
 """Which meshes of a file are taken: one answer for the rig and for a clip of it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -22,9 +22,6 @@ class MeshName(NamedTuple):
     def shown(self) -> str:
         """The name for messages; nodes without a name are numbered, and then the mesh's own says more."""
         return printable(self.mesh if self.mesh and self.node.startswith("node_") else self.node)
-
-    def fits(self, glob: str) -> bool:
-        return any(name == glob or fnmatchcase(name, glob) for name in self)
 
 
 def mesh_nodes(file: GltfFile, scene: Scene) -> list[int]:
@@ -55,13 +52,23 @@ def named_meshes(file: GltfFile, scene: Scene, globs: Sequence[str], key: str) -
         InputError: one of them names no mesh.
     """
     nodes = mesh_nodes(file, scene)
-    names = {node: mesh_name(file, scene, node) for node in nodes}
+    if not globs:
+        return nodes
+    names, found = {node: mesh_name(file, scene, node) for node in nodes}, set()
     for glob in globs:
-        if not any(name.fits(glob) for name in names.values()):
+        matching = _matching(names, glob)
+        if not matching:
             raise InputError(
                 f"{file.path}: {key} names {glob!r}, no mesh is called so; its meshes are: {listed(names.values())}"
             )
-    return [node for node in nodes if not globs or any(names[node].fits(glob) for glob in globs)]
+        found |= matching
+    return [node for node in nodes if node in found]
+
+
+def _matching(names: Mapping[int, MeshName], glob: str) -> set[int]:
+    """The nodes of a name, or else of a glob: a name may hold brackets and asterisks."""
+    exact = {node for node, name in names.items() if glob in name}
+    return exact or {node for node, name in names.items() if any(fnmatchcase(one, glob) for one in name)}
 
 
 def rig_meshes(file: GltfFile, scene: Scene, include: list[str], exclude: list[str], joints: bool) -> list[int]:
@@ -74,12 +81,10 @@ def rig_meshes(file: GltfFile, scene: Scene, include: list[str], exclude: list[s
     Raises:
         InputError: no mesh is taken.
     """
-    kept = [
-        node
-        for node in named_meshes(file, scene, include, "rig.include")
-        if not any(mesh_name(file, scene, node).fits(glob) for glob in exclude)
-    ]
-    known = listed(mesh_names(file, scene, mesh_nodes(file, scene)))
+    names = {node: mesh_name(file, scene, node) for node in mesh_nodes(file, scene)}
+    gone = set().union(*(_matching(names, glob) for glob in exclude))
+    kept = [node for node in named_meshes(file, scene, include, "rig.include") if node not in gone]
+    known = listed(names.values())
     if not kept:
         raise InputError(f"{file.path}: no mesh is left for the rig; its meshes are: {known}; see rig.include and rig.exclude")
     if include:
