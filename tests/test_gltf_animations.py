@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
@@ -220,3 +221,30 @@ def test_names_do_not_move_the_cursor(tmp_path):
     scene.animation("Talk", (scene.face, "weights", TIMES, WEIGHTS))
     facts = scene.clip(tmp_path).facts
     assert facts.other_animations == ("a?[2Jb?c",) and not any("\x1b" in note or "\n" in note for note in facts.notes)
+
+
+def test_the_matrix_of_an_animated_node_is_taken_apart(tmp_path):
+    whole = np.eye(4)
+    whole[:3, :3], whole[:3, 3] = (
+        Rotation.from_euler("xyz", [20, 30, -40], degrees=True).as_matrix() * [1, 2, 0.5],
+        [0.1, 0, 0.2],
+    )
+    found = []
+    for as_matrix in (True, False):
+        scene = Scene()
+        node = scene.document.nodes[scene.root]
+        if as_matrix:
+            node.matrix = whole.T.reshape(-1).tolist()
+        else:
+            node.rotation = Rotation.from_euler("xyz", [20, 30, -40], degrees=True).as_quat().tolist()
+            node.scale, node.translation = [1, 2, 0.5], [0.1, 0, 0.2]
+        scene.animation("Slide", (scene.root, "translation", TIMES, SLIDE), (scene.face, "weights", TIMES, WEIGHTS))
+        scene.animation("Turn", (scene.root, "rotation", TIMES, TURN))
+        found += [scene.clip(tmp_path, animation=number).read(0, 12) for number in (1, 2)]
+    assert np.abs(found[0] - found[2]).max() < 1e-6 and np.abs(found[1] - found[3]).max() < 1e-6
+    for wrong in (np.diag([-1.0, 1, 1, 1]), np.eye(4) + np.eye(4, k=1) * np.array([1, 0, 0, 0])[:, None]):
+        scene = Scene()
+        scene.document.nodes[scene.root].matrix = wrong.T.reshape(-1).tolist()
+        scene.animation("Turn", (scene.root, "rotation", TIMES, TURN))
+        with pytest.raises(InputError, match="node 'root' is animated and has a matrix that is no rotation"):
+            scene.clip(tmp_path)

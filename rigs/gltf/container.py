@@ -14,7 +14,7 @@ from rigs.gltf.schema import Document, checked_document
 from rigs.gltf.sources import DATA_URI, MAGIC, VERSION, beside, bytes_of, chunks, from_data_uri
 
 COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
-SUPPORTED = ("KHR_mesh_quantization",)
+SUPPORTED = ("KHR_mesh_quantization", "KHR_animation_pointer")
 # Extensions that change how an avatar looks or behaves, not where its vertices are.
 HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp", "VRM")
 

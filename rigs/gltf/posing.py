@@ -16,7 +16,7 @@ from rigs.gltf.pieces import Piece, pieces
 from rigs.gltf.scene import Scene
 from rigs.gltf.targets import default_weights
 
-LOCAL = {TRANSLATION: (0.0, 0.0, 0.0), ROTATION: (0.0, 0.0, 0.0, 1.0), SCALE: (1.0, 1.0, 1.0)}
+LOCAL = {TRANSLATION, ROTATION, SCALE}
 
 Moves = Mapping[int, Mapping[str, np.ndarray]]  # of nodes: what moves them, and its values
 
@@ -94,17 +94,29 @@ class PosedMeshes:
     def _posed(self, moves: Moves) -> Scene:
         turning, scaling = self.scene.turning.clone(), self.scene.scaling.clone()
         for node, move in moves.items():
-            if node not in self.carrying or not move.keys() & LOCAL.keys():
+            if node not in self.carrying or not move.keys() & LOCAL:
                 continue
-            own = self.file.document["nodes"][node]
-            if "matrix" in own:
-                raise InputError(
-                    f"{self.file.path}: node '{self.scene.names[node]}' has a matrix and is animated, which glTF forbids: "
-                    f"export it again"
-                )
-            values = {what: np.asarray(move.get(what, own.get(what, rest)), np.float64) for what, rest in LOCAL.items()}
-            local = {what: torch.tensor(value) for what, value in values.items()}
-            turn = roma.unitquat_to_rotmat(local[ROTATION] / local[ROTATION].norm().clamp_min(1e-9))
-            turning[node] = transform_from(turn, local[TRANSLATION])
-            scaling[node] = transform_from(torch.diag(local[SCALE]), torch.zeros(3, dtype=torch.float64))
+            if "matrix" in self.file.document["nodes"][node]:
+                self._check_matrix(node)
+            turn, scale = turning[node, :, :3], scaling[node, :, :3]
+            if ROTATION in move:
+                rotation = torch.tensor(np.asarray(move[ROTATION], np.float64))
+                turn = roma.unitquat_to_rotmat(rotation / rotation.norm().clamp_min(1e-9))
+            if SCALE in move:
+                scale = torch.diag(torch.tensor(np.asarray(move[SCALE], np.float64)))
+            place = torch.tensor(np.asarray(move[TRANSLATION], np.float64)) if TRANSLATION in move else turning[node, :, 3]
+            turning[node] = transform_from(turn, place)
+            scaling[node] = transform_from(scale, torch.zeros(3, dtype=torch.float64))
         return replace(self.scene, turning=turning, scaling=scaling)
+
+    def _check_matrix(self, node: int) -> None:
+        """Engines take the matrix of an animated node apart, which glTF forbids: a shear or a mirror does not allow it."""
+        axes, name = self.scene.turning[node, :, :3], self.scene.names[node]
+        if not torch.allclose(axes @ axes.T, torch.eye(3, dtype=torch.float64), atol=1e-3) or torch.linalg.det(axes) < 0:
+            raise InputError(
+                f"{self.file.path}: node '{name}' is animated and has a matrix that is no rotation with a scale, which glTF "
+                f"forbids: export it again"
+            )
+        self.file.note(
+            f"Node '{name}' is animated and has a matrix, which was taken apart into translation, rotation and scale."
+        )

@@ -22,8 +22,8 @@ class GltfRig(LinearRig):
 
     Args:
         file: the file.
-        include: globs of the meshes, or their nodes, that make the rig; empty: all that can move.
-        exclude: globs of those that do not.
+        include: names or globs of the meshes, or their nodes, that make the rig; empty: all that can move.
+        exclude: names or globs of those that do not.
         unit_mm: millimetres to a unit of the file: 1000, as glTF is in metres.
         weld: make one of the vertices that seams split.
         default_weights: whether the neutral controls are the weights that the file rests at; else 0.

@@ -98,7 +98,10 @@ def _shares(file: GltfFile, attributes: dict[str, int], vertices: int, names: li
     while number == 0 or f"JOINTS_{number}" in attributes or f"WEIGHTS_{number}" in attributes:
         for field in (f"JOINTS_{number}", f"WEIGHTS_{number}"):
             if field not in attributes:
-                raise InputError(f"{file.path}: {user}: the mesh has a skin, but no {field}: bind it again, or export it again")
+                raise InputError(
+                    f"{file.path}: {user}: the mesh has a skin, but no {field}: bind it to the skin, or leave the mesh out "
+                    f"with rig.exclude=[NAME]"
+                )
             count = count_of(file, attributes[field], f"{field} of {user}")
             if count != vertices:
                 raise InputError(
