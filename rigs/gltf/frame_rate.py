@@ -12,7 +12,7 @@ COMMON = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)
 NTSC = {base: base * 1000 / 1001 for base in (24.0, 30.0, 48.0, 60.0, 120.0)}  # 23.976, 29.97, 47.95, 59.94, 119.88
 EXACT = 5e-4  # of a frame, that a key may be off it beside the rounding of its time
 DECIMALS, ROUNDED = (2, 3, 4, 5), 0.16  # to which exporters round seconds, and of a frame, that keys may be off it then
-TELEVISION = 0.85  # of how far keys are off a common rate, that they must be nearer to what television makes of it
+CLEAR = 3.5  # standard errors between a common rate and what television makes of it, for one of them to be clear
 COARSE = 0.25  # of a frame, beyond which a time tells no frame
 HOLD_S, HOLD = 2e-3, 0.15  # seconds, and of a step, within which a key only holds a value up to the next key
 DENSE = 8.0  # keys a second, from which on their spacing may be that of frames
@@ -73,9 +73,10 @@ class KeyTimes:
         """How far after whole frames the keys stand, in frames, in [-0.5, 0.5]: 0, or where most do, or the first."""
         frames = self.times * fps
         mean = float(np.angle(np.exp(2j * np.pi * frames).mean()) / (2 * np.pi))
-        for phase in (0.0, mean):
-            if (_off(frames, phase) <= tolerance).mean() >= MOSTLY:
-                return phase
+        for least in (1.0, MOSTLY):
+            for phase in (0.0, mean):
+                if (_off(frames, phase) <= tolerance).mean() >= least:
+                    return phase
         return math.remainder(float(frames[0]), 1.0)
 
     def rate(self) -> Rate:
@@ -97,14 +98,16 @@ class KeyTimes:
         return Rate(DEFAULT_FPS, "a guess", self.exact(DEFAULT_FPS), note)
 
     def _on_frames(self, tolerance: Callable[[float], float], least: int) -> Rate | None:
-        fitting = [fps for base in COMMON if (fps := self._nearer(base, tolerance))] if len(self.times) >= least else []
+        found = [self._fitting(base, tolerance) for base in COMMON] if len(self.times) >= least else []
+        fitting = [rates[0] for rates in found if rates]
         if not fitting:
             return None
         fps = _preferred(fitting)
         spaced = self._evenly_spaced(COMMON[0])
         if spaced and spaced.fps < 0.99 * fps:  # a key for every frame of an uncommon rate, such as 40
             return spaced
-        rivals = [f"{other:.5g}" for other in fitting if abs(other / fps - round(other / fps)) > 0.01]
+        alike = next(rates for rates in found if rates[:1] == [fps])[1:]
+        rivals = [f"{other:.5g}" for other in (*alike, *fitting) if abs(other / fps - round(other / fps)) > SAME]
         apart = float(np.diff(self.times).min()) * fps
         note = ""
         if rivals or len(self.times) < FEW or apart > 1.5:
@@ -114,16 +117,21 @@ class KeyTimes:
             note = f"{fps:.5g} frames a second taken: {keys}{wide}{others} (reading.fps=...)."
         return Rate(fps, "the frames that its keys stand on" + ", a guess" * bool(note), tolerance(fps), note)
 
-    def _nearer(self, base: float, tolerance: Callable[[float], float]) -> float | None:
-        """A common rate, or what television makes of it where many keys fit that better; None where neither fits."""
+    def _fitting(self, base: float, tolerance: Callable[[float], float]) -> list[float]:
+        """A common rate and what television makes of it, those that fit; one of them where it clearly fits better."""
         found = {}
         for fps in (base, NTSC.get(base, base)):
-            frames = self.times * fps
-            off = _off(frames, self.phase(fps, tolerance(fps)))
+            off = _off(self.times * fps, self.phase(fps, tolerance(fps)))
             if off.max() <= tolerance(fps):
                 found[fps] = float(np.sqrt((off**2).mean()))
-        better = len(found) < 2 or (len(self.times) >= MANY and found[NTSC[base]] < TELEVISION * found[base])
-        return list(found)[-1 if better else 0] if found else None
+        if len(found) < 2:
+            return list(found)
+        better, worse = sorted(found, key=found.get)
+        drift = math.sqrt(max(found[worse] ** 2 - found[better] ** 2, 0.0))
+        clear = drift * math.sqrt(len(self.times)) > CLEAR * found[better]  # as many standard errors
+        if clear and (better == base or len(self.times) >= MANY):
+            return [better]
+        return [base, NTSC[base]]
 
     def _evenly_spaced(self, least: float) -> Rate | None:
         """The rate of keys that stand at every frame."""
@@ -132,9 +140,15 @@ class KeyTimes:
         if len(steps) < 2 or step * least > 1 or np.abs(steps - step).max() > EVEN * step + self.resolution:
             return None
         fps = 1 / step
-        unsure = fps * self.resolution / float(self.times[-1] - self.times[0])
+        same = np.abs(steps - step).max() <= 2 * self.resolution
+        unsure = fps * (self.resolution + 2 * self.rounding * (not same)) / float(self.times[-1] - self.times[0])
         fps = float(round(fps)) if abs(fps - round(fps)) <= unsure else round(fps, 3)
-        return Rate(_nearest(fps, (*COMMON, *NTSC.values()), SAME), "the even spacing of its keys", COARSE)
+        fps = _nearest(fps, (*COMMON, *NTSC.values()), SAME)
+        source, note = "the even spacing of its keys", ""
+        if unsure > 0.5:
+            source = f"{source}, a guess"
+            note = f"{fps:.5g} frames a second taken, because its keys are about {1000 * step:.3g} ms apart (reading.fps=...)."
+        return Rate(fps, source, COARSE, note)
 
     def _mostly_on_frames(self) -> Rate | None:
         """The rate on whose frames all keys stand but for a few, such as the end of a clip that was cut."""
@@ -157,8 +171,8 @@ class KeyTimes:
         """The rate of keys that were recorded as they came, unevenly."""
         steps = np.diff(self.times)
         near = np.abs(steps - np.median(steps)) < UNEVEN * np.median(steps)
-        step = float(steps[near].mean())
-        if len(self.times) < MANY or step * DENSE > 1 or near.mean() < MOSTLY:
+        step = float(steps[near].mean()) if near.mean() >= MOSTLY else math.inf
+        if len(self.times) < MANY or step * DENSE > 1:
             return None
         fps = _nearest(round(1 / step, 3), COMMON, EVEN)
         note = f"{fps:.5g} frames a second taken, because its keys are {1000 * step:.3g} ms apart, unevenly (reading.fps=...)."
