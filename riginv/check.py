@@ -24,6 +24,8 @@ def check(config: DictConfig) -> None:
         f"rig [bold]{escape(rig.name)}[/]: {len(rig.controls)} controls, "
         f"{len(rig.rest_vertices):,} vertices, {len(rig.faces):,} faces"
     )
+    for note in rig.notes:
+        console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
     for clause, holds in contract(rig, plain["seed"]):
         try:
             holds()

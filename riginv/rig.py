@@ -60,12 +60,14 @@ class RigBackend(nn.Module, ABC):
         rest_vertices: `(vertex, 3)`, mm.
         faces: `(face, 3)` indices of vertices.
         differentiable: whether gradients pass from the vertices to the controls.
+        notes: whole sentences for the user: what was mended or guessed when the rig was read.
 
     Raises:
         InputError: the controls, the mesh or the faces do not make a rig.
     """
 
     differentiable: bool = True
+    notes: tuple[str, ...] = ()
     lower: Tensor
     upper: Tensor
     neutral_controls: Tensor

@@ -88,11 +88,50 @@ class AvatarWriter:
         self.document.skins.append(gltf.Skin(joints=joints, inverseBindMatrices=accessor, name="skin"))
         return len(self.document.skins) - 1
 
+    def animation(self, name: str | None, *channels: tuple) -> int:
+        """An animation of channels `(node, path, times, values)`, and how it goes on between keys where not linearly."""
+        found = gltf.Animation(name=name)
+        inputs: dict[bytes, int] = {}
+        for node, path, times, values, *how in channels:
+            times = np.asarray(times, np.float32)
+            if times.tobytes() not in inputs:
+                inputs[times.tobytes()] = self.accessor(times)
+            values = np.asarray(values, np.float64)
+            output = self.accessor(values.reshape(-1) if path == "weights" else values.reshape(-1, values.shape[-1]))
+            sampler = gltf.AnimationSampler(input=inputs[times.tobytes()], output=output, interpolation=(how or ["LINEAR"])[0])
+            found.samplers.append(sampler)
+            target = gltf.AnimationChannelTarget(node=node, path=path)
+            found.channels.append(gltf.AnimationChannel(sampler=len(found.samplers) - 1, target=target))
+        self.document.animations.append(found)
+        return len(self.document.animations) - 1
+
     def write(self, path: Path) -> Path:
         self.document.buffers = [gltf.Buffer(byteLength=len(self.blob))]
         self.document.set_binary_blob(self.blob)
         self.document.save(str(path), asset=self.document.asset)
         return path
+
+
+def add_cube(
+    avatar: AvatarWriter, name: str, names: list[str] | None, seed: int, parent: int | None = None, skin: int | None = None
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """A node with a crooked cube of about 0.2 m, a morph target for each name; bound to the first two joints of a skin.
+
+    Returns:
+        the node, the positions `(8, 3)` and the deltas `(target, 8, 3)`, metres.
+    """
+    rng, (corners, faces) = np.random.default_rng(seed), cube()
+    points = 0.1 * corners + 0.01 * rng.normal(size=corners.shape) + [0.05 * seed, 0, 0]
+    deltas = 0.02 * rng.normal(size=(len(names or []), *points.shape))
+    more = {}
+    if skin is not None:
+        shares = np.zeros((8, 4))
+        shares[:, 0] = rng.uniform(0.1, 0.9, 8)
+        shares[:, 1] = 1 - shares[:, 0]
+        joints = np.tile([0, 1, 0, 0], (8, 1))
+        more = {"JOINTS_0": avatar.accessor(joints, "u1"), "WEIGHTS_0": avatar.accessor(shares)}
+    primitive = avatar.primitive(avatar.accessor(points), faces, [avatar.accessor(delta) for delta in deltas], **more)
+    return avatar.node(name, parent, mesh=avatar.mesh(name, [primitive], names), skin=skin), points, deltas
 
 
 def face_avatar(path: Path, face: FaceRig, targets: int, joints: bool = False) -> Path:

@@ -4,7 +4,6 @@ import struct
 from pathlib import Path
 
 import numpy as np
-import pygltflib as gltf
 import torch
 import trimesh
 
@@ -92,17 +91,7 @@ def write_animated_glb(path: Path, meshes: np.ndarray, faces: np.ndarray, fps: f
     targets = [avatar.accessor(mesh / 1000 - rest) for mesh in meshes]
     primitive = avatar.primitive(avatar.accessor(rest), faces, targets)
     node = avatar.node("Head", mesh=avatar.mesh("Head", [primitive], [f"frame_{number}" for number in range(len(meshes))]))
-    times = avatar.accessor(np.arange(len(meshes)) / fps)
-    weights = avatar.accessor(np.eye(len(meshes)).reshape(-1))
-    slides = avatar.accessor(np.stack([np.zeros(2), np.linspace(0, 1, 2), np.zeros(2)], axis=1))
-    ends = avatar.accessor(np.array([0.0, (len(meshes) - 1) / fps]))
-    avatar.document.animations.append(
-        gltf.Animation(
-            samplers=[gltf.AnimationSampler(input=times, output=weights), gltf.AnimationSampler(input=ends, output=slides)],
-            channels=[
-                gltf.AnimationChannel(sampler=0, target=gltf.AnimationChannelTarget(node=node, path="weights")),
-                gltf.AnimationChannel(sampler=1, target=gltf.AnimationChannelTarget(node=node, path="translation")),
-            ],
-        )
-    )
+    slides = np.stack([np.zeros(2), np.linspace(0, 1, 2), np.zeros(2)], axis=1)
+    times, ends = np.arange(len(meshes)) / fps, [0.0, (len(meshes) - 1) / fps]
+    avatar.animation("take", (node, "weights", times, np.eye(len(meshes))), (node, "translation", ends, slides))
     return avatar.write(path)

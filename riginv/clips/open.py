@@ -89,7 +89,7 @@ def open_sequence(path: str, rig: RigBackend, options: ReadingOptions) -> MeshSe
     if suffix == ".csv":
         return RecordedShapes(given, rig)
     if suffix in PLUG_INS:
-        return class_of(PLUG_INS[suffix], kind=MeshSequence)(path, options)
+        return class_of(PLUG_INS[suffix], kind=MeshSequence).for_rig(path, options, rig)
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")
 
 

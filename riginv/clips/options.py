@@ -19,7 +19,8 @@ class ReadingOptions:
         up: `auto`, `x`, `y` or `z`.
         fps: frames a second; None: what the file says.
         mesh: name or path of the mesh to read, or several; None: the reader chooses.
-        animation: name of the animation to read, or its number from 1; None: the first that moves the chosen meshes.
+        animation: name of the animation to read, or its number from 1, or several that glTF plays together; None: the first
+            that moves the chosen meshes.
         vertices: a file with the clip's vertex for each vertex of the rig, -1 for none; None: the same order.
         check_faces: whether faces are compared with the rig's.
         missing_frames: `error`, or `bridge`: frames of a numbered sequence that have no file count as unknown.
@@ -34,7 +35,7 @@ class ReadingOptions:
     up: str = "auto"
     fps: float | None = None
     mesh: str | Sequence[str] | None = None
-    animation: str | int | None = None
+    animation: str | int | Sequence[str | int] | None = None
     vertices: str | None = None
     check_faces: bool = True
     missing_frames: str = "error"

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
+from riginv.rig import RigBackend
 
 MOST_VERTICES = 50_000_000  # of one mesh; more is damage
 
@@ -111,6 +113,15 @@ class MeshSequence(ABC):
             raise InputError(f"{path}: its frame numbers do not rise: each frame may stand there once; number them anew")
         if faces is not None:
             faces.check(path, self.vertex_count)
+
+    @classmethod
+    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "MeshSequence":
+        """Open a file that should hold a rig's mesh; a reader of scenes may choose the meshes by it.
+
+        Raises:
+            InputError: the file cannot be read.
+        """
+        return cls(path, options)
 
     def __len__(self) -> int:
         return len(self.frame_numbers)

@@ -6,6 +6,8 @@ from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.errors import InputError
 from riginv.rig import RigBackend
 
+KNOWN = 12  # meshes that a message lists
+
 
 def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> str:
     """Compare a clip's mesh with the rig's.
@@ -27,7 +29,7 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
     if clip.vertex_count != rig_vertices:
         raise InputError(
             f"{clip.path}: {counts}, rig '{rig.name}' has {rig_vertices} vertices and {len(rig_faces)} faces: a clip must "
-            f"hold the rig's own mesh, its vertices in the same order"
+            f"hold the rig's own mesh, its vertices in the same order{_meshes(clip)}"
         )
     if not faces or not len(rig_faces):
         return ""
@@ -42,6 +44,14 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
             f"mesh; reading.check_faces=false lets it pass"
         )
     return ""
+
+
+def _meshes(clip: MeshSequence) -> str:
+    """What of the file was read, where there was a choice."""
+    if not clip.facts.other_meshes:
+        return ""
+    read, others = (", ".join(names[:KNOWN]) for names in (clip.facts.meshes, clip.facts.other_meshes))
+    return f"; read were {read}, and not {others} (reading.mesh=[NAME] chooses)"
 
 
 def foreign_edges(polygons: Polygons, rig_faces: np.ndarray, vertices: int) -> np.ndarray:

@@ -8,8 +8,9 @@ import numpy as np
 from riginv.errors import InputError
 from rigs.gltf.accessors import MOST_NUMBERS
 from rigs.gltf.container import GltfFile, open_gltf
-from rigs.gltf.pieces import Piece, chosen_nodes, pieces
+from rigs.gltf.pieces import Piece, pieces
 from rigs.gltf.scene import Scene, read_scene
+from rigs.gltf.selection import rig_meshes
 from rigs.gltf.skins import Carriers
 from rigs.gltf.targets import default_weights
 from rigs.gltf.weld import weld_map
@@ -25,7 +26,7 @@ class Avatar:
         file, scene: what was read.
         pieces: where vertices come from, in the order of the file's vertices.
         targets: the names of the morph targets of all meshes, each once.
-        defaults: the weights of the targets at rest, by name, as the file gives them.
+        defaults: the weights of the targets at rest, by name: as the file gives them where that was asked for, else 0.
         vertex_map: the rig's vertex of each of the file's, `(file vertex,)`.
         rest: `(vertex, 3)` float64, mm, with every target at 0.
         deltas: `(target, vertex, 3)` float32, mm.
@@ -45,7 +46,15 @@ class Avatar:
     mm: float
 
 
-def read_avatar(path: str | Path, include: list[str], exclude: list[str], mm: float, weld: bool, joints: bool) -> Avatar:
+def read_avatar(
+    path: str | Path,
+    include: list[str],
+    exclude: list[str],
+    mm: float = 1000.0,
+    weld: bool = False,
+    joints: bool = False,
+    at_defaults: bool = False,
+) -> Avatar:
     """Read an avatar.
 
     Args:
@@ -53,13 +62,14 @@ def read_avatar(path: str | Path, include: list[str], exclude: list[str], mm: fl
         mm: millimetres to a unit of the file, which glTF says is a metre.
         weld: make one of the vertices that seams split.
         joints: whether meshes that only a skin moves belong to it.
+        at_defaults: whether the targets rest at the weights that the file gives them.
 
     Raises:
         InputError: the file cannot be read, holds nothing that moves, or is damaged.
     """
     file = open_gltf(path)
     scene = read_scene(file)
-    parts = pieces(file, chosen_nodes(file, scene, include, exclude, joints))
+    parts = pieces(file, rig_meshes(file, scene, include, exclude, joints))
     targets = list(dict.fromkeys(name for piece in parts for name in piece.targets))
     number_of = {name: number for number, name in enumerate(targets)}
     count = sum(piece.count for piece in parts)
@@ -83,7 +93,8 @@ def read_avatar(path: str | Path, include: list[str], exclude: list[str], mm: fl
     check_distances(file, rest, deltas)
     faces = np.concatenate(faces)
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # welding may have closed one
-    return Avatar(file, scene, parts, targets, _defaults(file, parts), vertex_map, rest, deltas, faces, mm)
+    defaults = _defaults(file, parts) if at_defaults else dict.fromkeys(targets, 0.0)
+    return Avatar(file, scene, parts, targets, defaults, vertex_map, rest, deltas, faces, mm)
 
 
 def check_distances(file: GltfFile, *arrays: np.ndarray) -> None:
@@ -116,7 +127,7 @@ def _defaults(file: GltfFile, parts: list[Piece]) -> dict[str, float]:
             before, label = found.setdefault(name, (weight, piece.label))
             if before != weight:
                 raise InputError(
-                    f"{file.path}: target '{name}' rests at {before} in {label}, at {weight} in {piece.label}: export it again "
-                    f"with one of them, or leave a mesh out with rig.exclude=[NAME]"
+                    f"{file.path}: target '{name}' rests at {before} in {label}, at {weight} in {piece.label}, which one "
+                    f"control cannot: leave a mesh out with rig.exclude=[NAME], or rest all at 0 by rig.default_weights=false"
                 )
     return {name: weight for name, (weight, _) in found.items()}

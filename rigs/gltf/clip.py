@@ -1,121 +1,129 @@
 """An animated avatar as a clip: its meshes at each frame, morph weights and skins evaluated."""
 
-from dataclasses import replace
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import roma
-import torch
 
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, Polygons
-from riginv.clips.units import DEFAULT_FPS
+from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
-from riginv.geometry.kinematics import transform_from
-from rigs.gltf.animation import Channel, read_channels
-from rigs.gltf.avatar import blended, turned
-from rigs.gltf.container import open_gltf
-from rigs.gltf.pieces import chosen_nodes, pieces
+from riginv.rig import RigBackend
+from rigs.gltf.channels import animation_names
+from rigs.gltf.choice import Chosen, choice_notes, choose_animation, no_motion
+from rigs.gltf.clip_meshes import ClipMeshes, clip_meshes, welded_faces
+from rigs.gltf.container import GltfFile, open_gltf
+from rigs.gltf.posing import PosedMeshes, moves_at
+from rigs.gltf.rig import GltfRig
 from rigs.gltf.scene import Scene, read_scene
-from rigs.gltf.targets import default_weights, target_names
+from rigs.gltf.selection import listed, mesh_name, mesh_nodes
+from rigs.gltf.timing import Timing, timing_of
 
 METRE = 1000.0  # mm, the unit of glTF
-EVEN = 0.02  # of a frame, that keys may be off an even spacing
-MOST_FRAMES = 1_000_000
-LOCAL = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
 
 
 class GltfClip(MeshSequence):
-    """The first animation of a .glb, .gltf or .vrm, sampled frame by frame.
+    """An animation of a .glb, .gltf or .vrm, sampled frame by frame.
 
     Args:
         path: of the file.
-        options: `mesh`: the name of a mesh or its node; None: all that can move, in the order of the file, as `rig=gltf` takes
-            them. `fps`: to sample at; None: what its keys are spaced by, where they are even, else 30.
+        options: `mesh`: names or globs of meshes or their nodes; None: the rig's. `animation`: a name, a number from 1 or
+            several of these; None: the first that moves the meshes. `fps`: to sample at; None: what the keys' times tell.
+        rig: that the clip is for, whose meshes are looked for in the file; None: those that a rig of the file would take.
 
     Raises:
-        InputError: the file cannot be read, or holds no animation.
+        InputError: the file cannot be read, or holds no animation of the meshes.
     """
 
-    def __init__(self, path: str, options: ReadingOptions) -> None:
+    def __init__(self, path: str, options: ReadingOptions, rig: RigBackend | None = None) -> None:
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file; clip=PATH names a clip")
-        self.file = open_gltf(path)
-        self.scene = read_scene(self.file)
-        try:
-            chosen = chosen_nodes(self.file, self.scene, options.mesh_names, [], joints=True)
-        except InputError as error:  # a clip is told so by another key than a rig
-            raise InputError(str(error).replace("rig.include", "reading.mesh")) from None
-        self.pieces = pieces(self.file, chosen)
-        names = target_names(self.file, sorted({piece.mesh for piece in self.pieces}))
-        nodes = self.file.document["nodes"]
-        self.weights = {
-            piece.node: default_weights(self.file, piece.mesh, nodes[piece.node], names[piece.mesh]) for piece in self.pieces
-        }
-        self.channels = read_channels(self.file, {node: len(found) for node, found in self.weights.items()})
-        start = min(channel.times[0] for channel in self.channels)
-        end = max(channel.times[-1] for channel in self.channels)
-        rate = _positive(options.fps) or _rate(self.channels) or DEFAULT_FPS
-        if not (end - start) * rate < MOST_FRAMES:
-            raise InputError(f"{path}: {end - start:.3g} s at {rate:g} frames a second are more than can be meant: damaged?")
-        self.times = start + np.arange(round((end - start) * rate) + 1) / rate
-        self.at_rest = [(piece.positions(self.file).astype(np.float64), dict(piece.deltas(self.file))) for piece in self.pieces]
-        count = sum(piece.count for piece in self.pieces)
-        triangles = [piece.start + piece.triangles(self.file) for piece in self.pieces]
-        numbers = np.arange(len(self.times)) + round(start * rate)
-        super().__init__(path, numbers, count, Polygons.triangles(np.concatenate(triangles)), rate, METRE, "y")
+        file = open_gltf(path)
+        scene = read_scene(file)
+        taken, self.meshes, chosen = _taken(file, scene, options, rig)
+        timing = timing_of(path, [channel.times for channel in chosen.channels], _positive(options.fps))
+        self.times = timing.seconds()
+        self.channels = [
+            channel._replace(times=timing.on_frames(channel.times))
+            for channel in chosen.channels
+            if self.meshes.follows(channel)
+        ]
+        faces, self.kept, count = self.meshes.faces(), None, self.meshes.vertex_count
+        if taken.welded is not None:
+            faces = welded_faces(faces, taken.welded)
+            self.kept = np.unique(taken.welded, return_index=True)[1]
+            count = len(self.kept)
+        unit = rig.unit_mm if isinstance(rig, GltfRig) and _same_file(path, rig.file) else METRE
+        numbers = timing.first + np.arange(timing.count)
+        facts = _facts(file, scene, taken, self.meshes, chosen, timing)
+        super().__init__(path, numbers, count, Polygons.triangles(faces), timing.rate.fps, unit, "y", facts)
+
+    @classmethod
+    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "GltfClip":
+        return cls(path, options, rig)
 
     def read(self, start: int, stop: int) -> np.ndarray:
-        times = self.times[start:stop]
-        moves: dict[int, dict[str, np.ndarray]] = {}
-        for channel in self.channels:
-            moves.setdefault(channel.node, {})[channel.what] = channel.at(times)
-        values = np.empty((len(times), self.vertex_count, 3))
+        moves = moves_at(self.channels, self.times[start:stop])
+        values = np.empty((len(moves), self.vertex_count, 3), np.float32)
         with np.errstate(over="ignore", invalid="ignore"):
-            for frame, meshes in enumerate(values):
-                self._pose(meshes, {node: {what: found[frame] for what, found in move.items()} for node, move in moves.items()})
-        return values.astype(np.float32)
-
-    def _pose(self, vertices: np.ndarray, moves: dict[int, dict[str, np.ndarray]]) -> None:
-        """Write the vertices `(vertex, 3)`, metres, of nodes that stand as `moves` say."""
-        scene = self._posed(moves)
-        for piece, (positions, deltas) in zip(self.pieces, self.at_rest):
-            weights = moves.get(piece.node, {}).get("weights")
-            weights = dict(zip(self.weights[piece.node], weights)) if weights is not None else self.weights[piece.node]
-            points = positions + sum(weights[name] * delta for name, delta in deltas.items() if weights[name])
-            blend = blended(piece.carriers(self.file, scene), slice(None), 1.0)
-            vertices[piece.vertices] = turned(blend, points) + blend[:, :, 3]
-
-    def _posed(self, moves: dict[int, dict[str, np.ndarray]]) -> Scene:
-        turning, scaling = self.scene.turning.clone(), self.scene.scaling.clone()
-        for node, move in moves.items():
-            if not move.keys() & LOCAL.keys():
-                continue
-            own = self.file.document["nodes"][node]
-            if "matrix" in own:
-                raise InputError(f"{self.path}: node {node} has a matrix and is animated, which glTF forbids: export it again")
-            local = {what: torch.tensor(_vector(move, own, what), dtype=torch.float64) for what in LOCAL}
-            length = local["rotation"].norm().clamp_min(1e-9)
-            turn = roma.unitquat_to_rotmat(local["rotation"] / length)
-            turning[node] = transform_from(turn, local["translation"])
-            scaling[node] = transform_from(torch.diag(local["scale"]), torch.zeros(3, dtype=torch.float64))
-        return replace(self.scene, turning=turning, scaling=scaling)
+            for frame, move in enumerate(moves):
+                vertices = self.meshes.vertices(move)
+                values[frame] = vertices if self.kept is None else vertices[self.kept]
+        return values
 
 
-def _vector(move: dict[str, np.ndarray], own: dict[str, Any], what: str) -> np.ndarray:
-    return np.asarray(move.get(what, own.get(what, LOCAL[what])), np.float64)
+def _taken(
+    file: GltfFile, scene: Scene, options: ReadingOptions, rig: RigBackend | None
+) -> tuple[ClipMeshes, PosedMeshes, Chosen]:
+    """The meshes and the animation: of meshes that are the rig's alike, the first that an animation moves.
+
+    Raises:
+        InputError: no animation has anything to do with them, or something is damaged.
+    """
+    best = None
+    for taken in clip_meshes(file, scene, options, rig):
+        meshes = PosedMeshes(file, scene, taken.nodes)
+        chosen = choose_animation(file, meshes, options.animation)
+        if chosen and (best is None or chosen.moves):
+            best = (taken, meshes, chosen)
+        if chosen and chosen.moves:
+            break
+    if best is None:
+        raise no_motion(file, listed(mesh_name(file, scene, node) for node in taken.nodes))
+    return best
+
+
+def _facts(file: GltfFile, scene: Scene, taken: ClipMeshes, meshes: PosedMeshes, chosen: Chosen, timing: Timing) -> SourceFacts:
+    names = {node: mesh_name(file, scene, node) for node in mesh_nodes(file, scene)}
+    others = [name for node, name in names.items() if node not in taken.nodes]
+    notes = []
+    if others and taken.why:
+        read = listed(names[node] for node in taken.nodes)
+        notes.append(f"Of its meshes {read} were read, {taken.why}; not read: {listed(others)} (reading.mesh=[NAME] chooses).")
+    if taken.welded is not None:
+        notes.append("Vertices at seams were welded as in the rig (rig.weld=true).")
+    notes += choice_notes(file, meshes, chosen)
+    notes += [timing.rate.note] if timing.rate.note else []
+    animations = list(enumerate(animation_names(file)))
+    return SourceFacts(
+        "glTF",
+        meshes=tuple(names[node].shown for node in taken.nodes),
+        other_meshes=tuple(name.shown for name in others),
+        animation=", ".join(name for number, name in animations if number in chosen.numbers),
+        other_animations=tuple(name for number, name in animations if number not in chosen.numbers),
+        rate_source=timing.rate.source,
+        notes=(*notes, *file.notes),
+    )
 
 
 def _positive(fps: Any) -> float | None:
+    """The frames a second that the user gave; what is none of these is refused where clips' rates are."""
     return float(fps) if isinstance(fps, int | float) and 0 < fps < 1e6 else None
 
 
-def _rate(channels: list[Channel]) -> float | None:
-    """Frames a second, where the channel with the most keys has them evenly spaced."""
-    times = max((channel.times for channel in channels), key=len)
-    steps = np.diff(times)
-    if not len(steps) or not (steps > 0).all():
-        return None
-    step = (times[-1] - times[0]) / len(steps)
-    return round(float(1 / step), 3) if np.abs(steps - step).max() < EVEN * step and step > 1e-6 else None
+def _same_file(path: str, other: Path) -> bool:
+    try:
+        return os.path.samefile(path, other)
+    except OSError:
+        return False

@@ -2,6 +2,7 @@
 
 import codecs
 import json
+import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from rigs.gltf.schema import Document, checked_document
 from rigs.gltf.sources import DATA_URI, MAGIC, VERSION, beside, bytes_of, chunks, from_data_uri
 
 COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
-SUPPORTED = ("KHR_mesh_quantization",)
+SUPPORTED = ("KHR_mesh_quantization", "KHR_animation_pointer")
 # Extensions that change how an avatar looks or behaves, not where its vertices are.
 HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp", "VRM")
 
@@ -26,12 +27,20 @@ class GltfFile:
         path: of the file.
         document: as from `checked_document`.
         chunk: the binary chunk of a .glb, `(byte,)`; None where there is none.
+        notes: whole sentences: what was mended or passed over while the file was read, each once.
     """
 
     path: Path
     document: Document
     chunk: np.ndarray | None
+    notes: list[str] = field(default_factory=list)
     _buffers: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def note(self, sentence: str) -> None:
+        """Add to `notes`; parts of a file may be read twice, and are noted once."""
+        said = printable(sentence)
+        if said not in self.notes:
+            self.notes.append(said)
 
     def item(self, kind: str, index: int, user: str) -> dict[str, Any]:
         """One of the document's `kind` (`accessors`, `nodes`...).
@@ -92,6 +101,11 @@ class GltfFile:
                 f"{self.path}: buffers[{index}] names no file, and the file has no binary part for it: export it again"
             )
         return self.chunk
+
+
+def printable(text: str) -> str:
+    """A name from a file without what would move a cursor or end a line."""
+    return "".join("?" if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") else letter for letter in text)
 
 
 def open_gltf(path: str | Path) -> GltfFile:

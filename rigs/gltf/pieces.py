@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -10,8 +9,8 @@ from riginv.errors import InputError
 from rigs.gltf.accessors import MOST_NUMBERS, count_of, read_numbers
 from rigs.gltf.container import COMPRESSED, GltfFile, compression_error
 from rigs.gltf.scene import Scene
-from rigs.gltf.skins import Carriers, carriers
-from rigs.gltf.targets import mesh_label, target_count, target_names
+from rigs.gltf.skins import Binding, Carriers, binding
+from rigs.gltf.targets import mesh_label, target_names
 from rigs.gltf.triangles import read_triangles
 
 MOST_PRIMITIVES = 10_000
@@ -54,47 +53,16 @@ class Piece:
             if accessor is not None:
                 yield name, read_numbers(file, accessor, "VEC3", f"target '{name}' of {self.label}")
 
+    def binding(self, file: GltfFile, scene: Scene) -> Binding:
+        return binding(file, scene, self.node, self.attributes, self.count, self.label)
+
     def carriers(self, file: GltfFile, scene: Scene) -> Carriers:
-        return carriers(file, scene, self.node, self.attributes, self.count, self.label)
+        """What carries the vertices at rest."""
+        return self.binding(file, scene).carriers(scene.world)
 
     def triangles(self, file: GltfFile) -> np.ndarray:
         """Triangles `(face, 3)`, indices of the piece's own vertices."""
         return np.concatenate([read_triangles(file, primitive, self.count, self.label) for primitive in self.primitives])
-
-
-def chosen_nodes(file: GltfFile, scene: Scene, include: list[str], exclude: list[str], joints: bool) -> list[int]:
-    """The nodes whose meshes make the rig: those of the scene that globs name, or without any all that can move.
-
-    Args:
-        include, exclude: globs of the names of nodes or meshes; without `include` meshes that never move are left out.
-        joints: whether a skin counts as moving.
-
-    Raises:
-        InputError: nothing is left.
-    """
-    nodes = file.document["nodes"]
-    shown = [number for number, node in enumerate(nodes) if "mesh" in node and scene.shown[number]]
-    for number in shown:
-        file.item("meshes", nodes[number]["mesh"], f"node '{scene.names[number]}'")
-
-    def named(number: int, globs: list[str]) -> bool:
-        names = (scene.names[number], file.document["meshes"][nodes[number]["mesh"]].get("name", ""))
-        return any(fnmatchcase(name, glob) for name in names for glob in globs)
-
-    known = ", ".join(sorted({scene.names[number] for number in shown})[:12]) or "none"
-    for glob in include:
-        if not any(named(number, [glob]) for number in shown):
-            raise InputError(f"{file.path}: rig.include names {glob!r}, no mesh is called so; its meshes are: {known}")
-    kept = [number for number in shown if (not include or named(number, include)) and not named(number, exclude)]
-    if not kept:
-        raise InputError(f"{file.path}: no mesh is left for the rig; its meshes are: {known}; see rig.include and rig.exclude")
-    if include:
-        return kept
-    moving = [n for n in kept if target_count(file, nodes[n]["mesh"]) or (joints and "skin" in nodes[n])]
-    if not moving:
-        hint = "" if joints or not file.document.get("skins") else "; rig.joints=true makes controls of its joints"
-        raise InputError(f"{file.path}: no morph targets in any of its meshes ({known}): nothing moves{hint}")
-    return moving
 
 
 def pieces(file: GltfFile, nodes: list[int]) -> list[Piece]:
@@ -109,7 +77,8 @@ def pieces(file: GltfFile, nodes: list[int]) -> list[Piece]:
     for seen, (node, mesh, number, primitive) in enumerate(_primitives(file, nodes)):
         label = f"{mesh_label(file, mesh)}, primitive {number}"
         attributes = {name: accessor for name, accessor in primitive["attributes"].items() if name.startswith(PLACING)}
-        targets = {name: target.get("POSITION") for name, target in zip(names[mesh], primitive.get("targets", []))}
+        moved = primitive.get("targets") or [{}] * len(names[mesh])
+        targets = {name: target.get("POSITION") for name, target in zip(names[mesh], moved)}
         if "POSITION" not in attributes:
             raise InputError(f"{file.path}: {label} has no POSITION: the file is damaged; export it again")
         _refuse_compressed(file, primitive, attributes["POSITION"])

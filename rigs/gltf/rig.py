@@ -12,6 +12,7 @@ from rigs.arkit import arkit_targets
 from rigs.gltf.avatar import read_avatar
 from rigs.gltf.frames import frame_basis, joint_frames
 from rigs.gltf.motion import ANGLES, AXES_IN_SPACE, JointMotion, by_axis, coefficient_names
+from rigs.gltf.selection import mesh_names
 
 SHOWN = 9  # targets that pictures show alone
 
@@ -21,8 +22,8 @@ class GltfRig(LinearRig):
 
     Args:
         file: the file.
-        include: globs of the meshes, or their nodes, that make the rig; empty: all that can move.
-        exclude: globs of those that do not.
+        include: names or globs of the meshes, or their nodes, that make the rig; empty: all that can move.
+        exclude: names or globs of those that do not.
         unit_mm: millimetres to a unit of the file: 1000, as glTF is in metres.
         weld: make one of the vertices that seams split.
         default_weights: whether the neutral controls are the weights that the file rests at; else 0.
@@ -35,6 +36,8 @@ class GltfRig(LinearRig):
         targets: the names of the morph targets.
         vertex_map: the rig's vertex of each of the file's, `(file vertex,)`: `vertices[:, vertex_map]` has the file's order.
         parts: for each run of file vertices the mesh and primitive they belong to, their first and one past their last.
+        file, unit_mm: what was read, and millimetres to a unit of it.
+        meshes: those that make the rig, in the order of their vertices.
 
     Raises:
         InputError: the file cannot be read or holds no rig; the message names the file, and what in it.
@@ -61,10 +64,10 @@ class GltfRig(LinearRig):
             if isinstance(value, str):
                 raise InputError(f"rig.{name} is {value!r}, expected a list of globs: rig.{name}=[{value!r}]")
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by name
-            avatar = read_avatar(str(file), list(include), list(exclude), unit_mm, weld, joints)
+            avatar = read_avatar(str(file), list(include), list(exclude), unit_mm, weld, joints, default_weights)
             frames = joint_frames(avatar, list(joint_include)) if joints else None
             rows, pairs = frame_basis(avatar, frames) if frames else (None, None)
-        rests = [avatar.defaults[name] if default_weights else 0.0 for name in avatar.targets]
+        rests = [avatar.defaults[name] for name in avatar.targets]
         controls = [Control(name, min(0.0, rest), max(1.0, rest), rest) for name, rest in zip(avatar.targets, rests)]
         names, basis, motion = list(avatar.targets), torch.tensor(avatar.deltas), None
         rest = torch.tensor(avatar.rest, dtype=torch.float32) + torch.einsum("k,kvc->vc", torch.tensor(rests), basis)
@@ -77,6 +80,8 @@ class GltfRig(LinearRig):
         super().__init__(avatar.file.path.stem, controls, rest, torch.tensor(avatar.faces), basis, names, count)
         self.targets, self.joint_motion = tuple(avatar.targets), motion
         self.parts = tuple((piece.label, piece.start, piece.start + piece.count) for piece in avatar.pieces)
+        self.file, self.unit_mm, self.notes = avatar.file.path, float(unit_mm), tuple(avatar.file.notes)
+        self.meshes = mesh_names(avatar.file, avatar.scene, [piece.node for piece in avatar.pieces])
         self.register_buffer("vertex_map", torch.tensor(avatar.vertex_map), persistent=False)
 
     def coefficients(self, controls: Tensor) -> Tensor:

@@ -31,6 +31,7 @@ OBJECT: Check = (lambda value: isinstance(value, dict), "an object {...}")
 
 EACH = "*"  # in a specification: whatever the key
 ATTRIBUTES = {EACH: WHOLE}
+TARGET = {"extras": ANYTHING, "extra": ANYTHING, EACH: WHOLE}  # `extra` is how UniVRM named targets
 # Field -> a check, a list of one specification for each element, or a dict of fields; a field ending in ! must be there.
 DOCUMENT: Document = {
     "asset!": {"version!": TEXT},
@@ -61,7 +62,7 @@ DOCUMENT: Document = {
                     "attributes!": ATTRIBUTES,
                     "indices": WHOLE,
                     "mode": WHOLE,
-                    "targets": [ATTRIBUTES],
+                    "targets": [TARGET],
                     "extensions": OBJECT,
                     "extras": ANYTHING,
                 }
@@ -71,12 +72,14 @@ DOCUMENT: Document = {
     "skins": [{"name": TEXT, "joints!": [WHOLE], "inverseBindMatrices": WHOLE}],
     "animations": [
         {
-            "channels!": [{"sampler!": WHOLE, "target!": {"node": WHOLE, "path!": TEXT}}],
+            "name": ANYTHING,
+            "channels!": [{"sampler!": WHOLE, "target!": {"node": WHOLE, "path!": TEXT, "extensions": OBJECT}}],
             "samplers!": [{"input!": WHOLE, "output!": WHOLE, "interpolation": TEXT}],
         }
     ],
     "accessors": [
         {
+            "name": ANYTHING,
             "bufferView": WHOLE,
             "byteOffset": WHOLE,
             "componentType!": WHOLE,
@@ -125,7 +128,8 @@ def _checked(value: Any, expected: Any, path: str, where: str) -> Any:
     result = {}
     for key, inner in expected.items():
         if key == EACH:
-            return {name: _checked(item, inner, path, f"{where}.{name}") for name, item in value.items()}
+            others = {name: item for name, item in value.items() if name not in expected}
+            return result | {name: _checked(item, inner, path, f"{where}.{name}") for name, item in others.items()}
         name = key.removesuffix("!")
         found = value.get(name)
         if found is not None:

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.geometry.kinematics import compose
@@ -12,14 +13,35 @@ from rigs.gltf.accessors import MOST_NUMBERS, count_of, quantised_step, read_ind
 from rigs.gltf.container import GltfFile
 from rigs.gltf.scene import Scene
 
+NOTHING = 1e-6  # a sum of skin weights at or below which a vertex has none
+
+
+class Binding(NamedTuple):
+    """What vertices are bound to, in any pose.
+
+    Attributes:
+        nodes: the numbers of the nodes that carry them, `(carrier,)`.
+        shares: how much each vertex follows each, `(vertex, carrier)`; each row sums to 1.
+        binds: `(carrier, 3, 4)`: from the primitive's own coordinates to those of each node, metres.
+    """
+
+    nodes: np.ndarray
+    shares: np.ndarray
+    binds: np.ndarray
+
+    def carriers(self, world: Tensor) -> "Carriers":
+        """The carriers where the nodes stand as `world` `(node, 3, 4)` says."""
+        placed = compose(world[torch.from_numpy(self.nodes)], torch.from_numpy(self.binds))
+        return Carriers(self.nodes, self.shares, placed.numpy())
+
 
 class Carriers(NamedTuple):
-    """The nodes that carry vertices.
+    """The nodes that carry vertices, in one pose.
 
     Attributes:
         nodes: their numbers, `(carrier,)`.
         shares: how much each vertex follows each, `(vertex, carrier)`; each row sums to 1.
-        transforms: `(carrier, 3, 4)`: from the primitive's own coordinates to the world at rest, metres.
+        transforms: `(carrier, 3, 4)`: from the primitive's own coordinates to the world, metres.
     """
 
     nodes: np.ndarray
@@ -27,15 +49,15 @@ class Carriers(NamedTuple):
     transforms: np.ndarray
 
 
-def carriers(file: GltfFile, scene: Scene, node: int, attributes: dict[str, int], vertices: int, user: str) -> Carriers:
+def binding(file: GltfFile, scene: Scene, node: int, attributes: dict[str, int], vertices: int, user: str) -> Binding:
     """What carries a primitive's vertices. A skin places them by its joints alone, as glTF wants it, not by the node.
 
     Raises:
-        InputError: weights are negative or do not sum to 1, or joints or matrices are missing; the message names the skin.
+        InputError: weights are negative, or joints or matrices are missing; the message names the skin.
     """
     skin_number = file.document["nodes"][node].get("skin")
     if skin_number is None:
-        return Carriers(np.array([node]), np.ones((vertices, 1)), scene.world[[node]].numpy())
+        return Binding(np.array([node]), np.ones((vertices, 1)), np.eye(4)[None, :3])
     skin = file.item("skins", skin_number, f"node '{scene.names[node]}'")
     label = f"skin '{skin['name']}'" if skin.get("name") else f"skins[{skin_number}]"
     joints = skin["joints"]
@@ -47,8 +69,7 @@ def carriers(file: GltfFile, scene: Scene, node: int, attributes: dict[str, int]
         raise InputError(f"{file.path}: {label} has {len(joints)} joints for {vertices} vertices: too many to be meant")
     names = [scene.names[joint] for joint in joints]
     shares = _shares(file, attributes, vertices, names, f"{user}, {label}")
-    binds = torch.tensor(_inverse_binds(file, skin, len(joints), label))
-    return Carriers(np.array(joints), shares, compose(scene.world[joints], binds).numpy())
+    return Binding(np.array(joints), shares, _inverse_binds(file, skin, len(joints), label))
 
 
 def _inverse_binds(file: GltfFile, skin: dict, joints: int, label: str) -> np.ndarray:
@@ -67,17 +88,20 @@ def _inverse_binds(file: GltfFile, skin: dict, joints: int, label: str) -> np.nd
         raise InputError(
             f"{file.path}: {user}: matrix {int(np.argmin(affine))} does not end in the row 0 0 0 1: export it again"
         )
-    return matrices[:, :3]
+    return np.ascontiguousarray(matrices[:, :3])
 
 
 def _shares(file: GltfFile, attributes: dict[str, int], vertices: int, names: list[str], user: str) -> np.ndarray:
-    """Skin weights `(vertex, joint)` from all sets of JOINTS and WEIGHTS; small errors of their sums are mended."""
-    shares = np.zeros((vertices, len(names)))
+    """Skin weights `(vertex, joint)` from all sets of JOINTS and WEIGHTS, normalised."""
+    shares, first = np.zeros((vertices, len(names))), np.zeros(vertices, np.int64)
     tolerance, number = SUM_TOLERANCE, 0
     while number == 0 or f"JOINTS_{number}" in attributes or f"WEIGHTS_{number}" in attributes:
         for field in (f"JOINTS_{number}", f"WEIGHTS_{number}"):
             if field not in attributes:
-                raise InputError(f"{file.path}: {user}: the mesh has a skin, but no {field}: bind it again, or export it again")
+                raise InputError(
+                    f"{file.path}: {user}: the mesh has a skin, but no {field}: bind it to the skin, or leave the mesh out "
+                    f"with rig.exclude=[NAME]"
+                )
             count = count_of(file, attributes[field], f"{field} of {user}")
             if count != vertices:
                 raise InputError(
@@ -93,9 +117,37 @@ def _shares(file: GltfFile, attributes: dict[str, int], vertices: int, names: li
                 f"{file.path}: JOINTS_{number} of {user}: vertex {vertex} follows joint {joints[vertex, place]}, the skin has "
                 f"joints 0 to {len(names) - 1}: bind it again, or export it again"
             )
+        if number == 0:
+            first = np.where(joints[:, 0] < len(names), joints[:, 0], 0)
         np.add.at(shares, (np.arange(vertices)[:, None], np.where(weights != 0, joints, 0)), weights)
         number += 1
-    sums = shares.sum(axis=1, keepdims=True)
-    shares = np.where(np.abs(sums - 1) <= tolerance, shares / np.where(sums == 0, 1, sums), shares)
+    shares = _normalised(file, shares, first, tolerance, names, user)
     check_weights(torch.tensor(shares), f"{file.path}: {user}", names)
+    return shares
+
+
+def _normalised(
+    file: GltfFile, shares: np.ndarray, first: np.ndarray, tolerance: float, names: list[str], user: str
+) -> np.ndarray:
+    """Skin weights that sum to 1, as engines make them; a vertex without any follows its `first` joint."""
+    sums = shares.sum(axis=1)
+    if (shares < 0).any() or not np.isfinite(sums).all():
+        return shares  # refused by name
+    none = sums <= NOTHING
+    off = ~none & (np.abs(sums - 1) > tolerance)
+    if off.any():
+        vertex = int(np.argmax(np.abs(np.where(off, sums, 1.0) - 1)))
+        file.note(
+            f"The skin weights of {int(off.sum())} vertices of {user} do not sum to 1 (those of vertex {vertex} to "
+            f"{sums[vertex]:.3g}): they were divided by their sum."
+        )
+    if none.any():
+        vertex = int(np.argmax(none))
+        file.note(
+            f"{int(none.sum())} vertices of {user} have no skin weights (the first is vertex {vertex}): they follow the first "
+            f"joint that the file names for them, '{names[first[vertex]]}' for that one."
+        )
+    shares = shares / np.where(none, 1.0, sums)[:, None]
+    shares[none] = 0.0
+    shares[none, first[none]] = 1.0
     return shares

@@ -1,0 +1,113 @@
+"""Which meshes of a file are taken: one answer for the rig and for a clip of it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import NamedTuple
+
+from riginv.errors import InputError
+from rigs.gltf.container import GltfFile, printable
+from rigs.gltf.scene import Scene
+from rigs.gltf.targets import target_count
+
+KNOWN = 12  # names that a message lists
+
+
+class MeshName(NamedTuple):
+    """What a mesh may be called by: the name of its node, unique in its file, and its own, which may be empty."""
+
+    node: str
+    mesh: str
+
+    @property
+    def shown(self) -> str:
+        """The name for messages; nodes without a name are numbered, and then the mesh's own says more."""
+        return printable(self.mesh if self.mesh and self.node.startswith("node_") else self.node)
+
+
+def mesh_nodes(file: GltfFile, scene: Scene) -> list[int]:
+    """The nodes of the file's scene that have a mesh."""
+    nodes = file.document["nodes"]
+    shown = [number for number, node in enumerate(nodes) if "mesh" in node and scene.shown[number]]
+    for number in shown:
+        file.item("meshes", nodes[number]["mesh"], f"node '{scene.names[number]}'")
+    return shown
+
+
+def mesh_name(file: GltfFile, scene: Scene, node: int) -> MeshName:
+    return MeshName(scene.names[node], file.document["meshes"][file.document["nodes"][node]["mesh"]].get("name", ""))
+
+
+def mesh_names(file: GltfFile, scene: Scene, nodes: Iterable[int]) -> tuple[MeshName, ...]:
+    """The names of the meshes of nodes, each node once."""
+    return tuple(mesh_name(file, scene, node) for node in dict.fromkeys(nodes))
+
+
+def named_meshes(file: GltfFile, scene: Scene, globs: Sequence[str], key: str) -> list[int]:
+    """The nodes with meshes that names or globs name, in the order of the file; all of them where there are none.
+
+    Args:
+        key: of the config, for messages.
+
+    Raises:
+        InputError: one of them names no mesh.
+    """
+    nodes = mesh_nodes(file, scene)
+    if not globs:
+        return nodes
+    names, found = {node: mesh_name(file, scene, node) for node in nodes}, set()
+    for glob in globs:
+        matching = _matching(names, glob)
+        if not matching:
+            raise InputError(
+                f"{file.path}: {key} names {glob!r}, no mesh is called so; its meshes are: {listed(names.values())}"
+            )
+        found |= matching
+    return [node for node in nodes if node in found]
+
+
+def _matching(names: Mapping[int, MeshName], glob: str) -> set[int]:
+    """The nodes of a name, or else of a glob: a name may hold brackets and asterisks."""
+    exact = {node for node, name in names.items() if glob in name}
+    return exact or {node for node, name in names.items() if any(fnmatchcase(one, glob) for one in name)}
+
+
+def rig_meshes(file: GltfFile, scene: Scene, include: list[str], exclude: list[str], joints: bool) -> list[int]:
+    """The nodes whose meshes make a rig: those of the scene that globs name, or without any all that can move.
+
+    Args:
+        include, exclude: names or globs of nodes or meshes; without `include` meshes that never move are left out.
+        joints: whether a skin counts as moving.
+
+    Raises:
+        InputError: no mesh is taken.
+    """
+    names = {node: mesh_name(file, scene, node) for node in mesh_nodes(file, scene)}
+    gone = set().union(*(_matching(names, glob) for glob in exclude))
+    kept = [node for node in named_meshes(file, scene, include, "rig.include") if node not in gone]
+    known = listed(names.values())
+    if not kept:
+        raise InputError(f"{file.path}: no mesh is left for the rig; its meshes are: {known}; see rig.include and rig.exclude")
+    if include:
+        return kept
+    moving = with_targets(file, kept) if not joints else with_targets_or_skin(file, kept)
+    if not moving:
+        hint = "" if joints or not file.document.get("skins") else "; rig.joints=true makes controls of its joints"
+        raise InputError(f"{file.path}: no morph targets in any of its meshes ({known}): nothing moves{hint}")
+    return moving
+
+
+def with_targets(file: GltfFile, nodes: list[int]) -> list[int]:
+    mesh_of = {node: file.document["nodes"][node]["mesh"] for node in nodes}
+    counts = {mesh: target_count(file, mesh) for mesh in set(mesh_of.values())}
+    return [node for node in nodes if counts[mesh_of[node]]]
+
+
+def with_targets_or_skin(file: GltfFile, nodes: list[int]) -> list[int]:
+    moved = set(with_targets(file, nodes))
+    return [node for node in nodes if node in moved or "skin" in file.document["nodes"][node]]
+
+
+def listed(names: Iterable[MeshName]) -> str:
+    """Names for a message."""
+    shown = sorted({name.shown for name in names})
+    return (", ".join(shown[:KNOWN]) + (f" and {len(shown) - KNOWN} more" if len(shown) > KNOWN else "")) or "none"
