@@ -44,7 +44,7 @@ class StageContents:
         names = {*(moves.GetJointsAttr().Get() or []), *(moves.GetBlendShapesAttr().Get() or [])}
         skins = [mesh.skin for mesh in map(self.mesh, self.mesh_paths) if mesh.skin]
         fitting = {
-            skin.skeleton.GetPrim().GetPath()
+            skin.placed.GetPath()
             for skin in skins
             if names & {*skin.skeleton.GetJointOrder(), *(skin.query.GetBlendShapeOrder() or [])}
         }

@@ -1,7 +1,7 @@
 """A mesh of a stage at a time: its points, blend shapes and skin, and where it lies in the world."""
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, Vt
 
 from rigs.usd.skins import Skin
 from rigs.usd.stage_clock import MOST_FRAMES, UnusableStageError
@@ -20,9 +20,10 @@ class PosedMesh:
     def __init__(self, prim: Usd.Prim, skin: Skin | None) -> None:
         self.prim, self.skin, self.path = prim, skin, str(prim.GetPath())
         self._points = UsdGeom.Mesh(prim).GetPointsAttr()
-        self._placed = skin.skeleton.GetPrim() if skin and skin.has_joints else prim  # whose transform counts
+        self._placed = skin.placed if skin and skin.has_joints else prim  # whose transform counts
+        self._rest = self._points.Get() if skin else None  # what UsdSkel poses, even where the points have samples, too
         self.times = self._sample_times()
-        self.vertex_count = len(self._points.Get(self.first_time) or [])
+        self.vertex_count = len(self._points_at(self.first_time) or [])
 
     @property
     def first_time(self) -> float | Usd.TimeCode:
@@ -38,7 +39,7 @@ class PosedMesh:
         Raises:
             UnusableStageError: there are none, not as many as at first, or the skin cannot be evaluated.
         """
-        points = self._points.Get(time)
+        points = self._points_at(time)
         if points is None or not len(points):
             raise UnusableStageError(f"no points of {self.path} at time code {time:g}: export it again")
         if len(points) != self.vertex_count:
@@ -52,6 +53,10 @@ class PosedMesh:
         placed = np.array(transforms.GetLocalToWorldTransform(self._placed), np.float64)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.array(points, np.float64) @ placed[:3, :3] + placed[3, :3]
+
+    def points_are_ignored(self) -> bool:
+        """Whether its points have samples that its skin does not pose."""
+        return self._rest is not None and self._points.GetNumTimeSamples() > 1
 
     def moves(self) -> bool:
         """Whether its points differ between some of its time samples."""
@@ -83,13 +88,17 @@ class PosedMesh:
         image = UsdGeom.Imageable(self.prim)
         return np.array([time for time in times.tolist() if image.ComputeVisibility(time) == UsdGeom.Tokens.invisible])
 
+    def _points_at(self, time: float | Usd.TimeCode) -> Vt.Vec3fArray | None:
+        return self._points.Get(time) if self._rest is None else self._rest
+
     def _is_scattered(self) -> bool:
         return any(one.IsA(UsdGeom.PointInstancer) for one in _upwards(self.prim))
 
     def _sample_times(self) -> np.ndarray:
         """Time samples of the points, the skin and every transform above; attributes with one sample stand still."""
         found: set[float] = set()
-        for attribute in (self._points, *(self.skin.attributes() if self.skin else ()), *_transform_attributes(self._placed)):
+        points = [self._points] if self._rest is None else []
+        for attribute in (*points, *(self.skin.attributes() if self.skin else ()), *_transform_attributes(self._placed)):
             times = attribute.GetTimeSamples()
             if attribute.HasSpline():
                 times = [knot.GetTime() for knot in attribute.GetSpline().GetKnots().values()]

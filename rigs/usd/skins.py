@@ -1,4 +1,4 @@
-"""Skeletons and blend shapes of a stage, as usd-core's UsdSkel evaluates them; bindings that it passes over are mended in memory."""
+"""Skeletons and blend shapes of a stage, as usd-core's UsdSkel evaluates them; bindings that it passes over are mended."""
 
 from dataclasses import dataclass
 
@@ -19,6 +19,7 @@ class Skin:
     Attributes:
         query: its joints' influences, and how it names its blend shapes.
         skeleton: the skeleton that it is bound to, with its animation.
+        placed: the prim whose transform places the skeleton; within an instance that of `skeleton` may be its prototype's.
         shapes: its blend shapes; None: it has none.
         vertices: that each blend shape moves, one array a shape.
         offsets: of these, one array for each shape and in-between.
@@ -26,6 +27,7 @@ class Skin:
 
     query: UsdSkel.SkinningQuery
     skeleton: UsdSkel.SkeletonQuery
+    placed: Usd.Prim
     shapes: UsdSkel.BlendShapeQuery | None
     vertices: list
     offsets: list
@@ -96,7 +98,7 @@ class Skins:
 
     def __init__(self, stage: Usd.Stage) -> None:
         self._cache, self._populated = UsdSkel.Cache(), set()
-        self._skeletons: dict[Sdf.Path, UsdSkel.SkeletonQuery] = {}
+        self._skeletons: dict[Sdf.Path, tuple[UsdSkel.SkeletonQuery, Usd.Prim]] = {}
         self._stage = stage
 
     def of(self, mesh: Usd.Prim) -> Skin | None:
@@ -106,21 +108,21 @@ class Skins:
             return None
         if root.GetPath() not in self._populated:
             self._populate(UsdSkel.Root(root))
-        query, skeleton = self._cache.GetSkinningQuery(mesh), self._skeletons.get(mesh.GetPath())
-        if skeleton is None or not query or not (query.HasBlendShapes() or query.HasJointInfluences()):
+        query, bound = self._cache.GetSkinningQuery(mesh), self._skeletons.get(mesh.GetPath())
+        if bound is None or not query or not (query.HasBlendShapes() or query.HasJointInfluences()):
             return None
         if not query.HasBlendShapes():
-            return Skin(query, skeleton, None, [], [])
+            return Skin(query, *bound, None, [], [])
         shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(mesh))
-        return Skin(query, skeleton, shapes, shapes.ComputeBlendShapePointIndices(), shapes.ComputeSubShapePointOffsets())
+        return Skin(query, *bound, shapes, shapes.ComputeBlendShapePointIndices(), shapes.ComputeSubShapePointOffsets())
 
     def _populate(self, root: UsdSkel.Root) -> None:
         self._populated.add(root.GetPath())
         self._cache.Populate(root, PROXIES)
         for binding in self._cache.ComputeSkelBindings(root, PROXIES):
-            skeleton = self._cache.GetSkelQuery(binding.GetSkeleton())
+            bound = self._cache.GetSkelQuery(binding.GetSkeleton()), binding.GetSkeleton().GetPrim()
             for query in binding.GetSkinningTargets():
-                self._skeletons[query.GetPrim().GetPath()] = skeleton
+                self._skeletons[query.GetPrim().GetPath()] = bound
 
 
 def outermost_root(prim: Usd.Prim) -> Usd.Prim | None:

@@ -1,7 +1,8 @@
 """Which times of a USD stage are frames, by the rates that it authors and where its time samples stand.
 
 USD defines the clock: `timeCodesPerSecond`, else `framesPerSecond`, else 24. Which times are frames it does not define: here
-each whole time code where the clock counts frames, and what `framesPerSecond` or the samples say where it counts seconds or ticks.
+each whole time code where the clock counts frames, and what `framesPerSecond` or the samples say where it counts seconds or
+ticks.
 """
 
 from dataclasses import dataclass

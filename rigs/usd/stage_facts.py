@@ -28,6 +28,11 @@ def notes_of_skins(meshes: list[PosedMesh], others: list[str]) -> list[str]:
         notes.append(
             f"{len(others)} SkelAnimations were passed over: {listing(others)} (reading.animation=NAME binds another)."
         )
+    moving = [mesh for mesh in meshes if mesh.points_are_ignored()]
+    if moving:
+        notes.append(
+            f"The points of {moving[0].path} have time samples, and UsdSkel poses those without a time: they were passed over."
+        )
     unskinned = [mesh for mesh in meshes if mesh.skin is None and mesh.prim.HasProperty("skel:skeleton")]
     if unskinned:
         notes.append(f"{unskinned[0].path} names a skeleton that poses nothing of it: it was read as a mesh without skin.")
