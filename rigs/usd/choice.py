@@ -4,12 +4,12 @@ from collections.abc import Callable, Sequence
 
 from pxr import Usd, UsdGeom, UsdSkel
 
+from rigs.blender.in_blender.mesh_choice import choose_meshes, listing, unclear
 from rigs.usd.posed_mesh import PosedMesh
 from rigs.usd.skins import PROXIES, Skins, editable
 from rigs.usd.stage_clock import UnusableStageError
 
 MOST_PRIMS = 1_000_000  # instances within instances multiply: more is damage
-LISTED = 12
 
 
 class StageContents:
@@ -106,32 +106,10 @@ def chosen_meshes(contents: StageContents, names: Sequence[str], vertex_count: i
     moving = [mesh for mesh in shown if len(mesh.times) > 1]
     if len(moving) > 1:
         moving = [mesh for mesh in moving if mesh.moves()] or moving
-    for pool in (moving, shown) if moving else (shown,):
-        found = _fitting(pool, vertex_count)
-        if found:
-            if len(found) < len(meshes) and len(pool) > 1:
-                notes.append(_how_chosen(found, pool is moving, vertex_count))
-            return found
-        if len(pool) == 1:
-            return pool
-    raise UnusableStageError(
-        f"expected one mesh, say which with reading.mesh=PATH or reading.mesh=[PATH,PATH]; its meshes are: "
-        f"{listing([f'{mesh.path} ({mesh.vertex_count} vertices)' for mesh in meshes])}"
-    )
-
-
-def _fitting(pool: list[PosedMesh], vertex_count: int | None) -> list[PosedMesh]:
-    """The one mesh, or all together, that have a rig's number of vertices; empty: neither."""
-    alone = [mesh for mesh in pool if mesh.vertex_count == vertex_count]
-    if len(alone) == 1:
-        return alone
-    return pool if pool and sum(mesh.vertex_count for mesh in pool) == vertex_count else []
-
-
-def _how_chosen(found: list[PosedMesh], moving: bool, vertex_count: int | None) -> str:
-    which = found[0].path if len(found) == 1 else f"{len(found)} meshes together"
-    among = "the meshes that move" if moving else "its meshes"
-    return f"Of {among}, {which} has the rig's {vertex_count} vertices and was read (reading.mesh=... reads others)."
+    found = choose_meshes(shown, moving, vertex_count, notes)
+    if not found:
+        raise UnusableStageError(unclear(meshes, moving))
+    return found
 
 
 def _named_mesh(contents: StageContents, name: str) -> object:
@@ -151,9 +129,3 @@ def _named_mesh(contents: StageContents, name: str) -> object:
         f"expected one mesh, reading.mesh={name} names {len(fitting)} of them; its meshes are: "
         f"{listing([str(path) for path in paths])}"
     )
-
-
-def listing(names: list[str]) -> str:
-    """Names for a message, the first of many."""
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more if names else "none"

@@ -3,7 +3,8 @@
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from rigs.usd.choice import StageContents, listing
+from rigs.blender.in_blender.mesh_choice import listing
+from rigs.usd.choice import StageContents
 from rigs.usd.posed_mesh import PosedMesh
 
 MOST_LOOKS = 10_000  # frames in which a mesh's visibility is looked up
