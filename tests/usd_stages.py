@@ -1,11 +1,17 @@
 """Stages with skeletons and blend shapes, written with usd-core, and what its own baking makes of them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
+
+from riginv.clips.options import ReadingOptions
+from rigs.blender.in_blender.worker import RefusedError
+from rigs.blender.process import WorkerRefusedError
+from rigs.usd.clip import UsdClip
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
@@ -124,8 +130,31 @@ def world(stage: Usd.Stage, mesh: str, time: float) -> np.ndarray:
     return np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(time), np.float64) @ placed[:3, :3] + placed[3, :3]
 
 
-def opened(path: Path, vertices: int | None = None, **options: Any):
-    from riginv.clips.options import ReadingOptions
-    from rigs.usd.clip import UsdClip
+class SameProcess:
+    """The worker's own scene in this process, in place of a pool: starting one takes seconds."""
 
-    return UsdClip(str(path), ReadingOptions(**options), vertices)
+    def __init__(self, command: Sequence[str], load: dict[str, Any], *settings: Any) -> None:
+        from rigs.usd.play_usd import UsdScene
+
+        self.scene, self.load = UsdScene(), load
+
+    def describe(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        return self._answer(lambda: (self.scene.load(**self.load), self.scene.describe())[1])
+
+    def evaluate(self, names: Sequence[str], controls: np.ndarray) -> np.ndarray:
+        return self._answer(lambda: self.scene.evaluate(names, controls))[1]["vertices"]
+
+    def close(self) -> None:
+        self.scene = None
+
+    def _answer(self, ask: Callable[[], Any]) -> Any:
+        try:
+            return ask()
+        except RefusedError as error:
+            raise WorkerRefusedError(str(error)) from None
+
+
+def opened(path: Path, vertices: int | None = None, **options: Any) -> UsdClip:
+    """A stage as a clip, read in this process."""
+    with mock.patch("rigs.usd.clip.WorkerPool", SameProcess):
+        return UsdClip(str(path), ReadingOptions(**options), vertices)

@@ -23,14 +23,21 @@ from rigs.usd.stage_clock import StageClock, UnusableStageError
 from rigs.usd.stage_facts import animations, faces, notes_of_skins, notes_of_variants, notes_of_visibility
 
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
-MEMORY = 4 << 30  # bytes that a stage may take beyond MEMORY_SHARE times its file: more is damage
+MEMORY = 4 << 30  # more is damage
 MEMORY_SHARE = 20
 MOST_NAMED = 1000  # meshes and animations that are named to the user
 DAMAGED = (Tf.ErrorException, Tf.CppException, RuntimeError, ValueError, MemoryError)
 
 
 class UsdScene:
-    """Loads a stage, describes it, and evaluates frames of it: its `controls` are indices of frames."""
+    """Loads a stage, describes it, and evaluates frames of it: its `controls` are indices of frames.
+
+    Args:
+        memory: bytes that this process may take beyond MEMORY_SHARE times the stage's file; None: any number.
+    """
+
+    def __init__(self, memory: int | None = None) -> None:
+        self.memory = memory
 
     def load(
         self,
@@ -49,7 +56,8 @@ class UsdScene:
             fps: frames a second that the user asked for.
             vertices: of the rig that the clip is for, where known.
         """
-        limit_memory(MEMORY + MEMORY_SHARE * Path(file).stat().st_size)
+        if self.memory is not None:
+            limit_memory(self.memory + MEMORY_SHARE * Path(file).stat().st_size)
         self.file, self.notes = file, []
         with self.refusing("open"):
             refuse_layers_elsewhere(file)
@@ -128,4 +136,4 @@ class UsdScene:
 
 
 if __name__ == "__main__":
-    serve(UsdScene())
+    serve(UsdScene(MEMORY))
