@@ -9,7 +9,7 @@ from rigs.usd.posed_mesh import PosedMesh
 from rigs.usd.skins import PROXIES, Skins, editable
 from rigs.usd.stage_clock import UnusableStageError
 
-MOST_PRIMS = 1_000_000  # instances within instances multiply: more is damage
+MOST_PRIMS = 300_000  # instances within instances multiply: more is damage
 
 
 class StageContents:
