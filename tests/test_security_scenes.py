@@ -118,6 +118,8 @@ def test_a_package_is_made_of_what_lies_in_it_and_beside_it(tmp_path, where, lay
     pytest.importorskip("pxr", reason="usd-core is not installed")
     from pxr import Sdf
 
+    from tests.usd_stages import opened
+
     (tmp_path / "shot").mkdir()
     stage(tmp_path / "secret.usda")
     stage(tmp_path / "inner.usda")
@@ -129,11 +131,11 @@ def test_a_package_is_made_of_what_lies_in_it_and_beside_it(tmp_path, where, lay
         package.AddFile(str(tmp_path / name), name)
     package.Save()
     with pytest.raises(InputError, match="own folder"):
-        read_clip(tmp_path / "shot/a.usdz")
+        opened(tmp_path / "shot/a.usdz")
     within = "b" if layer == "second" else "a"
     path = usda(tmp_path / "shot/c.usda", f"prepend references = @./a.usdz[{within}.usda]@</head>")
     with pytest.raises(InputError, match="own folder"):
-        read_clip(path)
+        opened(path)
 
 
 def test_a_package_of_several_layers_is_read(tmp_path):
