@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from riginv.errors import InputError
 from tests.usd_stages import Gf, Sdf, Usd, UsdGeom, add_mesh, new_stage, opened
 
 TIMES = np.arange(1.0, 13.0)
@@ -174,3 +175,38 @@ def test_a_stage_that_stands_still_is_one_frame_and_says_so(tmp_path):
     clip = opened(tmp_path / "a.usda")
     assert clip.frame_numbers.tolist() == [1] and np.abs(clip.read(0, 1) - rest_of(mesh) - [1, 0, 0]).max() < 1e-5
     assert clip.facts.notes == ("Nothing moves the mesh: one still frame was read, though the stage says time codes 1 to 24.",)
+
+
+@pytest.mark.parametrize("name", ["shots [old]/take [1].usda", "дубль=1 (final).usdc", "a'b{2},x#.usda", "%04d.usda"])
+def test_names_of_files_and_folders_may_hold_anything(tmp_path, name):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    rest = layer_of_points(path.with_name(f"points {path.name}"))
+    stage = new_stage(path)
+    stage.DefinePrim("/Head", "Mesh").GetReferences().AddReference(f"./points {path.name}", "/Head")
+    stage.Save()
+    near(path, rest + TIMES[:, None, None])
+
+
+def test_layers_that_are_not_there_are_said(tmp_path):
+    stage = new_stage(tmp_path / "a.usda")
+    stage.DefinePrim("/Head", "Mesh").GetReferences().AddReference("./gone.usda", "/Head")
+    add_mesh(stage, "/Other")
+    stage.Save()
+    clip = opened(tmp_path / "a.usda", mesh="Other")
+    assert "1 layers that are not there: ./gone.usda" in clip.facts.notes[0]
+    (tmp_path / "b.usda").write_text("#usda 1.0\n(subLayers = [@./lost.usda@])\n")
+    with pytest.raises(InputError, match=r"b.usda: expected one mesh, and it has none. It refers to .*lost.usda"):
+        opened(tmp_path / "b.usda")
+
+
+def test_samples_that_differ_by_rounding_are_one(tmp_path):
+    stage = new_stage(tmp_path / "a.usda")
+    mesh = add_mesh(stage, "/Head")
+    slide = UsdGeom.Xformable(mesh).AddTranslateOp()
+    rest = rest_of(mesh)
+    for time in TIMES.tolist():
+        mesh.GetPointsAttr().Set((rest + time).astype(np.float32), time)
+        slide.Set(Gf.Vec3d(time, 0, 0), time + 1e-7)
+    stage.Save()
+    near(tmp_path / "a.usda", rest + TIMES[:, None, None] * [2, 1, 1])

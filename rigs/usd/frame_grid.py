@@ -17,6 +17,8 @@ from rigs.usd.stage_clock import (
     whole_numbers,
 )
 
+SAME = 2e-7  # of a time code, or of its value where that is larger
+
 
 @dataclass(frozen=True)
 class FrameGrid:
@@ -50,6 +52,7 @@ def frame_grid(samples: np.ndarray, clock: StageClock) -> FrameGrid:
     if len(samples) > MOST_FRAMES or not np.isfinite(samples).all():
         raise UnusableStageError(f"{len(samples)} time samples, not all of them numbers: damaged; export it again")
     notes: list[str] = []
+    samples = _distinct(samples)
     rate, source = clock.rate(notes)
     start, end = _range(samples, clock, rate, notes)
     if len(samples) < 2:
@@ -62,6 +65,11 @@ def frame_grid(samples: np.ndarray, clock: StageClock) -> FrameGrid:
     numbers, times = _frames(grid, samples, low, high)
     _tell_of_samples(samples, times, grid, rate, notes)
     return FrameGrid(numbers, times, rate / grid.step, _source(grid, rate, source, clock), tuple(notes))
+
+
+def _distinct(samples: np.ndarray) -> np.ndarray:
+    """Without those that are the sample before but for rounding."""
+    return samples[np.diff(samples, prepend=-np.inf) > SAME * np.maximum(np.abs(samples), 1)]
 
 
 def _range(samples: np.ndarray, clock: StageClock, rate: float, notes: list[str]) -> tuple[float, float] | tuple[None, None]:

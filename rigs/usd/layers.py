@@ -4,21 +4,24 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf
+from pxr import Ar, Sdf
 
 from rigs.blender.in_blender.worker import RefusedError
 
 MOST_LAYERS = 1000
 
 
-def refuse_layers_elsewhere(file: str) -> None:
+def refuse_layers_elsewhere(file: str) -> list[str]:
     """Other layers that a stage is composed of lie in its own folder; none is fetched, and no device or pipe is opened.
+
+    Returns:
+        What it refers to that is not there.
 
     Raises:
         RefusedError: one lies elsewhere, or there are too many.
     """
     root = Path(file).resolve()
-    waiting, seen = [str(root)], set()
+    waiting, seen, missing = [str(root)], set(), []
     while waiting:
         identifier = waiting.pop()
         seen.add(identifier)
@@ -27,15 +30,19 @@ def refuse_layers_elsewhere(file: str) -> None:
         layer = Sdf.Layer.FindOrOpen(identifier)
         for asset in _assets_of(layer) if layer else ():
             name = asset.partition(":SDF_FORMAT_ARGS:")[0]
-            target = _target_of(Path(identifier.partition("[")[0]).parent, name)
+            target = _target_of(Path(_outer(identifier)).parent, name)
             if target is None or not target.is_relative_to(root.parent) or (target.exists() and not target.is_file()):
                 raise RefusedError(
                     f"{file}: it refers to {asset[:80]!r}, expected layers in its own folder: flatten it with usdcat --flatten"
                 )
             found = [str(target)] if target.is_file() else []
-            if "[" in identifier + name or layer.GetFileFormat().IsPackage():
-                found.append(Sdf.ComputeAssetPathRelativeToLayer(layer, name))  # a layer in a package
-            waiting += [one for one in found if one and one not in seen]
+            packed = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+            if Ar.IsPackageRelativePath(packed):
+                found.append(packed)
+            elif not found:
+                missing.append(asset)
+            waiting += [one for one in found if one not in seen]
+    return missing
 
 
 def limit_memory(most: int) -> None:
@@ -48,8 +55,13 @@ def limit_memory(most: int) -> None:
 
 def _target_of(folder: Path, name: str) -> Path | None:
     """The file that an asset names, a package for what lies in one; None where it is no plain path."""
-    path = name.partition("[")[0]
+    path = _outer(name)
     return None if "\0" in path or ":" in path else (folder / path).resolve()
+
+
+def _outer(path: str) -> str:
+    """The package of what lies in one, else the path itself."""
+    return Ar.SplitPackageRelativePathOuter(path)[0] if Ar.IsPackageRelativePath(path) else path
 
 
 def _assets_of(layer: Sdf.Layer) -> list[str]:

@@ -14,6 +14,7 @@ from pxr import Tf, Usd, UsdGeom
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # where `rigs` is; the worker's own code needs no riginv
 
+from rigs.blender.in_blender.mesh_choice import listing
 from rigs.blender.in_blender.worker import RefusedError, serve
 from rigs.usd.choice import StageContents, all_prims, chosen_meshes
 from rigs.usd.frame_grid import frame_grid
@@ -26,7 +27,7 @@ Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
 MEMORY = 4 << 30  # more is damage
 MEMORY_SHARE = 20
 MOST_NAMED = 1000  # meshes and animations that are named to the user
-DAMAGED = (Tf.ErrorException, Tf.CppException, RuntimeError, ValueError, MemoryError)
+DAMAGED = (Tf.ErrorException, Tf.CppException, RuntimeError, ValueError, TypeError, MemoryError)
 
 
 class UsdScene:
@@ -60,10 +61,14 @@ class UsdScene:
             limit_memory(self.memory + MEMORY_SHARE * Path(file).stat().st_size)
         self.file, self.notes = file, []
         with self.refusing("open"):
-            refuse_layers_elsewhere(file)
+            missing = refuse_layers_elsewhere(file)
+            if missing:
+                self.notes.append(f"It refers to {len(missing)} layers that are not there: {listing(missing)}.")
             self.stage = Usd.Stage.Open(file)
             self.notes += mend_bindings(self.stage, all_prims(self.stage))
             self.contents = StageContents(self.stage, all_prims(self.stage))
+            if not self.contents.mesh_paths:
+                raise UnusableStageError(f"expected one mesh, and it has none. {' '.join(self.notes)}".strip())
             if animation is not None:
                 self.contents.bind_animation(animation)
             self.meshes = chosen_meshes(self.contents, meshes or [], vertices, self.notes)
