@@ -9,6 +9,7 @@ from riginv.errors import InputError
 from tests.usd_stages import (
     JOINTS,
     Gf,
+    Sdf,
     Usd,
     UsdGeom,
     UsdSkel,
@@ -173,6 +174,19 @@ def test_a_skeleton_without_animation_stays_at_rest_and_says_so(tmp_path):
     assert len(clip) == 1 and clip.facts.animation == ""
     assert any("bound to no SkelAnimation" in note and "/Root/Anim" in note for note in clip.facts.notes)
     assert opened(tmp_path / "a.usda", animation="Anim").frame_numbers.tolist() == [1, 2, 3, 4]
+
+
+def test_an_animation_within_an_instance_is_named_as_part_of_it(tmp_path):
+    stage = new_stage(tmp_path / "a.usda")
+    character(stage, "/Proto", TIMES)
+    stage.GetPrimAtPath("/Proto").SetSpecifier(Sdf.SpecifierClass)
+    for name in "AB":
+        one = stage.DefinePrim(f"/{name}")
+        one.GetReferences().AddInternalReference("/Proto")
+        one.SetInstanceable(True)
+    stage.Save()
+    facts = opened(tmp_path / "a.usda", mesh="/B/Mesh0").facts
+    assert (facts.animation, facts.other_animations) == ("/B/Anim", ("/A/Anim",)) and facts.other_meshes == ("/A/Mesh0",)
 
 
 def test_an_instance_gets_an_animation_of_its_own(tmp_path):

@@ -194,9 +194,9 @@ def test_layers_that_are_not_there_are_said(tmp_path):
     add_mesh(stage, "/Other")
     stage.Save()
     clip = opened(tmp_path / "a.usda", mesh="Other")
-    assert "1 layers that are not there: ./gone.usda" in clip.facts.notes[0]
+    assert "Layers that it refers to are not there: ./gone.usda" in clip.facts.notes[0]
     (tmp_path / "b.usda").write_text("#usda 1.0\n(subLayers = [@./lost.usda@])\n")
-    with pytest.raises(InputError, match=r"b.usda: expected one mesh, and it has none. It refers to .*lost.usda"):
+    with pytest.raises(InputError, match=r"b.usda: expected one mesh, and it has none. Layers .*lost.usda"):
         opened(tmp_path / "b.usda")
 
 

@@ -63,7 +63,7 @@ class UsdScene:
         with self.refusing("open"):
             missing = refuse_layers_elsewhere(file)
             if missing:
-                self.notes.append(f"It refers to {len(missing)} layers that are not there: {listing(missing)}.")
+                self.notes.append(f"Layers that it refers to are not there: {listing(missing)}.")
             self.stage = Usd.Stage.Open(file)
             self.notes += mend_bindings(self.stage, all_prims(self.stage))
             self.contents = StageContents(self.stage, all_prims(self.stage))

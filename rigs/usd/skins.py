@@ -39,6 +39,14 @@ class Skin:
         return found if found else None
 
     @property
+    def animation_path(self) -> str:
+        """The path of the animation, within the instance where it is in one; empty: there is none."""
+        if not self.animation:
+            return ""
+        source = UsdSkel.BindingAPI(self.placed).GetInheritedAnimationSource()
+        return str((source or self.animation.GetPrim()).GetPath())
+
+    @property
     def has_joints(self) -> bool:
         return self.query.HasJointInfluences()
 

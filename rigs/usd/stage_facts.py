@@ -13,7 +13,7 @@ MOST_VARIANT_SETS = 3
 
 def animations(contents: StageContents, meshes: list[PosedMesh]) -> tuple[list[str], list[str]]:
     """The paths of the SkelAnimations that move the meshes, and of those that do not."""
-    bound = {str(mesh.skin.animation.GetPrim().GetPath()) for mesh in meshes if mesh.skin and mesh.skin.animation}
+    bound = {mesh.skin.animation_path for mesh in meshes if mesh.skin}
     paths = [str(path) for path in contents.animation_paths]
     return [path for path in paths if path in bound], [path for path in paths if path not in bound]
 
@@ -27,7 +27,7 @@ def notes_of_skins(meshes: list[PosedMesh], others: list[str]) -> list[str]:
         notes.append(f"The skeleton of {resting[0].path} is bound to no SkelAnimation and stays at rest{more}.")
     elif others and any(mesh.skin for mesh in meshes):
         notes.append(
-            f"{len(others)} SkelAnimations were passed over: {listing(others)} (reading.animation=NAME binds another)."
+            f"SkelAnimations that were passed over: {listing(others)} (reading.animation=NAME binds another)."
         )
     moving = [mesh for mesh in meshes if mesh.points_are_ignored()]
     if moving:
