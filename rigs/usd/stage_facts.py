@@ -26,9 +26,7 @@ def notes_of_skins(meshes: list[PosedMesh], others: list[str]) -> list[str]:
         more = f" (reading.animation=NAME binds one of {listing(others)})" if others else ""
         notes.append(f"The skeleton of {resting[0].path} is bound to no SkelAnimation and stays at rest{more}.")
     elif others and any(mesh.skin for mesh in meshes):
-        notes.append(
-            f"SkelAnimations that were passed over: {listing(others)} (reading.animation=NAME binds another)."
-        )
+        notes.append(f"SkelAnimations that were passed over: {listing(others)} (reading.animation=NAME binds another).")
     moving = [mesh for mesh in meshes if mesh.points_are_ignored()]
     if moving:
         notes.append(
