@@ -84,6 +84,19 @@ def write_usd(path: Path, meshes: np.ndarray, faces: np.ndarray, fps: float = 24
     return path
 
 
+def write_skinned_usd(path: Path, rig: RigBackend, frames: int = 7) -> Path:
+    """Blend shapes of a rig below a skeleton, as our own writer makes them."""
+    from pxr import Usd
+
+    from riginv.curves.usd import write
+    from tests.animations import moving
+
+    written = path.with_name("written.usdc")
+    write(written, moving(rig, numbers=torch.arange(frames)))
+    Usd.Stage.Open(str(written)).Export(str(path))
+    return path
+
+
 def write_animated_glb(path: Path, meshes: np.ndarray, faces: np.ndarray, fps: float = 30.0) -> Path:
     """One morph target for each frame, fully on at its own: any meshes can be written so. The node turns as it goes."""
     avatar = AvatarWriter()

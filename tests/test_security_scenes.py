@@ -110,3 +110,56 @@ def test_scripts_of_a_blend_do_not_run(tmp_path):
     assert not ran.exists()
     BlenderRig(str(path), workers=1, scripts=True)
     assert ran.exists()  # the payload is no dud
+
+
+@pytest.mark.parametrize("where", ["../secret.usda", "{0}/secret.usda", "{1}/secret.usda"])
+@pytest.mark.parametrize("layer", ["first", "second"])
+def test_a_package_is_made_of_what_lies_in_it_and_beside_it(tmp_path, where, layer, elsewhere):
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    from pxr import Sdf
+
+    from tests.usd_stages import opened
+
+    (tmp_path / "shot").mkdir()
+    stage(tmp_path / "secret.usda")
+    stage(tmp_path / "inner.usda")
+    secret = f"prepend references = @{where.format(tmp_path, elsewhere)}@</world/head>"
+    usda(tmp_path / "b.usda", secret if layer == "second" else "prepend references = @./inner.usda@</world/head>")
+    usda(tmp_path / "a.usda", secret if layer == "first" else "prepend references = @./b.usda@</head>")
+    package = Sdf.ZipFileWriter.CreateNew(str(tmp_path / "shot/a.usdz"))
+    for name in ("a.usda", "b.usda", "inner.usda"):
+        package.AddFile(str(tmp_path / name), name)
+    package.Save()
+    with pytest.raises(InputError, match="own folder"):
+        opened(tmp_path / "shot/a.usdz")
+    within = "b" if layer == "second" else "a"
+    path = usda(tmp_path / "shot/c.usda", f"prepend references = @./a.usdz[{within}.usda]@</head>")
+    with pytest.raises(InputError, match="own folder"):
+        opened(path)
+
+
+def test_a_package_of_several_layers_is_read(tmp_path):
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    from pxr import Sdf
+
+    stage(tmp_path / "points.usda")
+    usda(tmp_path / "a.usda", "prepend references = @./points.usda@</world/head>")
+    package = Sdf.ZipFileWriter.CreateNew(str(tmp_path / "a.usdz"))
+    for name in ("a.usda", "points.usda"):
+        package.AddFile(str(tmp_path / name), name)
+    package.Save()
+    assert len(read_clip(tmp_path / "a.usdz")) == 3
+
+
+def test_instances_within_instances_do_not_multiply_without_end(tmp_path, monkeypatch):
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    from tests.usd_stages import opened
+
+    monkeypatch.setattr("rigs.usd.choice.MOST_PRIMS", 1000)  # else it takes its seconds
+    levels = ['#usda 1.0\ndef Xform "L0" {\ndef Mesh "head" {\n}\n}\n']
+    for level in range(1, 40):
+        uses = "".join(f'def "{side}" (instanceable = true\n prepend references = </L{level - 1}>) {{\n}}\n' for side in "ab")
+        levels.append(f'def Xform "L{level}" {{\n{uses}}}\n')
+    (tmp_path / "a.usda").write_text("".join(levels))
+    with pytest.raises(InputError, match=r"a.usda: more than 1,000 prims"):
+        opened(tmp_path / "a.usda")

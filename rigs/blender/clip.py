@@ -5,38 +5,43 @@ from pathlib import Path
 import numpy as np
 
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, Polygons
-from riginv.clips.units import DEFAULT_FPS
+from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
+from riginv.rig import RigBackend
 from rigs.blender.interpreter import find_interpreter, script_command
 from rigs.blender.pool import PoseLostError, WorkerPool
 from rigs.blender.process import WorkerRefusedError
 
 TIMEOUT_S = 300.0  # for a chunk of frames, or for the import
+FORMATS = {".abc": "Alembic", ".fbx": "FBX"}
 BEGINNINGS = {".abc": (b"Ogawa", b"\x89HDF"), ".fbx": (b"Kaydara FBX Binary", b"; FBX")}
 
 
 class BlenderClip(MeshSequence):
-    """A mesh of an .abc or .fbx, as Blender plays it.
+    """Meshes of an .abc or .fbx, as Blender plays it; several stand one after the other, in the order of its scene.
 
     Args:
         path: of the file.
-        options: `mesh`: the name of the mesh object; None: the only one. `fps`: at which an Alembic file, which does not say,
-            is played; None: 30. `interpreter`: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
+        options: `mesh`: names of mesh objects; None: the only mesh that moves, or what fits `vertices`. `animation`: name or
+            number of a take of an FBX; None: the first that moves the meshes. `fps`: at which the file is played; None: the
+            file's own rate. `interpreter`: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
+        vertices: of the rig that the clip is for; None: not known.
 
     Raises:
-        InputError: no Blender, no such file or mesh, or Blender cannot import it.
+        InputError: no Blender, no such file, mesh or animation, or Blender cannot import it.
     """
 
-    def __init__(self, path: str, options: ReadingOptions) -> None:
+    def __init__(self, path: str, options: ReadingOptions, vertices: int | None = None) -> None:
         file = Path(path).expanduser().absolute()
         _check(path, file)
-        load = {"file": str(file), "mesh": options.mesh, "fps": float(options.fps or DEFAULT_FPS)}
+        load = {"file": str(file), "meshes": options.mesh_names, "animation": options.animation}
+        load |= {"fps": options.fps, "vertices": vertices}
         self.pool = WorkerPool(script_command(find_interpreter(options.interpreter), "play.py"), load, 1, TIMEOUT_S)
         self.path = path
         try:
             facts, arrays = self.pool.describe()
         except (WorkerRefusedError, PoseLostError) as error:
+            self.pool.close()
             raise self._failure(error) from None
         faces = Polygons(arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64))
         super().__init__(
@@ -47,27 +52,36 @@ class BlenderClip(MeshSequence):
             facts["fps"] or None,
             facts["unit_mm"] or None,
             "y",
+            SourceFacts(
+                FORMATS[file.suffix.lower()],
+                tuple(facts["meshes"]),
+                tuple(facts["other_meshes"]),
+                facts["animation"],
+                tuple(facts["other_animations"]),
+                facts["rate_source"],
+                tuple(facts["notes"]),
+            ),
         )
 
+    @classmethod
+    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "BlenderClip":
+        """Open a file that should hold a rig's mesh, by which meshes are chosen that the user did not name.
+
+        Raises:
+            InputError: the file cannot be read, or it is not clear which meshes are meant.
+        """
+        return cls(path, options, None if options.vertices is not None else len(rig.rest_vertices))
+
     def read(self, start: int, stop: int) -> np.ndarray:
-        numbers = self.frame_numbers[start:stop].astype(np.float32)[:, None]
         try:
-            vertices = self.pool.evaluate(["frame"], numbers)
+            return self.pool.evaluate(["frame"], np.arange(start, stop, dtype=np.float32)[:, None])
         except (WorkerRefusedError, PoseLostError) as error:
             raise self._failure(error) from None
-        except ValueError:
-            raise InputError(
-                f"{self.path}: its meshes have different numbers of vertices: all frames must be the same mesh"
-            ) from None
-        if vertices.shape[1] != self.vertex_count:
-            raise InputError(
-                f"{self.path}: {vertices.shape[1]} vertices in frame {start}, {self.vertex_count} at first: mixed meshes"
-            )
-        return vertices
 
     def _failure(self, error: Exception) -> InputError:
-        said = str(error)
-        return InputError(said if isinstance(error, WorkerRefusedError) else f"{self.path}: Blender cannot read it: {said}")
+        said = " ".join(str(error).split())
+        refused = isinstance(error, WorkerRefusedError) and Path(self.path).name in said
+        return InputError(said if refused else f"{self.path}: Blender cannot read it: {said}")
 
 
 def _check(path: str, file: Path) -> None:

@@ -1,4 +1,4 @@
-"""USD point samples as clips (`pip install 'riginv[usd]'`): the points of a mesh at each time code, placed in the world."""
+"""USD stages as clips (`pip install 'riginv[usd]'`): meshes as skeletons, blend shapes, samples and transforms move them."""
 
 import importlib.util
 import sys
@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, Polygons
+from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
+from riginv.rig import RigBackend
 from rigs.blender.pool import PoseLostError, WorkerPool
 from rigs.blender.process import WorkerRefusedError
 
@@ -17,22 +18,26 @@ SCRIPT = Path(__file__).parent / "play_usd.py"
 
 
 class UsdClip(MeshSequence):
-    """A mesh of a USD stage whose points have time samples.
+    """Meshes of a USD stage in the world, frame by frame; several stand one after the other, in the stage's order.
 
     Args:
         path: the stage.
-        options: `mesh`: the path or the name of its prim; None: the only one whose points move.
+        options: `mesh`: paths or names; None: the only mesh that moves, or what fits `vertices`. `animation`: path, name or
+            number of a SkelAnimation; None: the one that is bound. `fps`: where samples lie between whole time codes, the rate
+            that they are read at.
+        vertices: of the rig that the clip is for; None: not known.
 
     Raises:
         InputError: usd-core is not installed, the stage cannot be opened, or no mesh, or more than one, could be meant.
     """
 
-    def __init__(self, path: str, options: ReadingOptions) -> None:
+    def __init__(self, path: str, options: ReadingOptions, vertices: int | None = None) -> None:
         if importlib.util.find_spec("pxr") is None:
             raise InputError(f"{path}: reading USD needs usd-core: pip install 'riginv[usd]'")
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file; clip=PATH names a clip")
-        load = {"file": str(Path(path).absolute()), "mesh": options.mesh}
+        load = {"file": str(Path(path).absolute()), "meshes": options.mesh_names, "animation": options.animation}
+        load |= {"fps": options.fps, "vertices": vertices}
         self.path = path
         self.pool = WorkerPool([sys.executable, str(SCRIPT)], load, 1, TIMEOUT_S)
         try:
@@ -40,29 +45,42 @@ class UsdClip(MeshSequence):
         except (WorkerRefusedError, PoseLostError) as error:
             self.pool.close()
             raise self._failure(error) from None
-        sizes, corners, times = arrays["sizes"], arrays["corners"], arrays["times"]
+        sizes, corners = arrays["sizes"], arrays["corners"]
         if (sizes < 0).any() or sizes.sum() != len(corners):
             raise InputError(f"{path}: its faces need {sizes.sum()} corners and have {len(corners)}: export it again")
-        step = float(np.diff(times).min()) if len(times) > 1 else 1.0
-        numbers = np.round(times / step)
-        if not np.abs(numbers).max() < 2**53:
-            raise InputError(f"{path}: time codes {times[0]:g} to {times[-1]:g}, {step:g} apart: damaged; export it again")
-        faces = Polygons(sizes, corners) if len(sizes) else None
-        rate = facts["rate"] / step if facts["rate"] else None
-        super().__init__(path, numbers, facts["vertices"], faces, rate, facts["unit_mm"], facts["up"])
+        super().__init__(
+            path,
+            arrays["numbers"],
+            facts["vertices"],
+            Polygons(sizes, corners) if len(sizes) else None,
+            facts["rate"],
+            facts["unit_mm"],
+            facts["up"],
+            SourceFacts(
+                "USD",
+                tuple(facts["meshes"]),
+                tuple(facts["other_meshes"]),
+                facts["animation"],
+                tuple(facts["other_animations"]),
+                facts["rate_source"],
+                tuple(facts["notes"]),
+            ),
+        )
+
+    @classmethod
+    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "UsdClip":
+        """Open a stage that should hold a rig's mesh, by which meshes are chosen that the user did not name.
+
+        Raises:
+            InputError: the stage cannot be read, or it is not clear which meshes are meant.
+        """
+        return cls(path, options, None if options.vertices is not None else len(rig.rest_vertices))
 
     def read(self, start: int, stop: int) -> np.ndarray:
         try:
-            vertices = self.pool.evaluate(["frame"], np.arange(start, stop, dtype=np.float32)[:, None])
+            return self.pool.evaluate(["frame"], np.arange(start, stop, dtype=np.float32)[:, None])
         except (WorkerRefusedError, PoseLostError) as error:
             raise self._failure(error) from None
-        except ValueError:
-            raise InputError(f"{self.path}: its frames have different numbers of points: all must be the same mesh") from None
-        if vertices.shape[1] != self.vertex_count:
-            raise InputError(
-                f"{self.path}: {vertices.shape[1]} points in a frame, and {self.vertex_count} at first: mixed meshes"
-            )
-        return vertices
 
     def _failure(self, error: Exception) -> InputError:
         said = (

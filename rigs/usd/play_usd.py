@@ -1,153 +1,144 @@
-"""Plays the points of a mesh of a USD stage for another process, frame by frame (docs/worker-protocol.md).
+"""Plays meshes of a USD stage for another process, frame by frame (docs/worker-protocol.md).
 
 PYTHON play_usd.py
 """
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdGeom
+from pxr import Tf, Usd, UsdGeom
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "blender" / "in_blender"))  # the worker's own code needs no riginv
-from worker import RefusedError, serve
+sys.path.insert(0, str(Path(__file__).parents[2]))  # where `rigs` is; the worker's own code needs no riginv
+
+from rigs.blender.in_blender.mesh_choice import listing
+from rigs.blender.in_blender.worker import RefusedError, serve
+from rigs.usd.choice import StageContents, all_prims, chosen_meshes
+from rigs.usd.frame_grid import frame_grid
+from rigs.usd.layers import limit_memory, refuse_layers_elsewhere
+from rigs.usd.skins import mend_bindings
+from rigs.usd.stage_clock import StageClock, UnusableStageError
+from rigs.usd.stage_facts import animations, faces, notes_of_skins, notes_of_variants, notes_of_visibility
 
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
-MOST_FRAMES = 10_000_000
-MOST_LAYERS = 1000
-MEMORY = 4 << 30  # bytes that a stage may take beyond MEMORY_SHARE times its file: more is damage
+MEMORY = 4 << 30  # more is damage
 MEMORY_SHARE = 20
+MOST_NAMED = 1000  # meshes and animations that are named to the user
+DAMAGED = (Tf.ErrorException, Tf.CppException, RuntimeError, ValueError, TypeError, MemoryError)
 
 
 class UsdScene:
-    """Loads a stage, describes it, and evaluates frames of it: its `controls` are places among the time samples."""
+    """Loads a stage, describes it, and evaluates frames of it: its `controls` are indices of frames.
 
-    def load(self, file: str, mesh: str | None = None) -> Answer:
-        """Open the stage and choose its mesh."""
-        limit_memory(MEMORY + MEMORY_SHARE * Path(file).stat().st_size)
-        self.file = file
-        try:
-            refuse_layers_elsewhere(file)
+    Args:
+        memory: bytes that this process may take beyond MEMORY_SHARE times the stage's file; None: any number.
+    """
+
+    def __init__(self, memory: int | None = None) -> None:
+        self.memory = memory
+
+    def load(
+        self,
+        file: str,
+        meshes: list[str] | None = None,
+        animation: str | int | None = None,
+        fps: float | None = None,
+        vertices: int | None = None,
+    ) -> Answer:
+        """Open the stage and choose its meshes.
+
+        Args:
+            file: the stage.
+            meshes: names or paths; none: see `chosen_meshes`.
+            animation: path, name or number of the SkelAnimation to bind; None: what the stage binds.
+            fps: frames a second that the user asked for.
+            vertices: of the rig that the clip is for, where known.
+        """
+        if self.memory is not None:
+            limit_memory(self.memory + MEMORY_SHARE * Path(file).stat().st_size)
+        self.file, self.notes = file, []
+        with self.refusing("open"):
+            missing = refuse_layers_elsewhere(file)
+            if missing:
+                self.notes.append(f"Layers that it refers to are not there: {listing(missing)}.")
             self.stage = Usd.Stage.Open(file)
-            self.mesh = self.chosen(mesh)
-            self.times = [float(time) for time in self.mesh.GetPointsAttr().GetTimeSamples()] or [0.0]
-        except (Tf.ErrorException, RuntimeError, ValueError, MemoryError) as error:
-            raise RefusedError(
-                f"{file}: USD cannot open it ({type(error).__name__}): damaged, or no USD; export it again"
-            ) from None
-        if len(self.times) > MOST_FRAMES or not np.isfinite(self.times).all():
-            raise RefusedError(f"{file}: {len(self.times)} time samples, not all of them numbers: damaged; export it again")
-        return {"mesh": str(self.mesh.GetPath())}, {}
+            self.notes += mend_bindings(self.stage, all_prims(self.stage))
+            self.contents = StageContents(self.stage, all_prims(self.stage))
+            if not self.contents.mesh_paths:
+                raise UnusableStageError(f"expected one mesh, and it has none. {' '.join(self.notes)}".strip())
+            if animation is not None:
+                self.contents.bind_animation(animation)
+            self.meshes = chosen_meshes(self.contents, meshes or [], vertices, self.notes)
+            times = np.unique(np.concatenate([mesh.times for mesh in self.meshes]))
+            self.grid = frame_grid(times, self.clock(fps))
+        return {"mesh": self.meshes[0].path}, {}
 
     def describe(self) -> Answer:
-        """Time codes and faces; time codes a second, mm to a unit and the axis that is up, where the stage says them."""
-        try:
-            stage, first = self.stage, self.frame(0)
-            rate = stage.GetTimeCodesPerSecond() if stage.HasAuthoredMetadata("timeCodesPerSecond") else None
+        """Frames and faces, what was read and what was left out; units and the axis that is up, where the stage says them."""
+        stage, meshes, grid = self.stage, self.meshes, self.grid
+        with self.refusing("read"):
+            self.frame(0)
             mm = UsdGeom.GetStageMetersPerUnit(stage) * 1000 if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else None
             up = str(UsdGeom.GetStageUpAxis(stage)).lower() if stage.HasAuthoredMetadata("upAxis") else None
-            found = [
-                np.array(attribute.Get(self.times[0]) or [], np.int64)
-                for attribute in (self.mesh.GetFaceVertexCountsAttr(), self.mesh.GetFaceVertexIndicesAttr())
-            ]
-        except (Tf.ErrorException, RuntimeError, ValueError, MemoryError) as error:
-            raise RefusedError(f"{self.file}: USD cannot read it ({type(error).__name__}): damaged; export it again") from None
-        facts = {"vertices": len(first), "rate": rate, "unit_mm": mm, "up": up}
-        return facts, {"times": np.array(self.times), "sizes": found[0], "corners": found[1]}
+            read, others = animations(self.contents, meshes)
+            sizes, corners = faces(meshes)
+            paths = [mesh.path for mesh in meshes]
+            notes = [*self.notes, *grid.notes, *notes_of_skins(meshes, others)]
+            notes += [*notes_of_visibility(meshes, grid.times), *notes_of_variants(stage, meshes)]
+        facts = {
+            "meshes": paths,
+            "other_meshes": [str(path) for path in self.contents.mesh_paths if str(path) not in paths][:MOST_NAMED],
+            "animation": ", ".join(read),
+            "other_animations": others[:MOST_NAMED],
+            "rate": grid.fps,
+            "rate_source": grid.source,
+            "notes": notes,
+            "vertices": sum(mesh.vertex_count for mesh in meshes),
+            "unit_mm": mm,
+            "up": up,
+        }
+        return facts, {"numbers": grid.numbers, "sizes": sizes, "corners": corners}
 
     def evaluate(self, names: list[str], controls: np.ndarray) -> Answer:
-        """The points of frames."""
-        places = controls[:, names.index("frame")].astype(np.int64).tolist()
+        """The vertices of frames."""
+        indices = controls[:, names.index("frame")].astype(np.int64).tolist()
+        with self.refusing("read"):
+            return {}, {"vertices": np.stack([self.frame(index) for index in indices])}
+
+    def frame(self, index: int) -> np.ndarray:
+        """The points `(vertex, 3)` of a frame in the world, float32; mesh after mesh."""
+        time = float(self.grid.times[index])
+        transforms = UsdGeom.XformCache(time)
+        with np.errstate(over="ignore"):
+            points = [mesh.world_points(time, transforms).astype(np.float32) for mesh in self.meshes]
+        return np.concatenate(points)
+
+    def clock(self, asked: float | None) -> StageClock:
+        """What the stage's metadata says of time."""
+        stage = self.stage
+        rates = {
+            "time_codes_per_second": stage.GetTimeCodesPerSecond() if stage.HasAuthoredMetadata("timeCodesPerSecond") else None,
+            "frames_per_second": stage.GetFramesPerSecond() if stage.HasAuthoredMetadata("framesPerSecond") else None,
+        }
+        if not stage.HasAuthoredTimeCodeRange():
+            return StageClock(**rates, asked=asked)
+        return StageClock(**rates, start=stage.GetStartTimeCode(), end=stage.GetEndTimeCode(), asked=asked)
+
+    @contextmanager
+    def refusing(self, what: str) -> Iterator[None]:
+        """Errors of usd-core, and of what a stage holds, as sentences with the file's name."""
         try:
-            found = [self.frame(place) for place in places]
-        except (Tf.ErrorException, RuntimeError, ValueError, MemoryError) as error:
-            raise RefusedError(f"{self.file}: USD cannot read it ({type(error).__name__}): damaged; export it again") from None
-        for place, points in zip(places, found):
-            if len(points) != len(found[0]):
-                raise RefusedError(
-                    f"{self.file}: {len(points)} points at time code {self.times[place]:g} and {len(found[0])} before: all "
-                    f"frames must be the same mesh; export it again"
-                )
-        return {}, {"vertices": np.stack(found)}
-
-    def chosen(self, name: str | None) -> UsdGeom.Mesh:
-        """The named mesh, or the only one whose points move, or the only one."""
-        named = {str(prim.GetPath()): UsdGeom.Mesh(prim) for prim in self.stage.Traverse() if prim.IsA(UsdGeom.Mesh)}
-        if name is not None:
-            fitting = [mesh for place, mesh in named.items() if name in (place, place.rpartition("/")[2])]
-        else:
-            moving = [mesh for mesh in named.values() if mesh.GetPointsAttr().GetNumTimeSamples() > 0]
-            fitting = moving or list(named.values())
-        if len(fitting) != 1:
-            listed = ", ".join(list(named)[:8]) or "none"
-            asked = f"reading.mesh={name} names {len(fitting)} of them" if name else "say which with reading.mesh=PATH"
-            raise RefusedError(f"{self.file}: expected one mesh, {asked}; its meshes are: {listed}")
-        return fitting[0]
-
-    def frame(self, place: int) -> np.ndarray:
-        """The points `(vertex, 3)` of a time sample in the world, float32."""
-        time = self.times[place]
-        points = self.mesh.GetPointsAttr().Get(time)
-        if points is None or not len(points):
-            raise RefusedError(f"{self.file}: no points at time code {time:g}: export it again")
-        placed = np.array(UsdGeom.XformCache(time).GetLocalToWorldTransform(self.mesh.GetPrim()), np.float64)
-        with np.errstate(over="ignore", invalid="ignore"):
-            return (np.array(points, np.float64) @ placed[:3, :3] + placed[3, :3]).astype(np.float32)
-
-
-def refuse_layers_elsewhere(file: str) -> None:
-    """Other layers that a stage is composed of lie in its own folder; none is fetched, and no device or pipe is opened."""
-    folder = Path(file).resolve().parent
-    waiting, seen = [Path(file).resolve()], set()
-    while waiting:
-        path = waiting.pop()
-        seen.add(path)
-        if len(seen) > MOST_LAYERS:
-            raise RefusedError(f"{file}: made of more than {MOST_LAYERS} layers: flatten it with usdcat --flatten")
-        layer = Sdf.Layer.FindOrOpen(str(path))
-        for asset in assets_of(layer) if layer else ():
-            name = asset.partition(":SDF_FORMAT_ARGS:")[0].partition("[")[0]
-            target = (path.parent / name).resolve() if "\0" not in name else folder.parent
-            if ":" in name or not target.is_relative_to(folder) or (target.exists() and not target.is_file()):
-                raise RefusedError(
-                    f"{file}: it refers to {asset[:80]!r}, expected layers in its own folder: flatten it with usdcat --flatten"
-                )
-            if target.is_file() and target not in seen:
-                waiting.append(target)
-
-
-def assets_of(layer: Sdf.Layer) -> list[str]:
-    """What a layer is composed of: sublayers, references, payloads and value clips, as it writes them."""
-    found = list(layer.GetCompositionAssetDependencies())
-
-    def visit(path: Sdf.Path) -> None:
-        spec = layer.GetObjectAtPath(path)
-        if isinstance(spec, Sdf.PrimSpec) and spec.HasInfo("clips"):
-            found.extend(paths_in(spec.GetInfo("clips")))
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
-    return [asset for asset in found if asset]
-
-
-def paths_in(value: Any) -> list[str]:
-    """The asset paths in the metadata of value clips."""
-    if isinstance(value, Sdf.AssetPath):
-        return [value.path]
-    if isinstance(value, dict):
-        return [path for inner in value.values() for path in paths_in(inner)]
-    if isinstance(value, list | tuple | Sdf.AssetPathArray):
-        return [path for inner in value for path in paths_in(inner)]
-    return []
-
-
-def limit_memory(most: int) -> None:
-    """On systems that can: what asks for more than that fails, and does not take the machine with it."""
-    if sys.platform == "linux":
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+            yield
+        except UnusableStageError as error:
+            raise RefusedError(f"{self.file}: {error}") from None
+        except DAMAGED as error:
+            raise RefusedError(
+                f"{self.file}: USD cannot {what} it ({type(error).__name__}): damaged, or no USD; export it again"
+            ) from None
 
 
 if __name__ == "__main__":
-    serve(UsdScene())
+    serve(UsdScene(MEMORY))

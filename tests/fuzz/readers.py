@@ -30,7 +30,16 @@ from riginv.reproduction.steps import read_done, write_done
 from rigs.gltf import GltfRig
 from rigs.shapes import ShapesRig
 from tests import sculpts
-from tests.clips import performance, write_animated_glb, write_mdd, write_npz, write_obj, write_pc2, write_usd
+from tests.clips import (
+    performance,
+    write_animated_glb,
+    write_mdd,
+    write_npz,
+    write_obj,
+    write_pc2,
+    write_skinned_usd,
+    write_usd,
+)
 from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint
 from tests.fuzz.tally import Target
 from tests.test_bundle import rewrite_sums
@@ -86,6 +95,7 @@ CLIPS: dict[str, Callable[[Path, np.ndarray, np.ndarray], Path]] = {
     "csv": lambda path, meshes, faces: _take(path),
     "usda": write_usd,
     "usdc": write_usd,
+    **dict.fromkeys(("skinned.usda", "skinned.usdc"), lambda path, meshes, faces: write_skinned_usd(path, toy())),
 }
 
 
@@ -282,4 +292,9 @@ READERS: dict[str, Make] = {
     "vertex numbers": _picked,
     "config folder": _configs,
 }
-IN_PROCESSES = ("clip .usda", "clip .usdc")  # each case costs one process, a damaged one three
+IN_PROCESSES = (
+    "clip .usda",
+    "clip .usdc",
+    "clip .skinned.usda",
+    "clip .skinned.usdc",
+)  # a case costs a process or three

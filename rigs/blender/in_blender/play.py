@@ -3,7 +3,6 @@
 PYTHON play.py     or     blender --background --factory-startup --python play.py
 """
 
-import math
 import os
 import sys
 from typing import Any
@@ -12,93 +11,130 @@ import bpy
 import numpy as np
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # Blender does not add it
+from clip_frames import alembic_frames, archive_rate, fbx_frames, set_rate
+from mesh_choice import listing
+from scene_meshes import SceneMesh, SceneMeshes, faces, go_to
+from takes import Take, import_takes
 from worker import RefusedError, serve
 
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
-MOST_FRAMES = 10_000_000
 METRE = 1000.0  # mm
+FAILURES = (RuntimeError, ValueError, TypeError, KeyError, IndexError, AttributeError, AssertionError, OverflowError)
 
 
 class ClipScene:
-    """Loads a clip, describes it, and evaluates frames of it: its `controls` are frame numbers."""
+    """Loads a clip, describes it, and evaluates frames of it: its `controls` are indices of frames."""
 
-    def load(self, file: str, mesh: str | None = None, fps: float = 30.0) -> Answer:
-        """Import the file into an empty scene, and choose its mesh."""
+    def load(
+        self,
+        file: str,
+        meshes: list[str] | None = None,
+        animation: str | int | None = None,
+        fps: float | None = None,
+        vertices: int | None = None,
+    ) -> Answer:
+        """Import the file into an empty scene, and choose its meshes.
+
+        Args:
+            file: an .abc or .fbx.
+            meshes: names; none: see `choose_meshes`.
+            animation: name or number of a take of an FBX; None: the first that moves the meshes.
+            fps: frames a second to play it at; None: the file's own.
+            vertices: of the rig that the clip is for, where known.
+        """
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        scene, is_fbx = bpy.context.scene, file.lower().endswith(".fbx")
-        scene.render.fps, scene.render.fps_base = max(1, round(fps)), max(1, round(fps)) / fps
+        self.file, self.is_fbx, self.notes = file, file.lower().endswith(".fbx"), []
+        self.takes: list[Take] = []
         try:
-            if is_fbx:
-                if not hasattr(bpy.ops.import_scene, "fbx") or "io_scene_fbx" not in bpy.context.preferences.addons:
-                    bpy.ops.preferences.addon_enable(module="io_scene_fbx")
-                bpy.ops.import_scene.fbx(filepath=file, anim_offset=0.0, use_image_search=False)
+            if self.is_fbx:
+                self.takes = import_takes(file)
             else:
+                set_rate(archive_rate(file, fps))
                 bpy.ops.wm.alembic_import(filepath=file, as_background_job=False)
-        except (
-            RuntimeError,
-            ValueError,
-            TypeError,
-            KeyError,
-            IndexError,
-            AttributeError,
-            AssertionError,
-            OverflowError,
-        ) as error:
+        except FAILURES as error:
             raise RefusedError(f"{file}: Blender cannot import it: {' '.join(str(error).split())[:200]}") from None
-        self.file, self.mesh = file, chosen(file, mesh)
-        self.mesh.hide_viewport = False
-        self.mesh.hide_set(False)
-        self.unit_mm = METRE if is_fbx else 0.0
-        self.fps = scene.render.fps / scene.render.fps_base if is_fbx else 0.0
-        first, last = keyed_range() if is_fbx else (scene.frame_start, scene.frame_end)
-        if last - first > MOST_FRAMES:
-            raise RefusedError(f"{file}: frames {first} to {last} are more than can be meant: damaged? export it again")
-        self.frames = np.arange(first, last + 1)
-        return {"mesh": self.mesh.name}, {}
+        render = bpy.context.scene.render
+        self.clock = render.fps if self.is_fbx else render.fps / render.fps_base  # FBX keys stand at whole rates, 29.97 as 30
+        scene = SceneMeshes(file)
+        moving = self.choose_take(scene, meshes or [], animation, fps)
+        self.meshes = scene.chosen(meshes or [], vertices, moving, self.notes)
+        self.other_meshes = [mesh.path for mesh in scene.all if mesh not in self.meshes]
+        return {"mesh": self.meshes[0].path}, {}
+
+    def choose_take(
+        self, scene: SceneMeshes, names: list[str], animation: str | int | None, fps: float | None
+    ) -> list[SceneMesh]:
+        """Choose the take and its frames.
+
+        Returns:
+            The meshes that move in it, of those with these names or of all.
+        """
+        if not self.is_fbx:
+            if animation is not None:
+                raise RefusedError(
+                    f"{self.file}: an Alembic file has no animations to choose from: leave reading.animation out"
+                )
+            self.take, self.frames = None, alembic_frames(self.file, fps)
+            return scene.moving(names, self.frames.seconds * self.clock)
+        takes = self.takes if animation is None else [self.asked_take(animation)]
+        self.take, self.frames = None, fbx_frames(self.file, None, fps)
+        for take in takes:
+            take.play()
+            frames = fbx_frames(self.file, take, fps)
+            moving = scene.moving(names, frames.seconds * self.clock)
+            if self.take is None or moving:
+                self.take, self.frames = take, frames
+            if moving:
+                return moving
+        if self.take:
+            self.take.play()
+            self.notes.append(f"No animation moves the mesh: '{self.take.name}' was read.")
+        return []
+
+    def asked_take(self, asked: str | int) -> Take:
+        """The take with a name, in full or behind its `|`, or with a number from 1."""
+        fitting = [take for take in self.takes if take.name == str(asked)]
+        fitting = fitting or [take for take in self.takes if take.name.rpartition("|")[2] == str(asked)]
+        if not fitting and str(asked).isdecimal() and 1 <= int(asked) <= len(self.takes):
+            fitting = [self.takes[int(asked) - 1]]
+        if len(fitting) != 1:
+            listed = listing([f"'{take.name}'" for take in self.takes])
+            raise RefusedError(f"{self.file}: reading.animation={asked} names {len(fitting)} animations; it has {listed}")
+        return fitting[0]
 
     def describe(self) -> Answer:
-        """Frame numbers and faces; frames a second and mm to a unit, 0 where the file does not say."""
-        vertices, mesh = self.frame(float(self.frames[0])), self.mesh.data
-        sizes, corners = np.empty(len(mesh.polygons), np.int32), np.empty(len(mesh.loops), np.int32)
-        mesh.polygons.foreach_get("loop_total", sizes)
-        mesh.loops.foreach_get("vertex_index", corners)
-        facts = {"mesh": self.mesh.name, "vertices": len(vertices), "fps": self.fps, "unit_mm": self.unit_mm}
-        return facts, {"frames": self.frames, "sizes": sizes, "corners": corners}
+        """Frames and faces, what was read and left out; frames a second and mm to a unit, 0 where the file does not say."""
+        self.frame(0)
+        sizes, corners = faces(self.meshes)
+        facts = {
+            "meshes": [mesh.path for mesh in self.meshes],
+            "other_meshes": self.other_meshes,
+            "animation": self.take.name if self.take else "",
+            "other_animations": [take.name for take in self.takes if take is not self.take],
+            "rate_source": self.frames.source,
+            "notes": [*self.notes, *self.frames.notes],
+            "vertices": sum(mesh.vertex_count for mesh in self.meshes),
+            "fps": self.frames.fps,
+            "unit_mm": METRE if self.is_fbx else 0.0,
+        }
+        return facts, {"frames": self.frames.numbers, "sizes": sizes, "corners": corners}
 
     def evaluate(self, names: list[str], controls: np.ndarray) -> Answer:
         """The vertices of frames."""
-        return {}, {"vertices": np.stack([self.frame(float(frame)) for frame in controls[:, names.index("frame")]])}
+        indices = controls[:, names.index("frame")].astype(np.int64).tolist()
+        return {}, {"vertices": np.stack([self.frame(index) for index in indices])}
 
-    def frame(self, number: float) -> np.ndarray:
-        """The vertices `(vertex, 3)` of a frame in the world, y up, in Blender's units."""
-        bpy.context.scene.frame_set(math.floor(number))
-        evaluated = self.mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
-        mesh = evaluated.to_mesh()
-        vertices = np.empty(len(mesh.vertices) * 3, np.float32)
-        mesh.vertices.foreach_get("co", vertices)
-        evaluated.to_mesh_clear()
-        world = np.array(evaluated.matrix_world, np.float64)
-        x, y, z = (vertices.reshape(-1, 3).astype(np.float64) @ world[:3, :3].T + world[:3, 3]).T
-        return np.stack([x, z, -y], axis=1).astype(np.float32)
-
-
-def chosen(file: str, name: str | None) -> bpy.types.Object:
-    """The named mesh object, or the only one there is."""
-    meshes = {thing.name: thing for thing in bpy.data.objects if thing.type == "MESH"}
-    listed = ", ".join(f"'{other}'" for other in list(meshes)[:12]) or "none"
-    if name is not None and name not in meshes:
-        raise RefusedError(f"{file}: there is no mesh '{name}'; it has {listed}")
-    if name is None and len(meshes) != 1:
-        raise RefusedError(f"{file}: expected one mesh, say which with reading.mesh=NAME; its meshes are: {listed}")
-    return meshes[name] if name is not None else next(iter(meshes.values()))
-
-
-def keyed_range() -> tuple[int, int]:
-    """The first and the last frame that any action has a key at."""
-    ranges = [action.frame_range for action in bpy.data.actions]
-    if not ranges:
-        return 0, 0
-    return math.floor(min(one[0] for one in ranges)), math.ceil(max(one[1] for one in ranges))
+    def frame(self, index: int) -> np.ndarray:
+        """The vertices `(vertex, 3)` of a frame in the world, y up, in Blender's units; mesh after mesh."""
+        go_to(self.frames.seconds[index] * self.clock)
+        points = [mesh.world_points() for mesh in self.meshes]
+        for mesh, found in zip(self.meshes, points):
+            if len(found) != mesh.vertex_count:
+                raise RefusedError(
+                    f"{self.file}: {len(found)} vertices of '{mesh.path}' in frame {self.frames.numbers[index]}, "
+                    f"{mesh.vertex_count} at first: all frames must be the same mesh"
+                )
+        return np.concatenate(points)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,55 @@
+"""Which meshes of a scene are read where the user names none: for all workers that read scenes (standard library only)."""
+
+from typing import Any
+
+LISTED = 12
+
+
+def choose_meshes(shown: list[Any], moving: list[Any], vertex_count: int | None, notes: list[str]) -> list[Any]:
+    """The only mesh that moves, or the one mesh, or all together, that have the vertices of a rig.
+
+    Args:
+        shown: what is drawn; each with `path` and `vertex_count`.
+        moving: those of them that move.
+        vertex_count: of the rig that the clip is for, where it is known.
+        notes: for how they were chosen.
+
+    Returns:
+        Meshes in the order of `shown`; empty: it is not clear which are meant.
+    """
+    pools = [pool for pool in (moving, shown) if pool]
+    for pool in pools:
+        found = _fitting(pool, vertex_count)
+        if found:
+            if len(pool) > 1 and (len(found) < len(pool) or len(pool) < len(shown)):
+                notes.append(_how_chosen(found, pool is moving, vertex_count))
+            return found
+    return pools[0] if pools and len(pools[0]) == 1 else []
+
+
+def unclear(meshes: list[Any], moving: list[Any]) -> str:
+    """That the user is to say which meshes are meant, with their names."""
+    which = "those that move" if len(moving) > 1 else "its meshes"
+    return (
+        f"expected one mesh, say which with reading.mesh=NAME or reading.mesh=[NAME,NAME]; {which} are: "
+        f"{listing([f'{mesh.path} ({mesh.vertex_count} vertices)' for mesh in (moving if len(moving) > 1 else meshes)])}"
+    )
+
+
+def listing(names: list[str]) -> str:
+    """Names for a message, the first of many."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more if names else "none"
+
+
+def _fitting(pool: list[Any], vertex_count: int | None) -> list[Any]:
+    alone = [mesh for mesh in pool if mesh.vertex_count == vertex_count]
+    if len(alone) == 1:
+        return alone
+    return pool if len(pool) > 1 and sum(mesh.vertex_count for mesh in pool) == vertex_count else []
+
+
+def _how_chosen(found: list[Any], moving: bool, vertex_count: int | None) -> str:
+    which = f"{found[0].path} has" if len(found) == 1 else f"{len(found)} meshes together have"
+    among = "the meshes that move" if moving else "its meshes"
+    return f"Of {among}, {which} the rig's {vertex_count} vertices: read (reading.mesh=... reads others)."

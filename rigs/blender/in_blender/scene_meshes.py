@@ -1,0 +1,110 @@
+"""Inside Blender: the meshes of an imported scene, in the world, and which of them are read."""
+
+import bpy
+import numpy as np
+from mesh_choice import choose_meshes, listing, unclear
+from worker import RefusedError
+
+LAST_FRAME = 1_048_574  # that Blender can go to
+LOOKS = 24  # at meshes, to see whether they move
+
+
+class SceneMesh:
+    """A mesh object.
+
+    Args:
+        thing: the object; it is made visible, since Blender does not evaluate what is hidden.
+    """
+
+    def __init__(self, thing: bpy.types.Object) -> None:
+        thing.hide_viewport = False
+        thing.hide_set(False)
+        self.thing, self.path = thing, thing.name
+        self.vertex_count = len(self.world_points())
+
+    def world_points(self) -> np.ndarray:
+        """The vertices `(vertex, 3)` in the world at the frame that the scene is at, y up, in Blender's units."""
+        evaluated = self.thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        mesh = evaluated.to_mesh()
+        vertices = np.empty(len(mesh.vertices) * 3, np.float32)
+        mesh.vertices.foreach_get("co", vertices)
+        evaluated.to_mesh_clear()
+        world = np.array(evaluated.matrix_world, np.float64)
+        x, y, z = (vertices.reshape(-1, 3).astype(np.float64) @ world[:3, :3].T + world[:3, 3]).T
+        return np.stack([x, z, -y], axis=1).astype(np.float32)
+
+
+class SceneMeshes:
+    """All meshes of the scene.
+
+    Args:
+        file: what messages name.
+    """
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.all = [SceneMesh(thing) for thing in bpy.data.objects if thing.type == "MESH"]
+
+    def named(self, names: list[str]) -> list[SceneMesh]:
+        """The meshes with these names, in the order of the scene.
+
+        Raises:
+            RefusedError: there is none of a name.
+        """
+        known = [mesh.path for mesh in self.all]
+        for name in names:
+            if name not in known:
+                listed = listing([f"'{other}'" for other in known])
+                raise RefusedError(f"{self.file}: there is no mesh '{name}'; it has {listed}")
+        return [mesh for mesh in self.all if mesh.path in names]
+
+    def moving(self, names: list[str], frames: np.ndarray) -> list[SceneMesh]:
+        """Those of the named meshes, or of all, that differ between some frames of Blender's."""
+        candidates = self.named(names) if names else self.all
+        first: dict[str, np.ndarray] = {}
+        moving: set[str] = set()
+        for index in np.unique(np.linspace(0, len(frames) - 1, LOOKS).astype(int)).tolist():
+            go_to(frames[index])
+            for mesh in candidates:
+                if mesh.path not in moving:
+                    points = mesh.world_points()
+                    if not np.array_equal(points, first.setdefault(mesh.path, points)):
+                        moving.add(mesh.path)
+            if len(moving) == len(candidates):
+                break
+        return [mesh for mesh in candidates if mesh.path in moving]
+
+    def chosen(self, names: list[str], vertices: int | None, moving: list[SceneMesh], notes: list[str]) -> list[SceneMesh]:
+        """The named meshes, or those that are meant: see `choose_meshes`.
+
+        Raises:
+            RefusedError: there is none of a name, or it is not clear which are meant.
+        """
+        if names:
+            return self.named(names)
+        found = choose_meshes(self.all, moving, vertices, notes)
+        if not found:
+            raise RefusedError(f"{self.file}: {unclear(self.all, moving)}")
+        return found
+
+
+def go_to(frame: float) -> None:
+    """Bring the scene to a frame of Blender's, or between two."""
+    if not abs(frame) <= LAST_FRAME:
+        raise RefusedError(f"frame {frame:g} lies beyond what Blender can go to, {LAST_FRAME}: let its times start at 0")
+    whole = np.round(frame) if abs(frame - np.round(frame)) < 1e-4 else np.floor(frame)
+    bpy.context.scene.frame_set(int(whole), subframe=max(0.0, float(frame - whole)))
+
+
+def faces(meshes: list[SceneMesh]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of each face, and the vertices at them, of all meshes as one."""
+    all_sizes, all_corners, before = [], [], 0
+    for mesh in meshes:
+        data = mesh.thing.data
+        sizes, corners = np.empty(len(data.polygons), np.int32), np.empty(len(data.loops), np.int32)
+        data.polygons.foreach_get("loop_total", sizes)
+        data.loops.foreach_get("vertex_index", corners)
+        all_sizes.append(sizes)
+        all_corners.append(corners + before)
+        before += mesh.vertex_count
+    return np.concatenate(all_sizes), np.concatenate(all_corners)

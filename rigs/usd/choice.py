@@ -1,0 +1,131 @@
+"""Which meshes of a stage are read, and which of its animations."""
+
+from collections.abc import Callable, Sequence
+
+from pxr import Usd, UsdGeom, UsdSkel
+
+from rigs.blender.in_blender.mesh_choice import choose_meshes, listing, unclear
+from rigs.usd.posed_mesh import PosedMesh
+from rigs.usd.skins import PROXIES, Skins, editable
+from rigs.usd.stage_clock import UnusableStageError
+
+MOST_PRIMS = 300_000  # instances within instances multiply: more is damage
+
+
+class StageContents:
+    """The meshes and SkelAnimations of a stage, in its order.
+
+    Args:
+        stage: what is read of it; its session layer may be written to.
+        prims: all of them, those within instances, too.
+    """
+
+    def __init__(self, stage: Usd.Stage, prims: list[Usd.Prim]) -> None:
+        self.stage = stage
+        self.mesh_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdGeom.Mesh)]
+        self.animation_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdSkel.Animation)]
+        self.skins = Skins(stage)
+
+    def mesh(self, path: object) -> PosedMesh:
+        prim = self.stage.GetPrimAtPath(path)
+        return PosedMesh(prim, self.skins.of(prim))
+
+    def bind_animation(self, asked: str | int) -> None:
+        """Bind a SkelAnimation to every skeleton that has joints or blend shapes of its names.
+
+        Args:
+            asked: its path, its name, or its number from 1.
+
+        Raises:
+            UnusableStageError: there is none, or more than one, or it fits no skeleton.
+        """
+        path = self._animation_path(asked)
+        moves = UsdSkel.Animation(self.stage.GetPrimAtPath(path))
+        names = {*(moves.GetJointsAttr().Get() or []), *(moves.GetBlendShapesAttr().Get() or [])}
+        skins = [mesh.skin for mesh in map(self.mesh, self.mesh_paths) if mesh.skin]
+        fitting = {
+            skin.placed.GetPath()
+            for skin in skins
+            if names & {*skin.skeleton.GetJointOrder(), *(skin.query.GetBlendShapeOrder() or [])}
+        }
+        if not fitting:
+            raise UnusableStageError(
+                f"reading.animation={asked}: it has no joint or blend shape of a skeleton that a mesh uses"
+            )
+        with Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
+            for skeleton in fitting:
+                prim = editable(self.stage.GetPrimAtPath(skeleton))
+                UsdSkel.BindingAPI.Apply(prim).CreateAnimationSourceRel().SetTargets([path])
+        self.skins = Skins(self.stage)
+
+    def _animation_path(self, asked: str | int) -> object:
+        listed = listing([str(path) for path in self.animation_paths])
+        number = int(asked) if isinstance(asked, int) or asked.isdecimal() else None
+        fitting = [path for path in self.animation_paths if str(asked) in (str(path), path.name)]
+        if not fitting and number is not None and 1 <= number <= len(self.animation_paths):
+            return self.animation_paths[number - 1]
+        if len(fitting) != 1:
+            raise UnusableStageError(
+                f"reading.animation={asked} names {len(fitting)} of its SkelAnimations, expected one; they are: {listed}"
+            )
+        return fitting[0]
+
+
+def all_prims(stage: Usd.Stage) -> list[Usd.Prim]:
+    """The prims of a stage, those within instances, too.
+
+    Raises:
+        UnusableStageError: there are too many.
+    """
+    found = []
+    for prim in Usd.PrimRange.Stage(stage, PROXIES):
+        found.append(prim)
+        if len(found) > MOST_PRIMS:
+            raise UnusableStageError(f"more than {MOST_PRIMS:,} prims, instances counted: damaged, or no single character")
+    return found
+
+
+def chosen_meshes(contents: StageContents, names: Sequence[str], vertex_count: int | None, notes: list[str]) -> list[PosedMesh]:
+    """The meshes to read, in the stage's order.
+
+    Args:
+        contents: of the stage.
+        names: of meshes or of prims that hold one mesh each, or their paths; none: whatever moves, if that is one mesh, or has
+            `vertex_count` vertices, alone or together.
+        vertex_count: of the rig that the clip is for, where it is known.
+        notes: for how they were chosen.
+
+    Raises:
+        UnusableStageError: a name fits none or several, or it is not clear which are meant.
+    """
+    if names:
+        paths = {_named_mesh(contents, name) for name in names}
+        return [contents.mesh(path) for path in contents.mesh_paths if path in paths]
+    meshes = [contents.mesh(path) for path in contents.mesh_paths]
+    shown = [mesh for mesh in meshes if mesh.is_shown()] or meshes
+    moving = [mesh for mesh in shown if len(mesh.times) > 1]
+    if len(moving) > 1:
+        moving = [mesh for mesh in moving if mesh.moves()] or moving
+    found = choose_meshes(shown, moving, vertex_count, notes)
+    if not found:
+        raise UnusableStageError(unclear(meshes, moving))
+    return found
+
+
+def _named_mesh(contents: StageContents, name: str) -> object:
+    """The path of the mesh with a name or path, or below the prim with that name or path."""
+    paths = contents.mesh_paths
+    tests: tuple[Callable[[object], bool], ...] = (
+        lambda path: name in (str(path), path.name),
+        lambda path: any(name in (str(above), above.name) for above in path.GetPrefixes()),
+    )
+    for test in tests:
+        fitting = [path for path in paths if test(path)]
+        if len(fitting) == 1:
+            return fitting[0]
+        if fitting:
+            break
+    raise UnusableStageError(
+        f"expected one mesh, reading.mesh={name} names {len(fitting)} of them; its meshes are: "
+        f"{listing([str(path) for path in paths])}"
+    )

@@ -1,0 +1,134 @@
+"""A mesh of a stage at a time: its points, blend shapes and skin, and where it lies in the world."""
+
+import numpy as np
+from pxr import Usd, UsdGeom, Vt
+
+from rigs.usd.skins import Skin
+from rigs.usd.stage_clock import MOST_FRAMES, UnusableStageError
+
+LOOKS = 64  # at a mesh, to see whether it moves
+
+
+class PosedMesh:
+    """A mesh and whatever moves it.
+
+    Args:
+        prim: the mesh.
+        skin: what poses it; None: nothing.
+    """
+
+    def __init__(self, prim: Usd.Prim, skin: Skin | None) -> None:
+        self.prim, self.skin, self.path = prim, skin, str(prim.GetPath())
+        self._points = UsdGeom.Mesh(prim).GetPointsAttr()
+        self._placed = skin.placed if skin and skin.has_joints else prim  # whose transform counts
+        self._rest = self._points.Get() if skin else None  # what UsdSkel poses, even where the points have samples, too
+        self.times = self._sample_times()
+        self.vertex_count = len(self._points_at(self.first_time) or [])
+
+    @property
+    def first_time(self) -> float | Usd.TimeCode:
+        return float(self.times[0]) if len(self.times) else Usd.TimeCode.EarliestTime()
+
+    def world_points(self, time: float, transforms: UsdGeom.XformCache) -> np.ndarray:
+        """The points `(vertex, 3)` in the world, float64.
+
+        Args:
+            time: a time code.
+            transforms: of that time.
+
+        Raises:
+            UnusableStageError: there are none, not as many as at first, or the skin cannot be evaluated.
+        """
+        points = self._points_at(time)
+        if points is None or not len(points):
+            raise UnusableStageError(f"no points of {self.path} at time code {time:g}: export it again")
+        if len(points) != self.vertex_count:
+            raise UnusableStageError(
+                f"{len(points)} points at time code {time:g} and {self.vertex_count} at first: all frames must be the same "
+                f"mesh; export it again"
+            )
+        if self.skin:
+            points = self.skin.shaped(points, time)
+            points = self.skin.posed(points, time) if self.skin.has_joints else points
+        placed = np.array(transforms.GetLocalToWorldTransform(self._placed), np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.array(points, np.float64) @ placed[:3, :3] + placed[3, :3]
+
+    def points_are_ignored(self) -> bool:
+        """Whether its points have samples that its skin does not pose."""
+        return self._rest is not None and self._points.GetNumTimeSamples() > 1
+
+    def moves(self) -> bool:
+        """Whether its points differ between some of its time samples."""
+        if len(self.times) < 2:
+            return False
+        chosen = np.unique(np.linspace(0, len(self.times) - 1, LOOKS).astype(int))
+        transforms = UsdGeom.XformCache()
+        first = None
+        for time in self.times[chosen].tolist():
+            transforms.SetTime(time)
+            points = self.world_points(time, transforms)
+            first = points if first is None else first
+            if not np.array_equal(points, first):
+                return True
+        return False
+
+    def is_shown(self) -> bool:
+        """Whether it is drawn at first, and is no guide, no stand-in, and no prototype of scattered copies."""
+        image = UsdGeom.Imageable(self.prim)
+        if image.ComputePurpose() in (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy) or self._is_scattered():
+            return False
+        shown = image.ComputeVisibility(self.first_time) != UsdGeom.Tokens.invisible
+        return shown or any(_varies(UsdGeom.Imageable(one).GetVisibilityAttr()) for one in _upwards(self.prim))
+
+    def hidden_times(self, times: np.ndarray) -> np.ndarray:
+        """Those of `times` at which it is invisible."""
+        if not any(_varies(UsdGeom.Imageable(one).GetVisibilityAttr()) for one in _upwards(self.prim)):
+            return times[:0]
+        image = UsdGeom.Imageable(self.prim)
+        return np.array([time for time in times.tolist() if image.ComputeVisibility(time) == UsdGeom.Tokens.invisible])
+
+    def _points_at(self, time: float | Usd.TimeCode) -> Vt.Vec3fArray | None:
+        return self._points.Get(time) if self._rest is None else self._rest
+
+    def _is_scattered(self) -> bool:
+        return any(one.IsA(UsdGeom.PointInstancer) for one in _upwards(self.prim))
+
+    def _sample_times(self) -> np.ndarray:
+        """Time samples of the points, the skin and every transform above; attributes with one sample stand still."""
+        found: set[float] = set()
+        points = [self._points] if self._rest is None else []
+        for attribute in (*points, *(self.skin.attributes() if self.skin else ()), *_transform_attributes(self._placed)):
+            times = attribute.GetTimeSamples()
+            if attribute.HasSpline():
+                times = [knot.GetTime() for knot in attribute.GetSpline().GetKnots().values()]
+            if len(times) > 1:
+                found.update(times)
+            if len(found) > MOST_FRAMES:
+                raise UnusableStageError(f"{len(found)} time samples: damaged; export it again")
+        return np.array(sorted(found), np.float64)
+
+
+def _upwards(prim: Usd.Prim) -> list[Usd.Prim]:
+    """A prim and all above it."""
+    found = []
+    while prim and not prim.IsPseudoRoot():
+        found.append(prim)
+        prim = prim.GetParent()
+    return found
+
+
+def _transform_attributes(prim: Usd.Prim) -> list[Usd.Attribute]:
+    """The operations that place a prim in the world, up to where the stack is reset."""
+    found = []
+    for one in _upwards(prim):
+        placed = UsdGeom.Xformable(one)
+        if placed:
+            found += [operation.GetAttr() for operation in placed.GetOrderedXformOps()]
+            if placed.GetResetXformStack():
+                break
+    return found
+
+
+def _varies(attribute: Usd.Attribute) -> bool:
+    return bool(attribute) and attribute.GetNumTimeSamples() > 1
