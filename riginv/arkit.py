@@ -36,7 +36,7 @@ class ArkitParts(NamedTuple):
 
 
 def plain_name(name: str) -> str:
-    """A name in lower case without prefix (`blendShape1.jawOpen`) and separators; `_L`, `.R`, `L_` and the like are its side."""
+    """A name in lower case without prefix (`blendShape1.jawOpen`) and separators; `_L`, `.R`, `L_` and the like are sides."""
     side = ""
     if last := SIDE_LAST.fullmatch(name):
         name, side = last[1], SIDES[last[2].lower()]
