@@ -183,10 +183,10 @@ def test_whole_frames_that_are_unknown_are_bridged(rig, meshes):
 def test_bridges_are_straight_and_turn_the_short_way():
     known = torch.tensor([False, True, False, False, True, False])
     values = torch.tensor([9.0, 0.0, 9.0, 9.0, 3.0, 9.0])[:, None]
-    assert bridged(values, known).flatten().tolist() == [0, 0, 1, 2, 3, 3]
+    assert bridged(values, known, torch.arange(6)).flatten().tolist() == [0, 0, 1, 2, 3, 3]
     motion = torch.eye(4).repeat(6, 1, 1)
     motion[4, :3, :3] = roma.rotvec_to_rotmat(torch.tensor([0.0, 0.0, 0.9]))
-    angles = roma.rotmat_to_rotvec(bridged_motion(motion, known)[:, :3, :3])[:, 2]
+    angles = roma.rotmat_to_rotvec(bridged_motion(motion, known, torch.arange(6))[:, :3, :3])[:, 2]
     assert torch.allclose(angles, torch.tensor([0, 0, 0.3, 0.6, 0.9, 0.9]), atol=1e-5)
 
 

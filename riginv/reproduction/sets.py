@@ -30,7 +30,8 @@ class Rows(MeshSet):
     """
 
     def __init__(self, meshes: MeshSet, rows: Tensor, name: str | None = None, fps: float | None = None) -> None:
-        super().__init__(name or meshes.name, fps, None if meshes.controls is None else meshes.controls[rows])
+        controls, numbers = (None if values is None else values[rows] for values in (meshes.controls, meshes.frame_numbers))
+        super().__init__(name or meshes.name, fps, controls, numbers)
         self.meshes, self.rows = meshes, rows.tolist()
 
     def __len__(self) -> int:
@@ -38,6 +39,10 @@ class Rows(MeshSet):
 
     def vertices(self, start: int, stop: int) -> Tensor:
         return torch.cat([self.meshes.vertices(row, row + 1) for row in self.rows[start:stop]])
+
+    def known(self, start: int, stop: int) -> Tensor | None:
+        masks = [self.meshes.known(row, row + 1) for row in self.rows[start:stop]]
+        return None if any(mask is None for mask in masks) else torch.cat(masks)
 
 
 class KeptPoses(StoredMeshes):
