@@ -51,8 +51,8 @@ def _size(clip: WeightedShapes) -> str:
     distance = torch.stack([(one - clip.rest_vertices).norm(dim=2).mean() for one in some]).mean()
     active = (clip.weights > 0.02).sum(dim=1).double().mean()
     return (
-        f"a simulated performance of {len(clip) / FPS:.3g} s: {float(active):.1f} of {clip.weights.shape[1]} shapes are on at a "
-        f"time, and the mean vertex lies {float(distance):.2f} mm from neutral"
+        f"a simulated performance of {len(clip) / FPS:.3g} s: {float(active):.1f} of {clip.weights.shape[1]} shapes are on at "
+        f"a time, and the mean vertex lies {float(distance):.2f} mm from neutral"
     )
 
 
