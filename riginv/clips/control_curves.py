@@ -9,7 +9,7 @@ import numpy as np
 from riginv.array_files import check_npz
 from riginv.clips.arrays import VERTICES
 from riginv.clips.csv_table import CsvTable
-from riginv.clips.timecode import usual_rate
+from riginv.clips.frame_rate import usual_rate
 from riginv.curves.text import MOVE_COLUMNS, TURN_COLUMNS
 from riginv.errors import InputError, in_short
 from riginv.files import check_regular, read_json

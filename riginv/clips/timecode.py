@@ -12,19 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from riginv.clips.frame_rate import COUNTS, frames_per_second
 from riginv.errors import InputError
 
-COUNTS = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240, 1000)  # frames that timecodes count in a second
 APP_COUNT = 60  # what the Live Link Face app counts, whatever it records at
-RATES = (*COUNTS[:-1], *(count * 1000 / 1001 for count in (24, 30, 60, 120)), 10, 12, 15, 20)
 FRAMES = re.compile(r"(\d+)[:;](\d\d?)[:;](\d\d?)([:;])(\d+(?:[.,]\d+)?)")
 SECONDS = re.compile(r"(\d+):(\d\d?):(\d\d?(?:[.,]\d+)?)")
 DAY_S = 24 * 3600
-SAME_RATE = 4e-4  # two rates nearer than that, as a share of them, are one
-FINER = 0.75  # of the usual distance: rows nearer than that, one after the other, are of a finer rate
-ENOUGH = 0.05  # of all rows, for a finer rate to be taken for one
-FEW = 10  # frames from one row to the next, for the two to tell how far apart frames are
-CUT = 0.1  # of all distances, at least, that are the shorter and the longer one of rows that were cut to whole counts
 AMBIGUOUS = 30  # frames of a timecode below which it may count 30 as well as 60
 
 
@@ -72,7 +66,7 @@ def timing(path: Path, timecodes: Sequence[str], lines: Sequence[int]) -> Timing
     time, kept = _in_order(time, rate, timecodes, lines, notes)
     if len(time) < 2:
         return Timing(np.zeros(len(time), np.int64), kept, float(APP_COUNT), "what the app records at", notes)
-    fps = usual_rate(rate / _step(time, rate))
+    fps = frames_per_second(time, rate)
     numbers = np.round((time - time[0]) * fps / rate).astype(np.int64)
     row = np.arange(len(numbers))
     numbers = np.maximum.accumulate(numbers - row) + row
@@ -189,41 +183,3 @@ def _closed(time: np.ndarray, timecodes: Sequence[str], lines: Sequence[int], no
         f"the rows from there on were placed after those above"
     )
     return np.concatenate([[0.0], np.cumsum(np.where(change < 0, step, change))])
-
-
-def _step(time: np.ndarray, rate: float) -> float:
-    """The usual distance of two rows, in counts."""
-    change = np.diff(time)
-    step = float(np.median(change))
-    while True:
-        fine = change < FINER * step
-        fine[1:] &= fine[:-1]
-        if np.count_nonzero(fine) < max(2, ENOUGH * len(change)):
-            break
-        step = float(np.median(change[fine]))
-    steps = np.round(change / step)
-    few = steps <= FEW
-    return _step_of_cut(time, rate, step) or float(change[few].sum() / max(steps[few].sum(), 1))
-
-
-def _step_of_cut(time: np.ndarray, rate: float, step: float) -> float | None:
-    """The distance of rows whose times were cut to whole counts, and so lie a count nearer or farther in turns; None: not so.
-
-    Then it is that of a usual rate, from whose frames no row is a whole count away.
-    """
-    change = np.diff(time)
-    near = change[change <= step + 1]
-    if (change % 1).any() or np.ptp(near) != 1 or (near == near.max()).mean() < CUT or (near == near.min()).mean() < CUT:
-        return None
-    spans = np.split(time, np.flatnonzero(change > step + 1) + 1)
-    for usual in sorted(RATES, key=lambda one: (one % 1 != 0, abs(rate / one - near.mean()))):
-        away = [np.ptp(span - rate / usual * np.arange(len(span))) for span in spans]
-        if max(away) < 1 + 1e-6:
-            return rate / usual
-    return None
-
-
-def usual_rate(fps: float) -> float:
-    """A rate, or the usual one that it is."""
-    nearest = min(RATES, key=lambda rate: abs(rate - fps))
-    return float(nearest) if abs(nearest - fps) < SAME_RATE * nearest else round(fps, 3)

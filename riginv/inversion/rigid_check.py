@@ -43,8 +43,8 @@ class RigidCheck:
     def note(self) -> str:
         """What the user should know where it does not move."""
         return (
-            f"no rigid motion found: the best fit moves the mesh by {self.extent_mm:.2g} mm at most, and that explains nothing "
-            f"of the {self.residual_mm:.2g} mm that remain (motion=remove takes it out all the same)"
+            f"no rigid motion found: with it left in {self.residual_mm:.2g} mm remain (root mean square), of which the best "
+            f"fit, {self.extent_mm:.2g} mm at most, explains next to nothing (motion=remove takes it out all the same)"
         )
 
 
