@@ -127,7 +127,9 @@ def npz_curves(path: Path) -> Curves:
         with np.load(path, allow_pickle=False) as file:
             found = {name: file[name] for name in (CONTROLS, NAMES, FPS, NUMBERS) if name in file}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: cannot be read: {in_short(error)}; save it again with np.savez") from None
+        raise InputError(
+            f"{path}: cannot be read ({in_short(error)}): save plain numbers and texts, names=np.array(names, dtype=str)"
+        ) from None
     values, numbers, fps = found[CONTROLS], found.get(NUMBERS), found.get(FPS)
     if values.ndim != 2 or values.dtype.kind not in "fiu":
         raise InputError(f"{path}: controls are {values.dtype} of shape {values.shape}, expected numbers (frame, control)")

@@ -140,6 +140,8 @@ def _fitted(path: Path, header: list[str], row: list[str], line: int, delimiter:
         row = [f"{row[0]};{row[1]}", *row[2:]]  # a drop-frame timecode has the delimiter in it
     if len(row) > len(header) and not any(cell.strip() for cell in row[len(header) :]):
         row = row[: len(header)]
+    if len(row) < len(header) and not any(header[len(row) :]):
+        row = [*row, *[""] * (len(header) - len(row))]  # the header alone ends in a delimiter
     if len(row) != len(header):
         halves = delimiter == "," and len(row) >= 2 * len(header) - 2
         reason = "; are its decimals commas? write points, or divide the cells by semicolons" if halves else ""
@@ -162,10 +164,7 @@ def _opened(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]], str
     header = next(rows, (0, None))[1]
     if header is None:
         raise InputError(f"{path}: the file is empty; expected a Live Link Face recording or curves of controls")
-    header = [name.strip() for name in header]
-    while len(header) > 1 and not header[-1]:
-        header.pop()
-    return header, rows, delimiter
+    return [name.strip() for name in header], rows, delimiter
 
 
 def _rows(path: Path, reader: Iterator[list[str]]) -> Iterator[tuple[int, list[str]]]:

@@ -19,9 +19,10 @@ from riginv.errors import InputError
 from riginv.rig import RigBackend
 
 TIMECODE = "timecode"
-NO_SHAPES = re.compile(  # columns of the app, and of what others add, by their plain names
-    r"(timecode|blendshapecount|(head|lefteye|righteye)(yaw|pitch|roll|pos|position|rot|rotation)?[xyz]?|#|"
-    r"(frame|row|sample)?(index|number|id)?|(time|seconds|timestamp|date|device|subject|slate|take|name|confidence|tracked|isvalid)(s|ms)?)"
+APPS_OWN = re.compile(r"timecode|blendshapecount|(head|lefteye|righteye)(yaw|pitch|roll)|")  # columns by their plain names
+NO_SHAPES = re.compile(  # columns that others add
+    r"(head|lefteye|righteye)(pos|position|rot|rotation)[xyzw]?|(frame|row|sample)?(index|number|id)?|"
+    r"(time|timestamp|seconds|date|device|subject|slate|take|name|confidence|tracked|isvalid)(s|ms)?"
 )
 ANGLES = re.compile(r"(head|lefteye|righteye)(yaw|pitch|roll)")
 MOVES = 1e-3  # a weight above this moves a shape
@@ -83,7 +84,8 @@ def _columns(table: CsvTable) -> dict[str, int]:
     for number, column in enumerate(table.header):
         name = arkit.get(plain_name(column))
         if name is None:
-            if NO_SHAPES.fullmatch(plain_name(column)) or number in table.faults or not _are_weights(table.numbers[:, number]):
+            named = any(pattern.fullmatch(plain_name(column)) for pattern in (APPS_OWN, NO_SHAPES))
+            if named or number in table.faults or not _are_weights(table.numbers[:, number]):
                 continue
             name = column[0].lower() + column[1:]
         if name in found:
@@ -101,7 +103,7 @@ def _left_out(table: CsvTable, shapes: dict[str, int]) -> list[str]:
     others = [number for number in range(len(table.header)) if number not in shapes.values()]
     turning = [n for n in others if ANGLES.fullmatch(plain_name(table.header[n])) and n not in table.faults]
     moved = any(np.ptp(table.numbers[:, number]) > MOVES for number in turning)
-    unknown = [repr(table.header[n]) for n in others if not NO_SHAPES.fullmatch(plain_name(table.header[n]))]
+    unknown = [repr(table.header[n]) for n in others if not APPS_OWN.fullmatch(plain_name(table.header[n]))]
     notes = ["the turns of head and eyes were left out: the meshes stay where the rig has them"] if moved else []
     if unknown:
         notes.append(
