@@ -40,10 +40,9 @@ CONFIG["frames"] = OmegaConf.to_container(OmegaConf.load(CONF / "frames/all.yaml
 class Given(MeshSequence):
     """Meshes that are at hand."""
 
-    def __init__(self, meshes: torch.Tensor, faces: torch.Tensor) -> None:
-        super().__init__(
-            "given.npz", np.arange(len(meshes)), meshes.shape[1], Polygons.triangles(faces.numpy()), 30.0, 1.0, "y"
-        )
+    def __init__(self, meshes: torch.Tensor, faces: torch.Tensor, numbers: np.ndarray | None = None) -> None:
+        numbers = np.arange(len(meshes)) if numbers is None else numbers
+        super().__init__("given.npz", numbers, meshes.shape[1], Polygons.triangles(faces.numpy()), 30.0, 1.0, "y")
         self.meshes = meshes.float().numpy()
 
     def read(self, start: int, stop: int) -> np.ndarray:
@@ -57,8 +56,8 @@ def config(**changes: Any) -> dict:
     return made
 
 
-def inverted(rig: LinearRig, meshes: torch.Tensor, **changes: Any) -> Inversion:
-    settings, sequence = config(**changes), Given(meshes, rig.faces)
+def inverted(rig: LinearRig, meshes: torch.Tensor, numbers: np.ndarray | None = None, **changes: Any) -> Inversion:
+    settings, sequence = config(**changes), Given(meshes, rig.faces, numbers)
     clip = Clip(sequence, meaning_of(sequence, rig, "mm", 1.0, "y", None), **settings["frames"])
     parts = build_parts(settings, clip, rig, rig, None)
     arguments = (clip, parts.inverter, parts.judge, settings["window"], lambda what, frames: None)
