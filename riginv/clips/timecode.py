@@ -19,7 +19,6 @@ APP_COUNT = 60  # what the Live Link Face app counts, whatever it records at
 FRAMES = re.compile(r"(\d+)[:;](\d\d?)[:;](\d\d?)([:;])(\d+(?:[.,]\d+)?)")
 SECONDS = re.compile(r"(\d+):(\d\d?):(\d\d?(?:[.,]\d+)?)")
 DAY_S = 24 * 3600
-AMBIGUOUS = 30  # frames of a timecode below which it may count 30 as well as 60
 
 
 class Timing(NamedTuple):
@@ -106,22 +105,19 @@ def _count(seconds: np.ndarray, frames: np.ndarray, notes: list[str]) -> float:
     """How many frames the timecodes count in a second."""
     most, change = float(frames.max()), np.diff(frames)
     steps, turned = change[(np.diff(seconds) == 0) & (change > 0)], np.diff(seconds) == 1
-    able = [count for count in COUNTS if count > most]
-    default = APP_COUNT if APP_COUNT in able else able[0]
-    if not len(steps):
-        return default
-    if not turned.any():
-        if most < AMBIGUOUS:
+    able = np.array([count for count in COUNTS if count > most])
+    default = APP_COUNT if APP_COUNT in able else int(able[0])
+    step = float(np.median(steps)) if len(steps) else 0.0
+    shown = step - change[turned]  # 58 + 2 - 0: the count, unless rows are missing just there
+    shown = shown[(np.abs(shown[:, None] - able) <= max(1.0, step)).any(axis=1)]
+    if not len(steps) or not len(shown):
+        if np.ptp(frames) > 0:
             notes.append(
-                f"the take lies within one second of its timecodes, which so cannot tell how many frames they count in it: "
-                f"{default} taken, as the app counts (reading.fps=... says otherwise)"
+                f"the take is too short for its timecodes to show how many frames they count in a second: {default} taken"
+                f"{', as the app counts' if default == APP_COUNT else ''} (reading.fps=... says otherwise)"
             )
         return default
-    step = float(np.median(steps))
-    shown = float(np.median(step - change[turned]))  # 58 + 2 - 0: the count, unless rows are missing just there
-    count = min(able, key=lambda able: abs(able - shown))
-    if abs(count - shown) > max(1.0, step):
-        count = default
+    count = int(able[np.abs(able - np.median(shown)).argmin()])
     if count != APP_COUNT:
         notes.append(
             f"its timecodes count {count} frames a second, not {APP_COUNT} as the app's do: their highest frame is {most:g}"
