@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.array_files import check_npz
+from riginv.array_files import BROKEN, DAMAGED_ZIP, check_npz
 from riginv.clips.arrays import VERTICES
 from riginv.clips.csv_table import CsvTable
 from riginv.clips.frame_rate import usual_rate
@@ -110,8 +110,8 @@ def holds_curves(path: Path) -> bool:
     try:
         check_regular(path)
         with zipfile.ZipFile(path) as archive:
-            names = {Path(name).stem for name in archive.namelist()}
-    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
+            names = {Path(name).stem for name in archive.namelist() if name.endswith(".npy")}
+    except (*DAMAGED_ZIP, OSError, ValueError):
         return False  # the reader of meshes says what is wrong with it
     return CONTROLS in names and not names & {*VERTICES}
 
@@ -122,14 +122,18 @@ def npz_curves(path: Path) -> Curves:
     Raises:
         InputError: it is damaged, or an array is of another shape or type.
     """
-    check_npz(path)
     try:
+        check_npz(path)
         with np.load(path, allow_pickle=False) as file:
             found = {name: file[name] for name in (CONTROLS, NAMES, FPS, NUMBERS) if name in file}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except InputError:
+        raise
+    except (*DAMAGED_ZIP, *BROKEN, OSError) as error:
         raise InputError(
             f"{path}: cannot be read ({in_short(error)}): save plain numbers and texts, names=np.array(names, dtype=str)"
         ) from None
+    if CONTROLS not in found:
+        raise InputError(f"{path}: no array '{CONTROLS}': damaged; save it again with np.savez")
     values, numbers, fps = found[CONTROLS], found.get(NUMBERS), found.get(FPS)
     if values.ndim != 2 or values.dtype.kind not in "fiu":
         raise InputError(f"{path}: controls are {values.dtype} of shape {values.shape}, expected numbers (frame, control)")
