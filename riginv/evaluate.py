@@ -37,6 +37,8 @@ def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     true_rig = build_true_rig(config, rig or (model.rig if is_inverse else model))
     clip = build_clip(config, model.rig, true_rig) if is_inverse else None
     print_notes(clip.notes if clip else ())
+    if config["capture"] and not is_inverse:
+        print_notes(["the clip of capture was not looked at: a surrogate is judged on random poses, a clip judges an inverse"])
     title = f"{config['bundle']}" + (f" + {config['refine']} steps" if config["refine"] else "")
     return title, true_rig, judge_model(model, true_rig, config["poses"], clip)
 

@@ -23,6 +23,8 @@ from riginv.inversion.stillness import stillness
 from riginv.judge import judge_controls
 from riginv.mesh_space import RigInMeshSpace
 from riginv.optimum import find_optima
+from riginv.reproduction.preflight import check_capture
+from riginv.reproduction.sets import the_sets
 from riginv.rig import LinearRig
 from riginv.sampling.seeds import generator_at
 from riginv.solvers.objective import PRIOR, Objective
@@ -128,6 +130,22 @@ def test_commands_judge_on_any_clip(command, run, rig, meshes, tmp_path):
         assert again.code == 0, again.text
         key = "capture/mean_vertex_error_mm"
         assert again.metrics[key] == pytest.approx(outcome.metrics[key], rel=1e-4)
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_a_reproduction_takes_any_clip(rig, meshes, tmp_path):
+    world, _ = tumbled(meshes)
+    world[3, 10:60], world[7] = torch.nan, torch.nan
+    places = {"capture": str(written(tmp_path / "a.npz", world, rig)), "reading": {"unit": "mm"}, "frames": {"last": 20}}
+    key, notes = check_capture(places, rig)
+    assert len(key) == 64 and any("rigid motion was taken out" in note for note in notes)
+    sets = the_sets({"meshes": 6, "frames": 5}, places, None, rig)
+    clip, spread = sets["clip"], sets["captured"]
+    assert (len(clip), clip.fps, len(spread), spread.fps) == (5, 24, 6, None)
+    assert clip.frame_numbers.tolist() == [8, 9, 10, 11, 12] and clip.known(0, 5).all()
+    assert (clip.vertices(0, 5) - meshes[8:13]).norm(dim=2).mean() < 0.05
+    with pytest.raises(InputError, match="2 frames, expected at least 3"):
+        check_capture({**places, "frames": {"last": 1}}, rig)
 
 
 def test_advice_about_captures_is_right_for_any_rig(run):

@@ -16,7 +16,8 @@ from riginv.files import check_regular, read_json
 
 FRAME, SECONDS = "frame", "seconds"
 MOTION = (*MOVE_COLUMNS, *TURN_COLUMNS)
-CONTROLS, NAMES, FPS, NUMBERS = "controls", "names", "fps", "frame_numbers"  # arrays of an .npz
+CONTROLS, FPS, NUMBERS = "controls", "fps", "frame_numbers"  # arrays of an .npz
+NAMES = ("names", "control_names")
 SAME_RATE = 1e-3  # two rates nearer than that, as a share of them, are one
 
 
@@ -117,7 +118,7 @@ def holds_curves(path: Path) -> bool:
 
 
 def npz_curves(path: Path) -> Curves:
-    """The curves of an .npz: `controls (frame, control)`, and perhaps `names`, `fps` and `frame_numbers`.
+    """The curves of an .npz: `controls (frame, control)`, and perhaps `names` (or `control_names`), `fps` and `frame_numbers`.
 
     Raises:
         InputError: it is damaged, or an array is of another shape or type.
@@ -125,7 +126,7 @@ def npz_curves(path: Path) -> Curves:
     try:
         check_npz(path)
         with np.load(path, allow_pickle=False) as file:
-            found = {name: file[name] for name in (CONTROLS, NAMES, FPS, NUMBERS) if name in file}
+            found = {name: file[name] for name in (CONTROLS, *NAMES, FPS, NUMBERS) if name in file}
     except InputError:
         raise
     except (*DAMAGED_ZIP, *BROKEN, OSError) as error:
@@ -141,7 +142,7 @@ def npz_curves(path: Path) -> Curves:
         raise InputError(f"{path}: frame_numbers are {numbers.dtype} of shape {numbers.shape}, expected a whole number a frame")
     if fps is not None and (fps.size != 1 or fps.dtype.kind not in "iuf"):
         raise InputError(f"{path}: fps is {fps.dtype} of shape {fps.shape}, expected one number")
-    names = found.get(NAMES)
+    names = next((found[name] for name in NAMES if name in found), None)
     if names is not None and (names.shape != values.shape[1:] or names.dtype.kind not in "US"):
         raise InputError(
             f"{path}: names are {names.dtype} of shape {names.shape}, expected a text for each of {values.shape[1]} controls"
