@@ -41,11 +41,11 @@ def reproduce(config: DictConfig) -> None:
 
     rig = rig_in_space(plain["rig"])
     capture, notes = check_capture(plain, rig.rig)
-    print_notes(notes)
     check_rig(plain["body"])
     judge, judge_name, why_itself = choose_judge(plain["true_rig"], rig.rig)
     if why_itself:
         say(f"The programmatic rig judges itself: {why_itself}.", markup=False)
+    print_notes(notes)
     plan = Plan(plain, judge, capture, jobs)
     check_folder(folder, rig, plain["budget"], sum(step.work == "train" for step in plan.steps))
     with one_thread():
