@@ -21,7 +21,7 @@ CLOCK = re.compile(r"\d+[:;]\d\d?[:;]\d\d?")
 REASONS = (  # of texts that are no numbers, and what to do
     (re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+"), "a Fortran exponent: write E in place of D"),
     (re.compile(r"[+-]?\d{1,3}([ ',_\u00a0\u202f]\d{3})+([.,]\d*)?"), "thousands separators: leave them out"),
-    (re.compile(r"[+-]?(nan|inf|1\.#)", re.IGNORECASE), "not a finite number: leave the row out, its neighbours stand in"),
+    (re.compile(r"[+-]?(nan|inf|1\.#).*", re.IGNORECASE), "not a finite number: leave the row out, its neighbours stand in"),
     (re.compile(r"[+-]?\d*([.,]\d+)?\s*%"), "per cent: divide by 100"),
     (re.compile(r""), "an empty cell: fill it, or leave the row out"),
 )
@@ -73,9 +73,8 @@ class CsvTable:
         if number in self.faults:
             line, text = self.faults[number]
             where = f"{self.path}, line {line}, column {self.header[number]}"
-            reason = next((reason for pattern, reason in REASONS if pattern.fullmatch(text.strip()[:40])), "")
-            reason = reason or (REASONS[2][1] if REASONS[2][0].match(text.strip()) else "")
-            raise InputError(f"{where}: found {text[:60]!r}, expected a finite number{f'; this is {reason}' if reason else ''}")
+            reason = next((f"; this is {why}" for pattern, why in REASONS if pattern.fullmatch(text.strip()[:40])), "")
+            raise InputError(f"{where}: found {text[:60]!r}, expected a finite number{reason}")
         return self.numbers[:, number]
 
     def columns(self, numbers: Sequence[int]) -> np.ndarray:

@@ -95,8 +95,8 @@ def _columns(table: CsvTable) -> dict[str, int]:
 
 
 def _are_weights(values: np.ndarray) -> bool:
-    """Whether a column that nobody knows may be a shape's weights: numbers from 0 to 1 that change."""
-    return bool(values.min() >= 0 and values.max() <= 1 + UNUSUAL and values.max() - values.min() > MOVES)
+    """Whether a column that nobody knows may be weights of a shape: numbers about 0 to 1 that change, not whole ones alone."""
+    return bool(values.min() > -1 and values.max() < 2 and np.ptp(values) > MOVES and (values % 1 != 0).any())
 
 
 def _left_out(table: CsvTable, shapes: dict[str, int]) -> list[str]:

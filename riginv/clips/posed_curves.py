@@ -58,7 +58,7 @@ def _controls(curves: Curves, rig: RigBackend, options: ReadingOptions, notes: l
                 f"{curves.path}: curves of {curves.values.shape[1]} controls without names, and rig '{rig.name}' has "
                 f"{len(rig.controls)}: add their names as an array 'names'"
             )
-        notes.append("its controls have no names: they were taken in the rig's order")
+        notes.append("its controls have no names: they were taken in the rig's order (an array 'names' names them)")
         names = list(rig.control_names)
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
