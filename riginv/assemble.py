@@ -19,13 +19,14 @@ from riginv.callbacks.progress import TrainingProgress
 from riginv.callbacks.saving import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.cli.process import this_process
 from riginv.cli.run_folder import RunFolder
-from riginv.clips.live_link import live_link_clip
+from riginv.clips.options import clip_options
 from riginv.clips.performance import simulated_performance
 from riginv.data.mesh_sets import MeshSet, StoredMeshes
 from riginv.data.poses import PoseDataModule
 from riginv.data.test_sets import random_poses, random_sets, watched
 from riginv.errors import InputError
 from riginv.fitted_rig import FittedRig
+from riginv.inversion.capture import open_capture
 from riginv.judge import build_judge, check_same_controls
 from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
@@ -94,10 +95,16 @@ def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
     return true_rig
 
 
-def build_clip(config: Config, true_rig: RigBackend) -> MeshSet | None:
-    """The clip to judge on: the one given, or else the rig's own motion, or a simulated performance; None where it has none."""
+def build_clip(config: Config, rig: LinearRig, true_rig: RigBackend) -> MeshSet | None:
+    """The clip to judge on: the one given, or else the rig's own motion, or a simulated performance; None where it has none.
+
+    Raises:
+        InputError: the clip cannot be read or is none of the rig, or the rig's motion holds what is no number.
+    """
+    options = clip_options(config)
     if config["capture"]:
-        return live_link_clip(config["capture"], true_rig)
+        posed = rig if isinstance(true_rig, RecordedRig) else true_rig
+        return open_capture(config["capture"], posed, rig, *options)
     motion = true_rig.motion()
     if motion is None:
         return simulated_performance(true_rig)

@@ -10,6 +10,7 @@ from riginv.cli.command import command, run_directory
 from riginv.cli.comparison import keep_rows, kept_rows, show, write_tables
 from riginv.cli.comparison_progress import ComparisonProgress
 from riginv.cli.run_folder import find_run_folder, plain_config
+from riginv.cli.tables import print_notes
 from riginv.cli.validation import validate
 from riginv.data.test_sets import random_sets
 from riginv.errors import InputError
@@ -38,7 +39,8 @@ def compare(config: DictConfig) -> None:
             f"rig '{true_rig.name}' is a table of recorded poses, and compare needs a rig that can be posed to judge"
         )
     methods, left_out = suited_methods(configs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
-    clip = build_clip(plain, true_rig)
+    clip = build_clip(plain, rig, true_rig)
+    print_notes(clip.notes if clip else ())
     sets = [*random_sets(true_rig, plain["poses"]), *([clip] if clip else [])]
     folder.begin()
     with ComparisonProgress(len(methods)) as progress:

@@ -6,7 +6,7 @@ from riginv.assemble import Config, build_clip, build_true_rig
 from riginv.build import build
 from riginv.cli.command import command, run_directory
 from riginv.cli.run_folder import METRICS, POSES, find_run_folder, plain_config
-from riginv.cli.tables import print_results
+from riginv.cli.tables import print_notes, print_results
 from riginv.cli.validation import validate
 from riginv.data.mesh_sets import PosedRig
 from riginv.data.test_sets import random_poses
@@ -35,7 +35,10 @@ def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     model = load_model(config["bundle"], rig, config["refine"])
     is_inverse = isinstance(model, Inverse)
     true_rig = build_true_rig(config, rig or (model.rig if is_inverse else model))
-    clip = build_clip(config, true_rig) if is_inverse else None
+    clip = build_clip(config, model.rig, true_rig) if is_inverse else None
+    print_notes(clip.notes if clip else ())
+    if config["capture"] and not is_inverse:
+        print_notes(["the clip of capture was not looked at: a surrogate is judged on random poses, a clip judges an inverse"])
     title = f"{config['bundle']}" + (f" + {config['refine']} steps" if config["refine"] else "")
     return title, true_rig, judge_model(model, true_rig, config["poses"], clip)
 

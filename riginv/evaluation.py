@@ -61,7 +61,8 @@ def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, cl
         held_out = true_rig.held_out
         if not isinstance(model, Inverse):
             return [judge_rig(rig, held_out)]
-        return [judge_inverse(model, rig, held_out), judge_rig(rig, held_out.named("surrogate"))]
+        sets = [held_out, *([clip] if clip else [])]
+        return [*(judge_inverse(model, rig, meshes) for meshes in sets), judge_rig(rig, held_out.named("surrogate"))]
     if not isinstance(model, Inverse):
         return [judge_rig(model, random_poses(true_rig, poses))]
     sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]

@@ -19,6 +19,7 @@ from riginv.curves.formats import check_formats
 from riginv.errors import InputError
 from riginv.files import sha256, written_beside
 from riginv.inverse import load_inverse
+from riginv.inversion.reach import with_reach
 from riginv.inversion.results import check_after, write_results
 from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
 from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method
@@ -54,13 +55,15 @@ def invert(config: DictConfig) -> None:
             found = invert_smoothly(*arguments, how)
         else:
             found = invert_clip(*arguments)
+        progress.advance("the rig's reach", 0)
+        errors = with_reach(found.errors, clip, found, parts.judge)
         facts = made_by(plain, parts.method)
         source = Path(plain["clip"]).name
         animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
         with written_beside(out) as beside:
             beside.mkdir()
-            files, remarks = write_results(beside, clip, animation, found.errors, plain, progress.advance)
-    show(animation, found.errors, true_rig, out, files, remarks)
+            files, remarks = write_results(beside, clip, animation, errors, plain, progress.advance)
+    show(animation, errors, true_rig, out, files, remarks)
 
 
 def free_folder(out: Any) -> Path:

@@ -1,5 +1,6 @@
 """Judging by the true rig: errors are measured on what it makes of the controls, never on a network's own surrogate."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from inspect import signature
@@ -11,12 +12,11 @@ from torch import Tensor
 from riginv.build import OURS, build, class_of
 from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
-from riginv.metrics import VertexError, roughness
+from riginv.metrics import VertexError, mean_distance, roughness
 from riginv.pictures import Pair
 from riginv.rig import RigBackend
 
 PIECE = 128  # meshes at a time
-SHORTEST_CURVE = 3  # frames that a second difference needs
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,16 @@ def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor]
     for start, vertices in meshes.pieces(PIECE):
         controls = controls_of(start, vertices)
         results = rig(controls)
-        found.update(results, vertices)
-        neutral.update(rig.rest_vertices.expand_as(vertices), vertices)
-        errors.append((results - vertices).norm(dim=2).mean(dim=1))
+        known = meshes.known(start, start + len(vertices))
+        found.update(results, vertices, known)
+        neutral.update(rig.rest_vertices.expand_as(vertices), vertices, known)
+        errors.append(mean_distance(results, vertices, known))
         curves.append(controls)
     controls = torch.cat(curves)
     values = {key: float(value) for key, value in found.compute().items()}
     values["neutral_mean_vertex_error_mm"] = float(neutral.compute()["mean_vertex_error_mm"])
-    if meshes.fps and len(controls) >= SHORTEST_CURVE:
-        values["roughness"] = roughness(controls)
+    if meshes.fps and not math.isnan(rough := roughness(controls, meshes.frame_numbers)):
+        values["roughness"] = rough
     metrics = {f"{meshes.name}/{key}": value for key, value in values.items()}
     return Judgement(metrics, torch.cat(errors), meshes, rig, controls)
 

@@ -32,14 +32,20 @@ class VertexError(Metric):
             self.add_state(name, torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("max_mm", torch.zeros((), dtype=torch.float64), dist_reduce_fx="max")
 
-    def update(self, found: Tensor, expected: Tensor) -> None:
-        """Add poses: both `(batch, vertex, 3)`, mm."""
+    def update(self, found: Tensor, expected: Tensor, known: Tensor | None = None) -> None:
+        """Add poses: both `(batch, vertex, 3)`, mm.
+
+        Args:
+            known: the vertices that count, `(batch, vertex)`; None: all.
+        """
         distances = torch.linalg.vector_norm(found - expected, dim=2).double()
+        if known is not None:
+            distances = torch.where(known, distances, 0.0)
         greatest = distances.amax(dim=1)
         self.total_mm += distances.sum()
         self.total_of_max_mm += greatest.sum()
         self.max_mm = torch.maximum(self.max_mm, greatest.max())
-        self.vertices += distances.numel()
+        self.vertices += distances.numel() if known is None else known.sum()
         self.poses += len(distances)
 
     def compute(self) -> dict[str, Tensor]:
@@ -51,9 +57,25 @@ class VertexError(Metric):
         }
 
 
-def roughness(controls: Tensor) -> float:
-    """The mean squared second difference of curves `(frame, control)` (paper, Table 3); NaN below three frames."""
-    return float((controls[2:] - 2 * controls[1:-1] + controls[:-2]).square().mean())
+def mean_distance(found: Tensor, expected: Tensor, known: Tensor | None = None) -> Tensor:
+    """The mean vertex distance of each mesh, `(mesh,)`, mm; arguments as in `VertexError.update`."""
+    distances = torch.linalg.vector_norm(found - expected, dim=2)
+    if known is None:
+        return distances.mean(dim=1)
+    return torch.where(known, distances, 0.0).sum(dim=1) / known.sum(dim=1).clamp_min(1)
+
+
+def roughness(controls: Tensor, numbers: Tensor | None = None) -> float:
+    """The mean squared second difference of curves `(frame, control)` (paper, Table 3); NaN without three frames in a row.
+
+    Args:
+        numbers: of the frames, `(frame,)`: where one is missing there is no second difference; None: none is.
+    """
+    squares = (controls[2:] - 2 * controls[1:-1] + controls[:-2]).square()
+    if numbers is not None and len(squares):
+        steps = numbers.diff()
+        squares = squares[(steps[1:] == steps.median()) & (steps[:-1] == steps.median())]
+    return float(squares.mean())
 
 
 def nonzero_controls(controls: Tensor, rig: RigBackend) -> float:

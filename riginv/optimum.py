@@ -12,6 +12,7 @@ from riginv.data.mesh_sets import MeshSet
 from riginv.geometry.spread import evenly
 from riginv.judge import Judgement
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.metrics import mean_distance
 from riginv.rig import LinearRig, RigBackend
 from riginv.sampling.controls import sparse_controls
 from riginv.sampling.seeds import generator_at
@@ -67,23 +68,38 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]
         rows = evenly(MESHES, len(meshes))
         vertices = torch.cat([meshes.vertices(row, row + 1) for row in rows.tolist()])
 
-        def solve(vertices: Tensor = vertices) -> dict[str, Tensor]:
+        known = known_vertices(meshes, rows)
+
+        def solve(vertices: Tensor = vertices, known: Tensor | None = known) -> dict[str, Tensor]:
             nonlocal objective
             objective = objective or Objective(RigInMeshSpace(true_rig, MeshSpace.from_rig(true_rig)))
-            return {"errors_mm": _errors(objective, vertices)}
+            return {"errors_mm": least_errors(objective, vertices, known)}
 
-        name = hashlib.sha256(key + vertices.cpu().numpy().tobytes()).hexdigest()[:32]
+        facts = vertices.cpu().numpy().tobytes() + (b"" if known is None else known.cpu().numpy().tobytes())
+        name = hashlib.sha256(key + facts).hexdigest()[:32]
         found[meshes.name] = Optimum(rows, cached_tensors("optimum", name, solve)["errors_mm"])
     return found
 
 
 @torch.no_grad()
-def _errors(objective: Objective, vertices: Tensor) -> Tensor:
+def least_errors(objective: Objective, vertices: Tensor, known: Tensor | None = None) -> Tensor:
+    """The least mean vertex errors `(mesh,)`, mm, that were found for meshes `(mesh, vertex, 3)`.
+
+    Args:
+        known: the vertices that errors are measured at, `(mesh, vertex)`; None: all.
+    """
     rig = objective.rig.rig
     coordinates = objective.rig.space.encode(vertices)
     controls = objective.own_units(solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS).units)
-    errors = [(rig(one[None])[0] - mesh).norm(dim=1).mean() for one, mesh in zip(controls, vertices)]
-    return torch.stack(errors)
+    masks = [None] * len(vertices) if known is None else known[:, None]
+    found = zip(controls, vertices, masks)
+    return torch.cat([mean_distance(rig(one[None]), mesh[None], mask) for one, mesh, mask in found])
+
+
+def known_vertices(meshes: MeshSet, rows: Tensor) -> Tensor | None:
+    """Which vertices of some meshes of a set errors are measured at, `(mesh, vertex)`; None: all."""
+    masks = [meshes.known(row, row + 1) for row in rows.tolist()]
+    return None if masks[0] is None else torch.cat(masks)
 
 
 @torch.no_grad()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from riginv.arkit import ArkitParts
 from riginv.errors import InputError
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.jacobian import Jacobian
@@ -104,6 +105,10 @@ class RigBackend(nn.Module, ABC):
 
         A Live Link Face recording is made into a mesh clip with them.
         """
+        return {}
+
+    def arkit_parts(self) -> dict[str, ArkitParts]:
+        """Which of the rig's own shapes stand for each of the ARKit shapes in `arkit_deltas`, so that it can be said."""
         return {}
 
     def expressions(self) -> dict[str, dict[str, float]]:

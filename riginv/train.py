@@ -26,6 +26,7 @@ from riginv.cli.process import this_process
 from riginv.cli.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
 from riginv.cli.starter import run_in_processes
 from riginv.cli.summary import show
+from riginv.cli.tables import print_notes
 from riginv.cli.validation import validate
 from riginv.data.mesh_sets import MeshSet
 from riginv.evaluation import judge_model, load_model, surrogate_config, write_results
@@ -57,7 +58,9 @@ def train(config: DictConfig) -> None:
 def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, last: bool = True) -> None:
     """From a rig to a judged, bundled model in a run's folder; `last`: nothing is trained after it, by several processes."""
     is_inverse = class_of(plain["model"]["_target_"], kind=RigModule).kind == "inverse"
-    clip = build_clip(plain, true_rig) if is_inverse else None
+    clip = build_clip(plain, rig, true_rig) if is_inverse else None
+    if folder.written_here:
+        print_notes(clip.notes if clip else ())
     trainer, training = fit_network(plain, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
     if last:
         part()

@@ -11,6 +11,7 @@ from riginv.sampling.controls import sparse_controls
 from riginv.sampling.seeds import generator_at
 from rigs.pairs import PairsRig
 from rigs.surrogate import SurrogateRig
+from tests.clips import performance, write_npz
 from tests.conftest import ROOT
 from tests.toys import BlackBox, ToyRig
 
@@ -92,10 +93,12 @@ def test_a_table_is_inverted_with_no_rig_at_hand(run, table, tmp_path, model):
     held_out = PairsRig(str(path)).held_out
     rows = [table["controls"].tolist().index(row) for row in held_out.controls.tolist()]
     assert made.metrics["surrogate/mean_vertex_error_mm"] == pytest.approx(float(errors[rows].mean()), rel=1e-3)
-    again = run("evaluate", f"bundle={made.folder}", folder="again")
+    clip = write_npz(tmp_path / "take.npz", performance(ToyRig(), 12), ToyRig().faces.numpy())
+    again = run("evaluate", f"bundle={made.folder}", f"capture={clip}", folder="again")
     assert again.code == 0, again.text
     key = "held_out_pairs/mean_vertex_error_mm"
     assert again.metrics[key] == pytest.approx(made.metrics[key], rel=1e-4)
+    assert again.metrics["capture/neutral_mean_vertex_error_mm"] > 1 and "capture/mean_vertex_error_mm" in again.metrics
 
 
 @pytest.mark.parametrize(

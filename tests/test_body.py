@@ -203,7 +203,7 @@ def test_a_motion_that_is_broken_is_refused(body):
             return walk
 
     with pytest.raises(InputError, match="frame 7 of its motion 'walk' holds NaN"):
-        build_clip({"capture": None}, Broken())
+        build_clip({"capture": None, "reading": {}, "frames": {}}, body, Broken())
 
 
 def test_every_pose_that_has_a_name_is_within_the_limits(body):

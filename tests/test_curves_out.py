@@ -13,10 +13,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from riginv.arkit import LIVE_LINK_SHAPES
 from riginv.clips.live_link import read_live_link
 from riginv.curves.animation import Animation
 from riginv.curves.formats import FORMATS, check_formats, write_formats
-from riginv.curves.live_link import SHAPES, nearest_weights, timecode
+from riginv.curves.live_link import nearest_weights, timecode
 from riginv.curves.reduction import reduced
 from riginv.errors import InputError
 from riginv.rig import Control
@@ -123,8 +124,8 @@ def test_live_link_of_a_rig_with_arkit_controls():
 
     animation = moving(Arkit())
     weights = arkit_weights(animation)
-    assert torch.equal(weights[:, SHAPES.index("JawOpen")].float(), animation.controls[:, 0])
-    assert torch.equal(weights[:, SHAPES.index("MouthSmileLeft")].float(), animation.controls[:, 1])
+    assert torch.equal(weights[:, LIVE_LINK_SHAPES.index("JawOpen")].float(), animation.controls[:, 0])
+    assert torch.equal(weights[:, LIVE_LINK_SHAPES.index("MouthSmileLeft")].float(), animation.controls[:, 1])
 
 
 def test_timecodes_carry_over():

@@ -6,7 +6,7 @@ import torch
 import trimesh
 from scipy import sparse
 
-from rigs.arkit import ARKIT_NAMES
+from riginv.arkit import ARKIT_NAMES
 from rigs.face.assets import read_base_mesh
 from rigs.face.build import PARTS, build_geometry, face_geometry
 from rigs.face.controls import build_controls

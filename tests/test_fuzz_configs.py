@@ -45,7 +45,7 @@ def before_training(plain: dict[str, Any], folder: Path) -> None:
     true_rig = build_true_rig(plain, rig)
     if needs_surrogate(plain, rig):
         return
-    build_clip(plain, true_rig)
+    build_clip(plain, rig, true_rig)
     module = build_module(plain, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig)
     build_sampler(plain, module.rig).sample(2, torch.Generator().manual_seed(0))
     build_trainer(plain, RunFolder(folder, plain, False))
@@ -67,6 +67,8 @@ def before_judging(plain: dict[str, Any], folder: Path) -> None:
     rig = build(plain["rig"], kind=RigBackend)
     if "true_rig" in plain:
         build_true_rig(plain, rig)
+    if "reading" in plain:
+        clip_options(plain)
 
 
 def before_comparing(plain: dict[str, Any], folder: Path) -> None:
@@ -74,13 +76,13 @@ def before_comparing(plain: dict[str, Any], folder: Path) -> None:
     rig = build_rig(plain)
     build_true_rig(plain, rig)
     suited_methods(configs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
-    build_clip(plain, rig)
+    build_clip(plain, rig, rig)
 
 
 def before_reproducing(plain: dict[str, Any], folder: Path) -> None:
     check_budget(plain["budget"])
     rig = rig_in_space(plain["rig"])
-    check_capture(plain["capture"], rig.rig)
+    check_capture(plain, rig.rig)
     check_rig(plain["body"])
     choose_judge(plain["true_rig"], rig.rig)
 
@@ -171,7 +173,7 @@ def explore(name: str, composed: dict[str, Any], cases: int, folder: Path) -> tu
 @pytest.mark.parametrize("name", COMMANDS)
 def test_any_value_anywhere_is_valid_or_refused_in_a_sentence(name, composed, tmp_path):
     _, refused = explore(name, composed, QUICK, tmp_path)
-    assert refused > 3
+    assert refused >= 3
 
 
 @pytest.mark.slow

@@ -8,10 +8,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from riginv.arkit import ARKIT_NAMES, arkit_parts
 from riginv.clips.live_link import live_link_clip
 from riginv.errors import InputError
 from riginv.rig_contract import check_rig
-from rigs.arkit import ARKIT_NAMES, arkit_targets
 from rigs.gltf import GltfRig
 from tests.avatars import AvatarWriter, cube, face_avatar
 
@@ -209,15 +209,15 @@ def test_buffers_may_lie_beside_a_gltf_or_within_it(tmp_path, where):
 
 def test_arkit_names_are_found_in_every_spelling(tmp_path):
     spelled = ["blendShape1.JawOpen", "mouthSmile_L", "head:eyeBlink_R", "Brow_Inner_Up", "jawLeft", "viseme_aa", "cheekpuff"]
-    assert arkit_targets(spelled) == {
-        "browInnerUp": "Brow_Inner_Up",
-        "cheekPuff": "cheekpuff",
-        "eyeBlinkRight": "head:eyeBlink_R",
-        "jawLeft": "jawLeft",
-        "jawOpen": "blendShape1.JawOpen",
-        "mouthSmileLeft": "mouthSmile_L",
+    assert arkit_parts(spelled) == {
+        "browInnerUp": (("Brow_Inner_Up",), 1),
+        "cheekPuff": (("cheekpuff",), 1),
+        "eyeBlinkRight": (("head:eyeBlink_R",), 1),
+        "jawLeft": (("jawLeft",), 1),
+        "jawOpen": (("blendShape1.JawOpen",), 1),
+        "mouthSmileLeft": (("mouthSmile_L",), 1),
     }
-    assert arkit_targets(["JAWOPEN", "jawOpen"]) == {"jawOpen": "jawOpen"}
+    assert arkit_parts(["JAWOPEN", "jawOpen"])["jawOpen"].names == ("jawOpen",)
 
 
 def test_a_live_link_recording_moves_an_avatar_with_arkit_names(tmp_path):

@@ -40,10 +40,9 @@ CONFIG["frames"] = OmegaConf.to_container(OmegaConf.load(CONF / "frames/all.yaml
 class Given(MeshSequence):
     """Meshes that are at hand."""
 
-    def __init__(self, meshes: torch.Tensor, faces: torch.Tensor) -> None:
-        super().__init__(
-            "given.npz", np.arange(len(meshes)), meshes.shape[1], Polygons.triangles(faces.numpy()), 30.0, 1.0, "y"
-        )
+    def __init__(self, meshes: torch.Tensor, faces: torch.Tensor, numbers: np.ndarray | None = None) -> None:
+        numbers = np.arange(len(meshes)) if numbers is None else numbers
+        super().__init__("given.npz", numbers, meshes.shape[1], Polygons.triangles(faces.numpy()), 30.0, 1.0, "y")
         self.meshes = meshes.float().numpy()
 
     def read(self, start: int, stop: int) -> np.ndarray:
@@ -57,8 +56,8 @@ def config(**changes: Any) -> dict:
     return made
 
 
-def inverted(rig: LinearRig, meshes: torch.Tensor, **changes: Any) -> Inversion:
-    settings, sequence = config(**changes), Given(meshes, rig.faces)
+def inverted(rig: LinearRig, meshes: torch.Tensor, numbers: np.ndarray | None = None, **changes: Any) -> Inversion:
+    settings, sequence = config(**changes), Given(meshes, rig.faces, numbers)
     clip = Clip(sequence, meaning_of(sequence, rig, "mm", 1.0, "y", None), **settings["frames"])
     parts = build_parts(settings, clip, rig, rig, None)
     arguments = (clip, parts.inverter, parts.judge, settings["window"], lambda what, frames: None)
@@ -183,10 +182,10 @@ def test_whole_frames_that_are_unknown_are_bridged(rig, meshes):
 def test_bridges_are_straight_and_turn_the_short_way():
     known = torch.tensor([False, True, False, False, True, False])
     values = torch.tensor([9.0, 0.0, 9.0, 9.0, 3.0, 9.0])[:, None]
-    assert bridged(values, known).flatten().tolist() == [0, 0, 1, 2, 3, 3]
+    assert bridged(values, known, torch.arange(6)).flatten().tolist() == [0, 0, 1, 2, 3, 3]
     motion = torch.eye(4).repeat(6, 1, 1)
     motion[4, :3, :3] = roma.rotvec_to_rotmat(torch.tensor([0.0, 0.0, 0.9]))
-    angles = roma.rotmat_to_rotvec(bridged_motion(motion, known)[:, :3, :3])[:, 2]
+    angles = roma.rotmat_to_rotvec(bridged_motion(motion, known, torch.arange(6))[:, :3, :3])[:, 2]
     assert torch.allclose(angles, torch.tensor([0, 0, 0.3, 0.6, 0.9, 0.9]), atol=1e-5)
 
 

@@ -104,7 +104,7 @@ def test_every_row_of_the_three_tables_is_there(made):
 def test_figures_are_what_the_rig_makes_of_the_controls_that_were_found(made):
     rig = ToyRig()
     controls = load_file(step(made, "answer-trained-seed1") / "controls.safetensors")["clip"]
-    clip = the_clip(rig, None, 20)
+    clip = the_clip(rig, {"capture": None}, 20)
     assert len(controls) == 20
     rows = torch.linspace(0, 19, 12).round().long()
     distances = (rig(controls[rows]) - Rows(clip, rows).vertices(0, 12)).square().sum(dim=2).sqrt()
@@ -209,7 +209,7 @@ def test_the_papers_budget_is_its_protocol_and_its_time_is_reckoned():
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
         plain = OmegaConf.to_container(compose("reproduce", ["budget=paper"]), resolve=True)
-        plan = Plan(plain, {"_target_": None}, (None, None), 1)
+        plan = Plan(plain, {"_target_": None}, None, 1)
     steps = {step.name: step for step in plan.steps}
     assert steps["sample"].config["poses"] == 10_000
     assert steps["surrogate-seed2"].config["training"]["data"]["stored_poses"] == 90_000

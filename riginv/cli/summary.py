@@ -15,7 +15,7 @@ def show(folder: RunFolder) -> None:
     """Show what a finished run reached, and what to do with it."""
     metrics = checked(folder.path / METRICS, read_json(folder.path / METRICS))
     steps, seconds = metrics["train/steps"], metrics["train/seconds"]
-    more = " capture=TAKE.csv" if {"capture", "simulated_performance"} & set(sets_of(metrics)) else ""
+    more = " capture=CLIP" if {"capture", "simulated_performance"} & set(sets_of(metrics)) else ""
     if folder.config["rig"]["_target_"].partition(".")[0] not in OURS:
         more += " rig=NAME --config-dir DIR"  # a bundle names no code of others: the user does
     print_results(

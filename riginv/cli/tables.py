@@ -14,11 +14,11 @@ SETS = {
         "blendshapes combined at random, as in the paper: mostly out of the rig's reach",
     ),
     "rig_poses": ("rig poses", "random poses of the rig, as in the paper"),
-    "capture": ("capture", "the captured performance that was given"),
-    "simulated_performance": ("simulated performance", "no clip was given: capture=TAKE.csv judges a Live Link Face recording"),
+    "capture": ("capture", "the clip that was given"),
+    "simulated_performance": ("simulated performance", "no clip was given: capture=CLIP judges any that riginv.invert takes"),
     "held_out_pairs": ("held-out pairs", "recorded poses that training never saw"),
     "surrogate": ("surrogate", "the surrogate alone on the controls of those poses: how far it can be believed"),
-    "walk": ("walk", "the walk that the rig brings: no clip was given"),
+    "walk": ("walk", "the walk that the rig brings, for no clip was given: capture=CLIP judges any that riginv.invert takes"),
     "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
 }
 WITHIN_REACH_MM = 0.005  # a least error below this: the rig can make these meshes
@@ -78,6 +78,13 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
     console.print()
     for note in notes:
         console.print(f"  {note}", soft_wrap=True, highlight=False, markup=False)
+
+
+def print_notes(notes: Sequence[str]) -> None:
+    """Show what was guessed, mended or left out as a clip was read, one line each."""
+    console = Console(stderr=True)
+    for note in notes:
+        console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
 
 
 def _times_best(metrics: Mapping[str, Any], name: str) -> str:

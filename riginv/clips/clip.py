@@ -40,7 +40,6 @@ class Clip(MeshSet):
         last: int | None = None,
         exclude: Sequence[Any] = (),
     ) -> None:
-        super().__init__("clip", meaning.fps)
         numbers = sequence.frame_numbers
         inside = (numbers >= (numbers[0] if first is None else first)) & (numbers <= (numbers[-1] if last is None else last))
         if not inside.any():
@@ -48,7 +47,8 @@ class Clip(MeshSet):
                 f"{sequence.path}: frames {first} to {last} were asked for, and it has {numbers[0]} to {numbers[-1]}: none left"
             )
         self.sequence, self.meaning, self.offset = sequence, meaning, int(np.argmax(inside))
-        self.frame_numbers = torch.tensor(numbers[inside])
+        controls = None if sequence.controls is None else torch.from_numpy(sequence.controls[inside])
+        super().__init__("clip", meaning.fps, controls, torch.tensor(numbers[inside]))
         self.excluded = _excluded(sequence.path, self.frame_numbers, exclude)
 
     def __len__(self) -> int:

@@ -1,129 +1,212 @@
 """Live Link Face recordings: ARKit curves in a CSV, made into a mesh clip by adding the shapes linearly."""
 
-import csv
-import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.curves.live_link import TIMECODE_FPS
+from riginv.arkit import ARKIT_NAMES, plain_name
+from riginv.clips.csv_table import CsvTable, read_csv
+from riginv.clips.options import ReadingOptions
+from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
+from riginv.clips.timecode import timing
 from riginv.data.mesh_sets import WeightedShapes
 from riginv.errors import InputError
-from riginv.files import check_regular
 from riginv.rig import RigBackend
 
-TIMECODE = re.compile(r"(\d+):(\d\d):(\d\d):(\d\d(?:\.\d+)?)")
-NOT_SHAPES = ("Timecode", "BlendShapeCount")
-ANGLES = re.compile(r"(Head|LeftEye|RightEye)(Yaw|Pitch|Roll)")
+TIMECODE = "timecode"
+APPS_OWN = re.compile(r"timecode|blendshapecount|(head|lefteye|righteye)(yaw|pitch|roll)|")  # columns by their plain names
+NO_SHAPES = re.compile(  # columns that others add
+    r"(head|lefteye|righteye)(pos|position|rot|rotation)[xyzw]?|(frame|row|sample)?(index|number|id)?|"
+    r"(time|timestamp|seconds|date|device|subject|slate|take|name|confidence|tracked|isvalid)(s|ms)?"
+)
+ANGLES = re.compile(r"(head|lefteye|righteye)(yaw|pitch|roll)")
+MOVES = 1e-3  # a weight above this moves a shape
+UNUSUAL = 0.05  # beyond 0 to 1 that weights are said to be
+PER_CENT = 10.0  # a weight above this is none
+FORMAT = "Live Link Face CSV"
 
 
 class Recording(NamedTuple):
     """A recording as it stands in the file.
 
     Attributes:
-        names: of the ARKit shapes, as ARKit writes them (`jawOpen`).
+        names: of its shapes, as ARKit writes them (`jawOpen`); columns that may be other shapes under their own names.
         weights: `(frame, shape)`.
-        fps: frames a second, from the timecode.
+        fps: frames a second, from the timecodes.
+        frame_numbers: `(frame,)`, from 0, with gaps where rows are missing.
+        facts: what was read, and what was mended or left out.
     """
 
     names: list[str]
     weights: Tensor
     fps: float
+    frame_numbers: np.ndarray
+    facts: SourceFacts
 
 
 def read_live_link(path: str | Path) -> Recording:
-    """Read a Live Link Face CSV.
+    """Read a Live Link Face CSV, of any version of the app.
 
     Raises:
-        InputError: the file is missing or unreadable, has no rows, a duplicate or missing column, or a value that is not a
+        InputError: the file is missing or unreadable, has no rows, a duplicate column, no timecodes, or a value that is not a
             finite number; the message names the file, the row and the column.
     """
-    path = Path(str(path))
-    rows = _rows(path)
-    header, body = rows[0], rows[1:]
-    if len(set(header)) != len(header):
-        twice = sorted({name for name in header if header.count(name) > 1})
-        raise InputError(f"{path}: column {', '.join(map(repr, twice))} stands twice; each column must be there once")
-    shapes = [name for name in header if name not in NOT_SHAPES and not ANGLES.fullmatch(name)]
-    if "Timecode" not in header or not shapes:
-        raise InputError(f"{path}: expected the columns of a Live Link Face recording, Timecode first; found {header[:4]}")
-    if not body:
-        raise InputError(f"{path}: no frames below the header; record again, or export the take once more")
-    for number, row in enumerate(body, start=2):
-        if len(row) != len(header):
-            raise InputError(f"{path}, line {number}: {len(row)} values, expected {len(header)} as in the header")
-    columns = {name: header.index(name) for name in shapes}
-    weights = [
-        [_number(path, number, name, row[column]) for name, column in columns.items()]
-        for number, row in enumerate(body, start=2)
-    ]
-    names = [name[0].lower() + name[1:] for name in shapes]
-    return Recording(names, torch.tensor(weights), _frames_per_second(path, [row[header.index("Timecode")] for row in body]))
+    return recording_of(read_csv(Path(str(path)), TIMECODE))
+
+
+def is_recording(table: CsvTable) -> bool:
+    """Whether a table has timecodes."""
+    return TIMECODE in (name.lower() for name in table.header)
+
+
+def recording_of(table: CsvTable) -> Recording:
+    """A table with a column of timecodes as a recording; raises as `read_live_link`."""
+    columns = _columns(table)
+    if not is_recording(table) or not columns:
+        raise InputError(
+            f"{table.path}: expected the columns of a Live Link Face recording, Timecode first; found {table.header[:4]}"
+        )
+    when = timing(table.path, table.texts, table.lines)
+    weights = table.columns(list(columns.values()))[when.kept]
+    notes = [*table.notes, *when.notes, *_left_out(table, columns), *_beyond(table.path, list(columns), weights)]
+    facts = SourceFacts(FORMAT, rate_source=when.rate_source, notes=tuple(notes))
+    return Recording(list(columns), torch.tensor(weights, dtype=torch.float32), when.fps, when.frame_numbers, facts)
+
+
+def _columns(table: CsvTable) -> dict[str, int]:
+    """The columns that are shapes: ARKit's, however they are spelled, and others that hold weights."""
+    arkit, found = {name.lower(): name for name in ARKIT_NAMES}, {}
+    for number, column in enumerate(table.header):
+        name = arkit.get(plain_name(column))
+        if name is None:
+            named = any(pattern.fullmatch(plain_name(column)) for pattern in (APPS_OWN, NO_SHAPES))
+            if named or number in table.faults or not _are_weights(table.numbers[:, number]):
+                continue
+            name = column[0].lower() + column[1:]
+        if name in found:
+            raise InputError(f"{table.path}: columns {table.header[found[name]]} and {column} are one shape: leave one out")
+        found[name] = number
+    return found
+
+
+def _are_weights(values: np.ndarray) -> bool:
+    """Whether a column that nobody knows may be weights of a shape: numbers about 0 to 1 that change, not whole ones alone."""
+    return bool(values.min() > -1 and values.max() < 2 and np.ptp(values) > MOVES and (values % 1 != 0).any())
+
+
+def _left_out(table: CsvTable, shapes: dict[str, int]) -> list[str]:
+    others = [number for number in range(len(table.header)) if number not in shapes.values()]
+    turning = [n for n in others if ANGLES.fullmatch(plain_name(table.header[n])) and n not in table.faults]
+    moved = any(np.ptp(table.numbers[:, number]) > MOVES for number in turning)
+    unknown = [repr(table.header[n]) for n in others if not APPS_OWN.fullmatch(plain_name(table.header[n]))]
+    notes = ["the turns of head and eyes were left out: the meshes stay where the rig has them"] if moved else []
+    if unknown:
+        notes.append(
+            f"columns that are no weights of shapes were left out: {', '.join(unknown[:6])}{', ...' * (len(unknown) > 6)}"
+        )
+    return notes
+
+
+def _beyond(path: Path, names: list[str], weights: np.ndarray) -> list[str]:
+    """A note of weights beyond 0 to 1; those that are no weights raise InputError."""
+    away = np.maximum(weights - 1, -weights)
+    row, column = np.unravel_index(int(away.argmax()), away.shape)
+    most = f"{names[column]} is {weights[row, column]:.4g} in row {row + 1}"
+    if away[row, column] > PER_CENT:
+        raise InputError(f"{path}: {most}, expected weights from 0 to 1: if they are per cent, divide them by 100")
+    beyond = np.count_nonzero(away > UNUSUAL)
+    return [f"{beyond:,} weights lie beyond 0 to 1 and were taken as they are; {most}"] if beyond else []
 
 
 def live_link_clip(path: str | Path, rig: RigBackend, name: str = "capture") -> WeightedShapes:
+    """The clip of a recording as a set of meshes, see `RecordedShapes`."""
+    shapes = RecordedShapes(read_csv(Path(str(path)), TIMECODE), rig, ReadingOptions()).shapes
+    return shapes.named(name)
+
+
+class RecordedShapes(MeshSequence):
     """The clip of a recording: the rig's ARKit shapes added linearly to its rest mesh, without the rig's own corrections.
 
     Such meshes lie near the rig's space, but mostly not in it, as captured meshes do.
 
+    Args:
+        table: the recording's.
+        rig: whose shapes it moves.
+        options: `unknown`: what happens with shapes that one of the two lacks.
+
     Raises:
         InputError: as `read_live_link`; or the rig lacks a shape that the file moves, or the file lacks one of the rig's.
     """
-    recording, shapes = read_live_link(path), rig.arkit_deltas()
-    if not shapes:
-        raise InputError(f"{path}: rig '{rig.name}' has no ARKit shapes that a Live Link Face recording could move")
-    missing = [shape for shape in shapes if shape not in recording.names]
+
+    in_rig_space = True
+
+    def __init__(self, table: CsvTable, rig: RigBackend, options: ReadingOptions) -> None:
+        recording, shapes = recording_of(table), rig.arkit_deltas()
+        if not shapes:
+            raise InputError(
+                f"{table.path}: rig '{rig.name}' has no ARKit shapes that a Live Link Face recording could move: give a clip "
+                f"of its mesh, or curves of its own controls"
+            )
+        notes = [*_mapped(recording, rig), *_unknown(table, recording, rig, options)]
+        used = [shape for shape in shapes if shape in recording.names]
+        deltas = torch.stack([shapes[shape] for shape in used])
+        weights = recording.weights[:, [recording.names.index(shape) for shape in used]].to(rig.dtype)
+        self.shapes = WeightedShapes("recording", rig.rest_vertices, deltas, weights, recording.fps)
+        faces = Polygons.triangles(rig.faces.cpu().numpy())
+        facts = replace(recording.facts, notes=(*recording.facts.notes, *notes))
+        super().__init__(table.path, recording.frame_numbers, len(rig.rest_vertices), faces, recording.fps, 1.0, "y", facts)
+
+    def read(self, start: int, stop: int) -> np.ndarray:
+        return self.shapes.vertices(start, stop).float().cpu().numpy()
+
+
+def _mapped(recording: Recording, rig: RigBackend) -> list[str]:
+    """Notes of shapes that the rig splits or merges."""
+    parts = {name: found for name, found in rig.arkit_parts().items() if name in recording.names}
+    split = [f"{name} drives {' and '.join(found.names)}" for name, found in parts.items() if len(found.names) > 1]
+    merged: dict[str, list[str]] = {}
+    for name, found in parts.items():
+        if found.factor != 1:
+            merged.setdefault(found.names[0], []).append(name)
+    split += [f"the mean of {' and '.join(names)} drives {shape}" for shape, names in merged.items()]
+    return [f"shapes that the rig splits or merges: {'; '.join(split)}"] if split else []
+
+
+def _unknown(table: CsvTable, recording: Recording, rig: RigBackend, options: ReadingOptions) -> list[str]:
+    """Notes of shapes that only one of the two has.
+
+    Raises:
+        InputError: such shapes matter, and are not to be ignored.
+    """
+    shapes, notes = rig.arkit_deltas(), []
+    missing = [_column(shape) for shape in shapes if shape not in recording.names]
+    if missing and not options.accepts_missing:
+        raise InputError(
+            f"{table.path}: {len(missing)} of the {len(shapes)} ARKit columns are missing, the first: "
+            f"{', '.join(missing[:4])}; reading.unknown=ignore_missing lets these shapes stay at 0"
+        )
     if missing:
-        columns = ", ".join(_column(shape) for shape in missing[:4])
-        raise InputError(f"{path}: {len(missing)} of the {len(shapes)} ARKit columns are missing, the first: {columns}")
-    for shape, curve in zip(recording.names, recording.weights.T):
-        if shape not in shapes and curve.any():
-            raise InputError(f"{path}: column {_column(shape)} moves, but rig '{rig.name}' has no ARKit shape of that name")
-    order = [recording.names.index(shape) for shape in shapes]
-    deltas = torch.stack(list(shapes.values()))
-    return WeightedShapes(name, rig.rest_vertices, deltas, recording.weights[:, order].to(rig.dtype), recording.fps)
+        notes.append(f"shapes without a column stay at 0: {', '.join(missing)}")
+    new = [
+        name
+        for name, curve in zip(recording.names, recording.weights.T)
+        if name not in shapes and float(curve.abs().max()) > MOVES
+    ]
+    if new and not options.accepts_new:
+        raise InputError(
+            f"{table.path}: column {_column(new[0])} moves, but rig '{rig.name}' has no ARKit shape of that name"
+            f"{f' (nor of {len(new) - 1} more)' if len(new) > 1 else ''}; reading.unknown=ignore_new leaves it out"
+        )
+    if new:
+        notes.append(f"columns that move what the rig lacks were left out: {', '.join(map(_column, new))}")
+    return notes
 
 
 def _column(shape: str) -> str:
     """The column of an ARKit shape: `jawOpen` stands as JawOpen."""
     return shape[0].upper() + shape[1:]
-
-
-def _rows(path: Path) -> list[list[str]]:
-    check_regular(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; capture= takes the CSV of a Live Link Face recording") from None
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as a CSV: {error}") from None
-    if not rows:
-        raise InputError(f"{path}: the file is empty; expected the CSV of a Live Link Face recording")
-    return rows
-
-
-def _number(path: Path, line: int, column: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{path}, line {line}, column {column}: found {text!r}, expected a finite number")
-    return value
-
-
-def _frames_per_second(path: Path, timecodes: list[str]) -> float:
-    """From the first and the last timecode; a take of one frame counts as 60."""
-    seconds = []
-    for line, timecode in ((2, timecodes[0]), (len(timecodes) + 1, timecodes[-1])):
-        match = TIMECODE.fullmatch(timecode)
-        if not match:
-            raise InputError(f"{path}, line {line}, column Timecode: found {timecode!r}, expected HH:MM:SS:FF.fff")
-        hours, minutes, whole, frames = (float(part) for part in match.groups())
-        seconds.append(3600 * hours + 60 * minutes + whole + frames / TIMECODE_FPS)
-    length = (seconds[1] - seconds[0]) % (24 * 3600)
-    return round((len(timecodes) - 1) / length, 3) if length > 0 else float(TIMECODE_FPS)

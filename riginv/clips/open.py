@@ -3,18 +3,19 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import numpy as np
-
 from riginv.build import class_of
 from riginv.clips.arrays import ArrayClip
 from riginv.clips.clip import Clip
+from riginv.clips.control_curves import csv_curves, holds_curves, npz_curves
+from riginv.clips.csv_table import read_csv
 from riginv.clips.file_frames import ObjFrames, PlyFrames
-from riginv.clips.live_link import live_link_clip
+from riginv.clips.live_link import TIMECODE, RecordedShapes, is_recording
 from riginv.clips.numbered import is_pattern
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.picked import PickedVertices
 from riginv.clips.point_caches import MddCache, Pc2Cache
-from riginv.clips.sequence import MeshSequence, Polygons
+from riginv.clips.posed_curves import PosedCurves
+from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
 from riginv.errors import InputError
@@ -36,18 +37,6 @@ PLUG_INS = {
 KNOWN = (*READERS, *PLUG_INS, ".csv")
 
 
-class RecordedShapes(MeshSequence):
-    """A Live Link Face recording: its curves onto the shapes of a rig."""
-
-    def __init__(self, path: Path, rig: RigBackend) -> None:
-        self.shapes = live_link_clip(path, rig)
-        faces = Polygons.triangles(rig.faces.cpu().numpy())
-        super().__init__(path, np.arange(len(self.shapes)), len(rig.rest_vertices), faces, self.shapes.fps, 1.0, "y")
-
-    def read(self, start: int, stop: int) -> np.ndarray:
-        return self.shapes.vertices(start, stop).float().cpu().numpy()
-
-
 def open_clip(path: str, rig: RigBackend, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
     """A clip of a rig, and notes about what was guessed.
 
@@ -67,7 +56,7 @@ def open_sequence(path: str, rig: RigBackend, options: ReadingOptions) -> MeshSe
     """Open a clip with the reader that its name calls for.
 
     Args:
-        rig: whose mesh it should hold.
+        rig: whose mesh it should hold; whose shapes or controls it should move.
         options: what the user says about the file.
 
     Raises:
@@ -84,10 +73,13 @@ def open_sequence(path: str, rig: RigBackend, options: ReadingOptions) -> MeshSe
         return FRAMES[suffix](path, options)
     if is_pattern(path) and not given.exists():
         raise InputError(f"{path}: patterns are for OBJ and PLY files, one for each frame: expected one ending in .obj or .ply")
+    if suffix == ".npz" and holds_curves(given):
+        return PosedCurves(npz_curves(given), rig, options)
     if suffix in READERS:
         return READERS[suffix](path, options)
     if suffix == ".csv":
-        return RecordedShapes(given, rig)
+        table = read_csv(given, TIMECODE)
+        return RecordedShapes(table, rig, options) if is_recording(table) else PosedCurves(csv_curves(table), rig, options)
     if suffix in PLUG_INS:
         return class_of(PLUG_INS[suffix], kind=MeshSequence).for_rig(path, options, rig)
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")

@@ -7,6 +7,7 @@ from typing import Any
 from riginv.errors import InputError
 
 MISSING_FRAMES = ("error", "bridge")
+UNKNOWN_NAMES = ("error", "ignore_missing", "ignore_new", "ignore_both")
 
 
 @dataclass(frozen=True)
@@ -24,10 +25,12 @@ class ReadingOptions:
         vertices: a file with the clip's vertex for each vertex of the rig, -1 for none; None: the same order.
         check_faces: whether faces are compared with the rig's.
         missing_frames: `error`, or `bridge`: frames of a numbered sequence that have no file count as unknown.
+        unknown: what happens with names in a recording or in curves that do not fit the rig: `error`; `ignore_new`: names that
+            the rig lacks are left out; `ignore_missing`: what the file does not name stays at rest; `ignore_both`.
         interpreter: a Python with bpy, or Blender, for Alembic and FBX; None: $RIGINV_BLENDER, or this Python.
 
     Raises:
-        InputError: `missing_frames` is none of its choices.
+        InputError: `missing_frames` or `unknown` is none of its choices.
     """
 
     unit: str | float = "auto"
@@ -39,11 +42,24 @@ class ReadingOptions:
     vertices: str | None = None
     check_faces: bool = True
     missing_frames: str = "error"
+    unknown: str = "error"
     interpreter: str | None = None
 
     def __post_init__(self) -> None:
         if self.missing_frames not in MISSING_FRAMES:
             raise InputError(f"reading.missing_frames is {self.missing_frames!r}, expected {' or '.join(MISSING_FRAMES)}")
+        if self.unknown not in UNKNOWN_NAMES:
+            raise InputError(f"reading.unknown is {self.unknown!r}, expected one of {', '.join(UNKNOWN_NAMES)}")
+
+    @property
+    def accepts_new(self) -> bool:
+        """Whether names that the rig lacks are left out."""
+        return self.unknown in ("ignore_new", "ignore_both")
+
+    @property
+    def accepts_missing(self) -> bool:
+        """Whether what a file does not name stays at rest."""
+        return self.unknown in ("ignore_missing", "ignore_both")
 
     @property
     def mesh_names(self) -> list[str]:

@@ -89,7 +89,12 @@ class MeshSequence(ABC):
         fps: frames a second, where the file says so, else None.
         unit_mm: millimetres to a unit, where the file says so, else None.
         up: the axis that points up, `x`, `y` or `z`, where the file says so, else None.
+        in_rig_space: whether the meshes were made from a rig's own, so that no motion of the whole can be in them.
+        controls: those of the rig that made them, `(frame, control)`, where the source holds such; else None.
     """
+
+    in_rig_space: bool = False
+    controls: np.ndarray | None = None
 
     def __init__(
         self,

@@ -74,7 +74,8 @@ def _unit(clip: MeshSequence, unit: Any, found: float, rig_mm: float, rig: str, 
 
 def _guessed_unit(clip: MeshSequence, found: float, rig_mm: float, rig: str, notes: list[str]) -> float:
     if clip.unit_mm and rig_mm / ABSURD < found * clip.unit_mm < rig_mm * ABSURD:
-        notes.append(f"units of {clip.unit_mm:g} mm, as the file says")
+        if not clip.in_rig_space:
+            notes.append(f"units of {clip.unit_mm:g} mm, as the file says")
         return clip.unit_mm
     misfits = {name: abs(math.log(found * UNITS[name] / rig_mm)) for name in GUESSED} if found > 0 else {}
     best = min(misfits, key=misfits.get, default=None)
@@ -98,6 +99,8 @@ def _absurd(clip: MeshSequence, found_mm: float, rig_mm: float, rig: str, taken:
 
 def _up(clip: MeshSequence, up: Any, notes: list[str]) -> str:
     if up == "auto":
+        if clip.up and clip.in_rig_space:
+            return clip.up
         if clip.up:
             notes.append(f"{clip.up} is up, as the file says")
         else:

@@ -1,7 +1,7 @@
 """What an inversion found: controls over time, and how good they are frame by frame."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -76,6 +76,18 @@ class Animation:
         return (self.frame_numbers - self.frame_numbers[0]).double() / self.fps
 
 
+class Reach(NamedTuple):
+    """The least error that the rig can reach, on a few frames.
+
+    Attributes:
+        rows: of the frames that were judged, `(frame,)`.
+        least_mm: the least mean vertex error that a solver found for each, `(frame,)`.
+    """
+
+    rows: Tensor
+    least_mm: Tensor
+
+
 @dataclass(frozen=True)
 class FrameErrors:
     """How far each frame's recovered mesh is off, by the true rig.
@@ -87,6 +99,8 @@ class FrameErrors:
         flags: for each frame why to look at it: `outside_training_range`, `outside_reach`, `not_converged`,
             `missing_vertices`.
         frame_numbers: `(frame,)`, of the frames that were judged; None: those of the animation.
+        neutral_mm: `(frame,)`, the mean error of the neutral mesh in place of the recovered one; None: not measured.
+        reach: the least error that the rig can reach on a few frames; None: not known.
     """
 
     mean_mm: Tensor
@@ -95,6 +109,18 @@ class FrameErrors:
     worst_region: list[str]
     flags: list[list[str]]
     frame_numbers: Tensor | None = None
+    neutral_mm: Tensor | None = None
+    reach: Reach | None = None
+
+    def summary(self) -> dict[str, float]:
+        """The mean errors over all frames that are known, mm, and on those whose least error is."""
+        found = {"mean_error_mm": self.mean_mm, "max_error_mm": self.max_mm, "neutral_mean_error_mm": self.neutral_mm}
+        values = {key: float(errors.nanmean()) for key, errors in found.items() if errors is not None}
+        values["max_error_mm"] = float(self.max_mm.nan_to_num(0.0).max())
+        if self.reach is not None:
+            values["least_mean_error_mm"] = float(self.reach.least_mm.mean())
+            values["mean_error_there_mm"] = float(self.mean_mm[self.reach.rows].mean())
+        return values
 
     @property
     def flagged(self) -> list[int]:

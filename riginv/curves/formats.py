@@ -66,7 +66,7 @@ def write_formats(
     """
     check_formats(animation.rig, names)
     write_curves(folder / CURVES, animation)
-    write_sidecar(folder / SIDECAR, animation)
+    write_sidecar(folder / SIDECAR, animation, errors)
     write_frames(folder / FRAMES, animation, errors)
     paths = [folder / CURVES, folder / SIDECAR, folder / FRAMES]
     for name in dict.fromkeys(name for name in names if name != "csv"):

@@ -1,6 +1,5 @@
 """Live Link Face CSV: the 52 shapes of ARKit and the turn of the head, as the app writes them."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +7,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from riginv.arkit import LIVE_LINK_SHAPES, plain_name
 from riginv.curves.animation import Animation
 from riginv.curves.table import write_rows
 from riginv.errors import InputError
@@ -15,15 +15,6 @@ from riginv.rig import LinearRig, RigBackend
 from riginv.solvers.bounded import bounded_least_squares
 
 FILE = "live_link.csv"
-SHAPES = (  # in the order of the app's columns
-    "EyeBlinkLeft EyeLookDownLeft EyeLookInLeft EyeLookOutLeft EyeLookUpLeft EyeSquintLeft EyeWideLeft EyeBlinkRight "
-    "EyeLookDownRight EyeLookInRight EyeLookOutRight EyeLookUpRight EyeSquintRight EyeWideRight JawForward JawRight JawLeft "
-    "JawOpen MouthClose MouthFunnel MouthPucker MouthRight MouthLeft MouthSmileLeft MouthSmileRight MouthFrownLeft "
-    "MouthFrownRight MouthDimpleLeft MouthDimpleRight MouthStretchLeft MouthStretchRight MouthRollLower MouthRollUpper "
-    "MouthShrugLower MouthShrugUpper MouthPressLeft MouthPressRight MouthLowerDownLeft MouthLowerDownRight MouthUpperUpLeft "
-    "MouthUpperUpRight BrowDownLeft BrowDownRight BrowInnerUp BrowOuterUpLeft BrowOuterUpRight CheekPuff CheekSquintLeft "
-    "CheekSquintRight NoseSneerLeft NoseSneerRight TongueOut"
-).split()
 ANGLES = [f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll")]
 TIMECODE_FPS = 60  # the app counts 60 frames a second in its timecode, whatever it records at
 PIECE = 256  # frames at a time
@@ -35,7 +26,7 @@ def check(rig: RigBackend) -> None:
     if not rig.arkit_deltas() and not named_controls(rig):
         raise InputError(
             f"formats: livelink needs ARKit's shapes, and rig '{rig.name}' has neither shapes nor controls of their names "
-            f"(such as {SHAPES[0]}); choose csv"
+            f"(such as {LIVE_LINK_SHAPES[0]}); choose csv"
         )
 
 
@@ -45,20 +36,20 @@ def write(path: Path, animation: Animation, swap_mouth: bool = False) -> None:
     Args:
         swap_mouth: exchange MouthLeft and MouthRight: some software takes them the other way round than the app.
     """
-    shapes = dict(zip(SHAPES, arkit_weights(animation).T.tolist()))
+    shapes = dict(zip(LIVE_LINK_SHAPES, arkit_weights(animation).T.tolist()))
     if swap_mouth:
         shapes["MouthLeft"], shapes["MouthRight"] = shapes["MouthRight"], shapes["MouthLeft"]
     angles = np.zeros((len(animation), len(ANGLES)))
     if animation.motion is not None:
         turns = Rotation.from_matrix(animation.motion[:, :3, :3].detach().cpu().double().numpy())
         angles[:, :3] = turns.as_euler("YXZ")  # radians, as in the app
-    values = np.concatenate([np.stack([shapes[name] for name in SHAPES], axis=1), angles], axis=1)
+    values = np.concatenate([np.stack([shapes[name] for name in LIVE_LINK_SHAPES], axis=1), angles], axis=1)
     first = float(animation.frame_numbers[0]) / animation.fps
     rows = [
-        [timecode(first + seconds), len(SHAPES) + len(ANGLES), *(f"{value:.10f}" for value in row)]
+        [timecode(first + seconds), len(LIVE_LINK_SHAPES) + len(ANGLES), *(f"{value:.10f}" for value in row)]
         for seconds, row in zip(animation.seconds.tolist(), values.tolist())
     ]
-    write_rows(path, ["Timecode", "BlendShapeCount", *SHAPES, *ANGLES], rows)
+    write_rows(path, ["Timecode", "BlendShapeCount", *LIVE_LINK_SHAPES, *ANGLES], rows)
 
 
 def timecode(seconds: float) -> str:
@@ -74,26 +65,26 @@ def named_controls(rig: RigBackend) -> dict[str, int]:
     """The number of the control that has the name of each ARKit shape; case, underscores and prefixes do not matter."""
     found: dict[str, int] = {}
     for number, name in enumerate(rig.control_names):
-        found.setdefault(_plain(name), number)
-    return {shape: found[shape.lower()] for shape in SHAPES if shape.lower() in found}
+        found.setdefault(plain_name(name), number)
+    return {shape: found[shape.lower()] for shape in LIVE_LINK_SHAPES if shape.lower() in found}
 
 
 def arkit_weights(animation: Animation) -> Tensor:
-    """Weights `(frame, shape)` in [0, 1] of ARKit's shapes, in the order of `SHAPES`.
+    """Weights `(frame, shape)` in [0, 1] of ARKit's shapes, in the order of `LIVE_LINK_SHAPES`.
 
     Where every control of the rig is one of ARKit's, or the rig has no shapes of these names, they are the controls. Else
     other controls move the face, too, and the weights are those whose shapes, added linearly, come nearest to its meshes.
     """
     rig, named = animation.rig, named_controls(animation.rig)
     shapes = {name[0].upper() + name[1:]: delta for name, delta in rig.arkit_deltas().items()}
-    weights = torch.zeros(len(animation), len(SHAPES), dtype=torch.float64)
+    weights = torch.zeros(len(animation), len(LIVE_LINK_SHAPES), dtype=torch.float64)
     if not shapes or len(named) == len(rig.controls):
         for name, number in named.items():
-            weights[:, SHAPES.index(name)] = animation.controls[:, number].detach().cpu().double()
+            weights[:, LIVE_LINK_SHAPES.index(name)] = animation.controls[:, number].detach().cpu().double()
         return weights.clamp(0, 1)
     nearest = nearest_weights(rig, torch.stack(list(shapes.values())), animation.controls)
     for name, column in zip(shapes, nearest.T):
-        weights[:, SHAPES.index(name)] = column
+        weights[:, LIVE_LINK_SHAPES.index(name)] = column
     return weights
 
 
@@ -113,10 +104,3 @@ def nearest_weights(rig: RigBackend, deltas: Tensor, controls: Tensor) -> Tensor
             aim = (rig.coefficients(piece) - rig.neutral_coefficients()).double() @ along
         found.append(bounded_least_squares(gram, aim))
     return torch.cat(found).cpu()
-
-
-def _plain(name: str) -> str:
-    stem = re.split(r"[.:]", name)[-1]
-    side = re.fullmatch(r"(.+)[_\- ]([lLrR])", stem)
-    stem = side[1] + {"l": "left", "r": "right"}[side[2].lower()] if side else stem
-    return re.sub(r"[_\- ]", "", stem).lower()

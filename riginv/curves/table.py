@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,8 @@ def write_curves(path: Path, animation: Animation) -> None:
     write_rows(path, columns, [[number, time, *row] for number, time, row in zip(numbers, times, digits(values))])
 
 
-def write_sidecar(path: Path, animation: Animation) -> None:
-    """Write what the columns of curves.csv mean."""
+def write_sidecar(path: Path, animation: Animation, errors: FrameErrors) -> None:
+    """Write what the columns of curves.csv mean, and how large the errors are."""
     numbers = animation.frame_numbers.tolist()
     content: dict[str, Any] = {
         "source": animation.source,
@@ -41,7 +42,11 @@ def write_sidecar(path: Path, animation: Animation) -> None:
         "space": SPACE,
         "controls": [vars(control) for control in animation.rig.controls],
         "made_by": animation.made_by,
+        "errors": {key: round(value, 6) for key, value in errors.summary().items() if math.isfinite(value)},
     }
+    if errors.reach is not None:
+        judged = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
+        content["errors"]["least_error_frames"] = judged[errors.reach.rows].tolist()
     if animation.motion is not None:
         content["motion"] = [*MOVE_COLUMNS, *TURN_COLUMNS]
     if animation.keys is not None:
@@ -54,6 +59,12 @@ def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:
     """Write a row for each frame that was judged."""
     numbers = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
     columns = ["frame", "mean_error_mm", "max_error_mm", "worst_vertex", "worst_region", "flags"]
+    columns += ["neutral_error_mm", "least_error_mm"]
+    least: list[str] = [""] * len(numbers)
+    if errors.reach is not None:
+        for row, (value,) in zip(errors.reach.rows.tolist(), digits(errors.reach.least_mm[:, None].cpu().numpy())):
+            least[row] = value
+    neutral = [[""]] * len(numbers) if errors.neutral_mm is None else digits(errors.neutral_mm[:, None].cpu().numpy())
     rows = zip(
         numbers.tolist(),
         digits(errors.mean_mm[:, None].cpu().numpy()),
@@ -61,8 +72,13 @@ def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:
         errors.worst_vertex.tolist(),
         errors.worst_region,
         errors.flags,
+        neutral,
+        least,
     )
-    body = [[number, *mean, *most, vertex, region, ";".join(flags)] for number, mean, most, vertex, region, flags in rows]
+    body = [
+        [number, *mean, *most, vertex, region, ";".join(flags), *rest, low]
+        for number, mean, most, vertex, region, flags, rest, low in rows
+    ]
     write_rows(path, columns, body)
 
 

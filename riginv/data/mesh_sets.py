@@ -17,10 +17,16 @@ class MeshSet(ABC):
         name: the set's key in metrics.
         fps: frames a second where the set is a clip, else None.
         controls: the controls `(mesh, control)` that made the meshes, where they are poses of the rig, else None.
+        frame_numbers: of a clip, `(mesh,)`, rising, with gaps where frames are missing; None: one after the other.
+        notes: what was guessed, mended or left out as it was read or made, in whole sentences, for the user.
     """
 
-    def __init__(self, name: str, fps: float | None = None, controls: Tensor | None = None) -> None:
-        self.name, self.fps, self.controls = name, fps, controls
+    notes: tuple[str, ...] = ()
+
+    def __init__(
+        self, name: str, fps: float | None = None, controls: Tensor | None = None, frame_numbers: Tensor | None = None
+    ) -> None:
+        self.name, self.fps, self.controls, self.frame_numbers = name, fps, controls, frame_numbers
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -28,6 +34,10 @@ class MeshSet(ABC):
     @abstractmethod
     def vertices(self, start: int, stop: int) -> Tensor:
         """The meshes `start` to `stop`, `(mesh, vertex, 3)`, mm."""
+
+    def known(self, start: int, stop: int) -> Tensor | None:
+        """Which vertices of the meshes `start` to `stop` errors are measured at, `(mesh, vertex)`; None: all of them."""
+        return None
 
     def named(self, name: str) -> "MeshSet":
         """The same set under another name."""
@@ -50,8 +60,16 @@ class WeightedShapes(MeshSet):
         weights: `(mesh, shape)`.
     """
 
-    def __init__(self, name: str, rest_vertices: Tensor, deltas: Tensor, weights: Tensor, fps: float | None = None) -> None:
-        super().__init__(name, fps)
+    def __init__(
+        self,
+        name: str,
+        rest_vertices: Tensor,
+        deltas: Tensor,
+        weights: Tensor,
+        fps: float | None = None,
+        frame_numbers: Tensor | None = None,
+    ) -> None:
+        super().__init__(name, fps, frame_numbers=frame_numbers)
         self.rest_vertices, self.deltas, self.weights = rest_vertices, deltas, weights.to(deltas.dtype)
 
     def __len__(self) -> int:

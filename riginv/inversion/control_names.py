@@ -10,10 +10,10 @@ from typing import Any
 
 import yaml
 
+from riginv.clips.options import UNKNOWN_NAMES
 from riginv.errors import InputError
 from riginv.rig import RigBackend
 
-POLICIES = ("error", "ignore_missing", "ignore_new", "ignore_both")
 SIDES = (
     ("Left", "Right"),
     ("left", "right"),
@@ -39,8 +39,8 @@ class ControlNames:
     """
 
     def __init__(self, rig: RigBackend, policy: str) -> None:
-        if policy not in POLICIES:
-            raise InputError(f"controls.unknown is {policy!r}, expected one of {', '.join(POLICIES)}")
+        if policy not in UNKNOWN_NAMES:
+            raise InputError(f"controls.unknown is {policy!r}, expected one of {', '.join(UNKNOWN_NAMES)}")
         self.rig, self.names = rig.name, rig.control_names
         self.number = {name: number for number, name in enumerate(self.names)}
         self.accept_new = policy in ("ignore_new", "ignore_both")

@@ -52,6 +52,7 @@ class FrameJudge:
         self.believed, self.regions, self.reach_mm, self.range_mm = believed, regions, reach_mm, range_mm
         # Made once: small tensors that stay, between large ones that go, would leave memory full of holes.
         self.mean, self.worst = torch.full((frames,), torch.nan), torch.full((frames,), torch.nan)
+        self.neutral = torch.full((frames,), torch.nan)
         self.vertex, self.flags = torch.zeros(frames, dtype=torch.long), []
 
     @torch.no_grad()
@@ -73,6 +74,8 @@ class FrameJudge:
         rows = slice(len(self.flags), len(self.flags) + len(mean))
         self.mean[rows], self.vertex[rows] = mean, vertex
         self.worst[rows] = torch.where(counts > 0, worst, torch.nan)
+        neutral = torch.where(seen, (self.true_rig.rest_vertices - found.still).norm(dim=2), 0.0)
+        self.neutral[rows] = torch.where(counts > 0, neutral.sum(dim=1) / counts.clamp_min(1), torch.nan)
         settled = self.solving.settled(found.complete, found.controls) if settled is None else settled
         self.flags += self._flags(found, mean, settled)
 
@@ -103,4 +106,4 @@ class FrameJudge:
         """What was found, frame by frame."""
         known = zip(self.vertex.tolist(), self.mean.isnan().tolist())
         regions = ["" if unknown else self.regions[vertex] for vertex, unknown in known]
-        return FrameErrors(self.mean, self.worst, self.vertex, regions, self.flags, frame_numbers)
+        return FrameErrors(self.mean, self.worst, self.vertex, regions, self.flags, frame_numbers, self.neutral)

@@ -66,7 +66,7 @@ def invert_clip(
         kept.keep(start, found)
         advance("inverting", len(vertices))
     kept.check(clip)
-    return kept.finished(bridged(kept.controls, kept.known), clip, judge)
+    return kept.finished(bridged(kept.controls, kept.known, clip.frame_numbers), clip, judge)
 
 
 def invert_smoothly(
@@ -97,8 +97,10 @@ def invert_smoothly(
     start = Solution.at_neutral(solving.objective, len(clip))
     start.units, start.skipped = solving.units(kept.controls), ~kept.known
     advance("the whole clip", 0)
-    begin = smoothed(start, how.blur)
-    smooth = solve_clip(solving.objective, coordinates, begin, how.smoothness, how.steps, how.mean_steps)
+    begin = smoothed(start, how.blur, clip.frame_numbers)
+    smooth = solve_clip(
+        solving.objective, coordinates, begin, how.smoothness, how.steps, how.mean_steps, numbers=clip.frame_numbers
+    )
     controls = solving.controls(smooth)
     for first, vertices in clip.pieces(window):
         rows = slice(first, first + len(vertices))
@@ -138,6 +140,6 @@ class _Kept:
             raise InputError(f"{clip.sequence.path}: no frame has enough known vertices: there is nothing to invert")
 
     def finished(self, controls: Tensor, clip: Clip, judge: FrameJudge) -> Inversion:
-        motion = None if self.motion is None else bridged_motion(self.motion, self.known)
+        motion = None if self.motion is None else bridged_motion(self.motion, self.known, clip.frame_numbers)
         rig = judge.true_rig
         return Inversion(controls.clamp(rig.lower, rig.upper), motion, judge.errors(clip.frame_numbers))

@@ -14,6 +14,7 @@ from riginv.inversion.frame_judge import FrameJudge
 from riginv.inversion.held_rig import HeldRig
 from riginv.inversion.preferences import PreferringObjective
 from riginv.inversion.regions import label, regions_of, vertex_weights
+from riginv.inversion.rigid_check import anchors_if_moving
 from riginv.inversion.solving import ByNetwork, BySolver
 from riginv.inversion.static_controls import static_values
 from riginv.inversion.stillness import moves_itself, stillness
@@ -85,8 +86,12 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
     anchors = _anchors(config["motion"], in_space, true_rig, weights, notes)
+    by_solver = REFINED if inverse else EACH_FRAME
+    if anchors is not None and config["motion"] == "auto":
+        solving = build_solver(config, in_space, wishes, weights, inverse, by_solver)
+        anchors = anchors_if_moving(clip, rig, solving, anchors, weights, config["turns"], notes)
     if bool(wishes.static.any()):
-        solving = build_solver(config, in_space, wishes, weights, inverse, REFINED if inverse else EACH_FRAME)
+        solving = build_solver(config, in_space, wishes, weights, inverse, by_solver)
         inverter = WindowInverter(rig, solving, anchors, None, config["turns"])
         wishes = wishes.with_held(wishes.static, static_values(clip, inverter, solving, wishes.static))
     solving = (

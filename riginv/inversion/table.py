@@ -65,6 +65,8 @@ def show(
         table.add_column(heading, justify="right" if heading else "left")
     for name, values in (("mean over a frame's vertices", errors.mean_mm), ("worst vertex of a frame", errors.max_mm)):
         table.add_row(name, *_figures(values[known]))
+    if errors.neutral_mm is not None:
+        table.add_row("neutral in its place", *_figures(errors.neutral_mm[known]))
     console.print(table)
     worst = ", ".join(_frame(animation, errors, row) for row in _worst(animation, errors, known))
     console.print(
@@ -72,6 +74,8 @@ def show(
         highlight=False,
         soft_wrap=True,
     )
+    if errors.reach is not None:
+        console.print(f"  {_scale(errors)}", highlight=False, soft_wrap=True)
     if animation.motion is not None:
         console.print(f"  Rigid motion was taken out: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
     counts = Counter(flag for flags in errors.flags for flag in flags)
@@ -82,6 +86,14 @@ def show(
     for note in notes:
         console.print(f"  {note}", highlight=False, soft_wrap=True, markup=False)
     console.print(f"  {folder}: {', '.join(files)}", highlight=False, soft_wrap=True, markup=False)
+
+
+def _scale(errors: FrameErrors) -> str:
+    """How the errors compare with the least that is possible."""
+    values, count = errors.summary(), len(errors.reach.rows)
+    ours, least = values["mean_error_there_mm"], values["least_mean_error_mm"]
+    frames = f"{count} frames spread over the clip" if count > 1 else "one frame"
+    return f"Least possible, from many starts, on {frames}: {least:.3g} mm; these curves: {ours:.3g} mm there."
 
 
 def _worst(animation: Animation, errors: FrameErrors, known: Tensor) -> list[int]:

@@ -41,7 +41,7 @@ class Clocked(MeshSet):
     """A set that keeps count of the seconds it takes to make its meshes, and hides the controls that made them."""
 
     def __init__(self, meshes: MeshSet) -> None:
-        super().__init__(meshes.name, meshes.fps)
+        super().__init__(meshes.name, meshes.fps, frame_numbers=meshes.frame_numbers)
         self.meshes, self.seconds = meshes, 0.0
 
     def __len__(self) -> int:

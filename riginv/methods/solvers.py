@@ -105,8 +105,16 @@ class Clip(LevenbergMarquardt):
         if self.network is not None:
             start = self.objective.units(self.network.invert(meshes))
         else:
-            start = smoothed(self.frames(coordinates, rounds=0), self.blur)
-        found = solve_clip(self.objective, coordinates, start, self.smoothness, self.clip_steps, self.mean_steps)
+            start = smoothed(self.frames(coordinates, rounds=0), self.blur, meshes.frame_numbers)
+        found = solve_clip(
+            self.objective,
+            coordinates,
+            start,
+            self.smoothness,
+            self.clip_steps,
+            self.mean_steps,
+            numbers=meshes.frame_numbers,
+        )
         return self.objective.own_units(found)
 
 

@@ -50,7 +50,7 @@ def answer(task: Task) -> dict[str, Any]:
         figures[f"{name}/ms_per_frame"] = 1e3 * seconds / len(clocked)
         figures[f"{name}/nonzero_controls"] = nonzero_controls(found[name], programmatic.rig)
     if CLIP in found:
-        figures["roughness"] = roughness(found[CLIP])
+        figures["roughness"] = roughness(found[CLIP], sets[CLIP].frame_numbers)
     with written_beside(task.folder / FILE) as beside:
         save_file({name: controls.contiguous() for name, controls in found.items()}, beside)
     return figures

@@ -14,7 +14,7 @@ from riginv.data.test_sets import random_poses
 from riginv.files import written_beside
 from riginv.geometry.spread import evenly
 from riginv.judge import PIECE
-from riginv.metrics import VertexError
+from riginv.metrics import VertexError, mean_distance
 from riginv.reproduction.answers import read_answers
 from riginv.reproduction.cast import rig_in_space, the_judge, trained_rig
 from riginv.reproduction.sets import CONTROLS_FILE, VERTICES_FILE, KeptPoses, Rows, the_sets
@@ -78,15 +78,17 @@ def read_errors(folder: str | Path) -> dict[str, Tensor]:
 
 @torch.no_grad()
 def _compared(rig: RigBackend, meshes: MeshSet, controls: Tensor) -> tuple[dict[str, float], Tensor, Tensor]:
-    error, by_mesh, total = VertexError(), [], torch.zeros(len(rig.rest_vertices), dtype=torch.float64)
+    error, by_mesh = VertexError(), []
+    total, counts = torch.zeros(2, len(rig.rest_vertices), dtype=torch.float64)
     for start, vertices in meshes.pieces(PIECE):
-        found = rig(controls[start : start + len(vertices)])
-        error.update(found, vertices)
-        distances = (found - vertices).norm(dim=2)
-        by_mesh.append(distances.mean(dim=1))
-        total += distances.double().sum(dim=0)
+        found, known = rig(controls[start : start + len(vertices)]), meshes.known(start, start + len(vertices))
+        error.update(found, vertices, known)
+        by_mesh.append(mean_distance(found, vertices, known))
+        seen = torch.ones(vertices.shape[:2], dtype=torch.bool) if known is None else known
+        total += torch.where(seen, (found - vertices).norm(dim=2), 0.0).double().sum(dim=0)
+        counts += seen.sum(dim=0)
     figures = {key: float(value) for key, value in error.compute().items()}
-    return figures, torch.cat(by_mesh), (total / len(meshes)).float()
+    return figures, torch.cat(by_mesh), (total / counts.clamp_min(1)).float()
 
 
 def _workers(task: Task) -> int:

@@ -13,7 +13,7 @@ from riginv.reproduction.recipes import (
     through_surrogate,
     training_config,
 )
-from riginv.reproduction.sets import CAPTURED, CLIP, COMBINATIONS, POSES
+from riginv.reproduction.sets import CAPTURE_KEYS, CAPTURED, CLIP, COMBINATIONS, POSES
 from riginv.reproduction.steps import Step
 
 NETWORK = {"_target_": "riginv.methods.network.Network"}
@@ -45,7 +45,7 @@ class Plan:
     Args:
         config: the plain config of `riginv.reproduce`.
         judge: the config of the rig that judges.
-        capture: the path of the recording and the hash of its content, or None twice.
+        capture: the hash of the clip's content, or None where none is given.
         jobs: steps beside each other.
 
     Attributes:
@@ -53,12 +53,12 @@ class Plan:
         rows: by key.
     """
 
-    def __init__(self, config: Config, judge: Config, capture: tuple[str | None, str | None], jobs: int) -> None:
+    def __init__(self, config: Config, judge: Config, capture: str | None, jobs: int) -> None:
         self.budget, self.rig, self.body, self.judge = config["budget"], config["rig"], config["body"], judge
         self.seeds: list[int] = self.budget["seeds"]
         self.variants: dict[str, Any] = self.budget["variants"] or {}
-        self.sets = {"meshes": self.budget["meshes"], "frames": self.budget["frames"], "capture": capture[1]}
-        self.places = {"capture": capture[0], "jobs": jobs}
+        self.sets = {"meshes": self.budget["meshes"], "frames": self.budget["frames"], "capture": capture}
+        self.places = {**{key: config[key] for key in CAPTURE_KEYS}, "jobs": jobs}
         self.steps: list[Step] = []
         self.rows: dict[str, Row] = {}
         self._sample()

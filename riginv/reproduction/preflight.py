@@ -11,7 +11,8 @@ from riginv.build import build, class_of
 from riginv.cache import code_key
 from riginv.cli.run_folder import CONFIG, METRICS, RunFolder, find_run_folder
 from riginv.errors import InputError
-from riginv.files import discard, sha256
+from riginv.files import discard
+from riginv.inversion.capture import content_key
 from riginv.judge import build_judge
 from riginv.mesh_space import RigInMeshSpace
 from riginv.optimum import fingerprint
@@ -80,14 +81,14 @@ def find_folder(path: Path, config: Config, resume: bool) -> tuple[RunFolder, st
         return RunFolder(path, config, resumed=False), f"Going on with another config than before ({reason})."
 
 
-def check_capture(capture: str | None, rig: LinearRig) -> str | None:
-    """The hash of a recording that the rig can follow, or None where none is given.
+def check_capture(config: Config, rig: LinearRig) -> tuple[str | None, tuple[str, ...]]:
+    """The hash of what the clip of a config's `capture` holds, None where none is given; and what is to be said of it.
 
     Raises:
-        InputError: the recording cannot be read, or moves what the rig lacks.
+        InputError: the clip cannot be read, or is none of the rig.
     """
-    recording(rig, capture)
-    return sha256(Path(capture)) if capture else None
+    meshes = recording(rig, config)
+    return content_key(meshes) if config["capture"] else None, meshes.notes if meshes else ()
 
 
 def check_folder(folder: RunFolder, rig: RigInMeshSpace, budget: Config, trainings: int) -> None:

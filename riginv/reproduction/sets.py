@@ -1,6 +1,7 @@
 """The meshes that a reproduction judges on, and parts of sets."""
 
 import functools
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,15 +10,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.clips.live_link import live_link_clip
+from riginv.clips.options import clip_options
 from riginv.clips.performance import simulated_performance
 from riginv.data.mesh_sets import MeshSet, StoredMeshes
 from riginv.data.test_sets import random_sets
 from riginv.errors import InputError
 from riginv.geometry.spread import evenly
+from riginv.inversion.capture import open_capture
 from riginv.rig import LinearRig
 
 COMBINATIONS, POSES, CAPTURED, CLIP = "random_combinations", "rig_poses", "captured", "clip"
+CAPTURE_KEYS = ("capture", "reading", "frames")  # of a config: the clip that stands for captured data, and how it is read
 CONTROLS_FILE, VERTICES_FILE = "controls.npy", "vertices.npy"
 
 
@@ -30,7 +33,8 @@ class Rows(MeshSet):
     """
 
     def __init__(self, meshes: MeshSet, rows: Tensor, name: str | None = None, fps: float | None = None) -> None:
-        super().__init__(name or meshes.name, fps, None if meshes.controls is None else meshes.controls[rows])
+        controls, numbers = (None if values is None else values[rows] for values in (meshes.controls, meshes.frame_numbers))
+        super().__init__(name or meshes.name, fps, controls, numbers)
         self.meshes, self.rows = meshes, rows.tolist()
 
     def __len__(self) -> int:
@@ -38,6 +42,10 @@ class Rows(MeshSet):
 
     def vertices(self, start: int, stop: int) -> Tensor:
         return torch.cat([self.meshes.vertices(row, row + 1) for row in self.rows[start:stop]])
+
+    def known(self, start: int, stop: int) -> Tensor | None:
+        masks = [self.meshes.known(row, row + 1) for row in self.rows[start:stop]]
+        return None if any(mask is None for mask in masks) else torch.cat(masks)
 
 
 class KeptPoses(StoredMeshes):
@@ -53,28 +61,36 @@ class KeptPoses(StoredMeshes):
         return torch.from_numpy(np.array(self.meshes[start:stop]))
 
 
-@functools.lru_cache(maxsize=4)
-def recording(rig: LinearRig, capture: str | None) -> MeshSet | None:
-    """The captured data, read once in a process: the recording, or a simulated performance; None: the rig has no shapes.
+def recording(rig: LinearRig, places: Mapping[str, Any]) -> MeshSet | None:
+    """The captured data, read once in a process: the clip given, or a simulated performance; None: the rig has no shapes.
+
+    Args:
+        places: `capture`, the path of the clip or None, and how it is read: `reading` and `frames`.
 
     Raises:
-        InputError: the recording cannot be read, moves what the rig lacks, or is shorter than three frames.
+        InputError: the clip cannot be read, is none of the rig, or is shorter than three frames.
     """
-    whole = live_link_clip(capture, rig) if capture else simulated_performance(rig)
+    return _recording(rig, json.dumps({key: places[key] for key in CAPTURE_KEYS}) if places["capture"] else "")
+
+
+@functools.lru_cache(maxsize=4)
+def _recording(rig: LinearRig, given: str) -> MeshSet | None:
+    places = json.loads(given) if given else {}
+    whole = open_capture(places["capture"], rig, rig, *clip_options(places)) if places else simulated_performance(rig)
     if whole is not None and len(whole) < 3:
-        raise InputError(f"{capture}: {len(whole)} frames, expected at least 3: roughness is a second difference")
+        raise InputError(f"{places['capture']}: {len(whole)} frames, expected at least 3: roughness is a second difference")
     return whole
 
 
-def captured(rig: LinearRig, capture: str | None, meshes: int) -> MeshSet | None:
+def captured(rig: LinearRig, places: Mapping[str, Any], meshes: int) -> MeshSet | None:
     """Some meshes of the captured data, evenly spread over the whole of it."""
-    whole = recording(rig, capture)
+    whole = recording(rig, places)
     return None if whole is None else Rows(whole, evenly(meshes, len(whole)), CAPTURED)
 
 
-def the_clip(rig: LinearRig, capture: str | None, frames: int | None) -> MeshSet | None:
+def the_clip(rig: LinearRig, places: Mapping[str, Any], frames: int | None) -> MeshSet | None:
     """Frames of the captured data in a row, from its middle; None: all of them."""
-    whole = recording(rig, capture)
+    whole = recording(rig, places)
     if whole is None:
         return None
     count = min(frames or len(whole), len(whole))
@@ -87,10 +103,10 @@ def the_sets(config: Mapping[str, Any], places: Mapping[str, Any], poses: str | 
 
     Args:
         config: `meshes` in each set but the clip, `frames` of the clip, None: all.
-        places: `capture`: the recording, or None.
+        places: as for `recording`.
     """
     sets = [one for one in random_sets(rig, config["meshes"]) if one.name != POSES]
-    data = captured(rig, places["capture"], config["meshes"]), the_clip(rig, places["capture"], config["frames"])
+    data = captured(rig, places, config["meshes"]), the_clip(rig, places, config["frames"])
     sets += [one for one in data if one is not None]
     if poses:
         kept = KeptPoses(poses)

@@ -26,7 +26,7 @@ def train(task: Task) -> dict[str, Any]:
         bundle = str(bundle_of(task.inputs["surrogate"]))
         rig, config["rig"] = trained_rig(bundle, rig), {**config["rig"], "bundle": bundle}
     folder = _folder(task.folder / RUN, config)
-    watched = captured(programmatic.rig, task.places["capture"], config["judging"]["validation_poses"])
+    watched = captured(programmatic.rig, task.places, config["judging"]["validation_poses"])
     try:
         _, facts = fit_network(config, folder, rig, programmatic.rig, watched)
     finally:

@@ -6,13 +6,41 @@ import torch
 from torch import Tensor
 
 TO_NEXT, TO_SECOND = -4.0, 1.0  # the second difference's square couples frames so, away from the ends of a clip
+LONGEST_GAP = 12.0  # times the usual distance of frames, across which curves are still smooth; beyond it they begin anew
 
 
-def second_difference_bands(count: int, before: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+def usual_steps(numbers: Tensor) -> Tensor:
+    """The distances `(frame - 1,)` of frames `(frame,)`, as multiples of the usual one: 1 where none is missing."""
+    steps = numbers.diff().double()
+    return steps / steps.median() if len(steps) else steps
+
+
+def spans(numbers: Tensor) -> list[slice]:
+    """The rows of frames `(frame,)` between which no gap is too long for curves to be smooth across."""
+    cuts = ((usual_steps(numbers) > LONGEST_GAP).nonzero()[:, 0] + 1).tolist()
+    return [slice(first, stop) for first, stop in zip([0, *cuts], [*cuts, len(numbers)])]
+
+
+def second_differences(steps: Tensor) -> Tensor:
+    """What the second difference of each three frames in a row is made of, `(frame - 2, 3)`.
+
+    1, -2, 1 where no frame is missing. Else the second derivative of the parabola through the three, times the root of the time
+    that it stands for, so that the sum of squares is again the integral of its square; 0 across gaps that are too long.
+
+    Args:
+        steps: `(frame - 1,)`, as of `usual_steps`.
+    """
+    before, after = steps[:-1], steps[1:]
+    size = (2 / (before + after)).sqrt() * (torch.maximum(before, after) <= LONGEST_GAP)
+    return size[:, None] * torch.stack([1 / before, -1 / before - 1 / after, 1 / after], dim=1)
+
+
+def second_difference_bands(count: int, before: int = 0, differences: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
     """The matrix D^T D of second differences over `before + count` frames, of which the first `before` are given.
 
     Args:
         before: 0 to 2 frames, known already, that lie before the first one asked for.
+        differences: as of `second_differences`; None: no frame is missing.
 
     Returns:
         Its diagonals `(count,)` among the frames asked for: the main one, that to the next frame, that to the second next.
@@ -20,8 +48,10 @@ def second_difference_bands(count: int, before: int = 0) -> tuple[Tensor, Tensor
     """
     total = before + count
     difference = torch.zeros(max(total - 2, 0), total, dtype=torch.float64)
-    for row in range(len(difference)):
-        difference[row, row : row + 3] = torch.tensor([1.0, -2.0, 1.0], dtype=torch.float64)
+    if differences is None:
+        differences = second_differences(torch.ones(max(total - 1, 0), dtype=torch.float64))
+    for row, weights in enumerate(differences):
+        difference[row, row : row + 3] = weights
     square = (difference.T @ difference)[before:, before:]
     diagonals = [square.diagonal(offset) if offset < count else square.new_zeros(0) for offset in range(3)]
     return tuple(torch.nn.functional.pad(diagonal, (0, count - len(diagonal))) for diagonal in diagonals)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from riginv.solvers.band import second_difference_bands, solve_band
+from riginv.solvers.band import second_difference_bands, second_differences, solve_band, usual_steps
 from riginv.solvers.box_step import FLOOR
 from riginv.solvers.levenberg_marquardt import LEAST_DAMPING, MOST_DAMPING, START_DAMPING
 from riginv.solvers.objective import Linearised, Objective
@@ -27,6 +27,7 @@ def solve_clip(
     lookahead: int = LOOKAHEAD,
     tolerance: float = 1e-4,
     weights: Tensor | None = None,
+    numbers: Tensor | None = None,
 ) -> Tensor:
     """Minimise the objective of all frames plus half of `smoothness` times the squared second differences of the controls.
 
@@ -44,19 +45,25 @@ def solve_clip(
         tolerance: a window is done once a step lowers its objective by less than this share.
         weights: what the distance of each frame counts, `(frame,)`: less where a capture is to be trusted less, 0 where it only
             follows its neighbours; 1 for all unless given.
+        numbers: of the frames, `(frame,)`, rising: second differences go by time, and across long gaps there are none; None:
+            no frame is missing.
 
     Returns:
         Controls `(frame, control)` in shares of their ranges.
     """
     found = start.clamp(0, 1)
     weights = found.new_ones(len(found)) if weights is None else weights.to(found)
+    steps_apart = usual_steps(torch.arange(len(found)) if numbers is None else numbers).to(found.device)
     by_mean_distance = objective.by_mean_distance() if mean_steps else None
     for first in range(0, len(found), window):
         stop = min(first + window + lookahead, len(found))
         if len(found) - stop <= lookahead:
             stop = len(found)  # no window is left with less than its own look-ahead
-        rows, before = slice(first, stop), found[max(first - 2, 0) : first]
-        part = _Window(objective, coordinates[rows], weights[rows], before, smoothness * objective.vertex_count)
+        rows, known = slice(first, stop), max(first - 2, 0)
+        apart = steps_apart[known : stop - 1]
+        part = _Window(
+            objective, coordinates[rows], weights[rows], found[known:first], smoothness * objective.vertex_count, apart
+        )
         found[rows] = part.solve(found[rows], steps, tolerance)
         if by_mean_distance is not None:
             part.objective = by_mean_distance
@@ -67,13 +74,21 @@ def solve_clip(
 
 
 class _Window:
-    """Some frames in a row, and up to two before them that are settled."""
+    """Some frames in a row, and up to two before them that are settled.
 
-    def __init__(self, objective: Objective, coordinates: Tensor, weights: Tensor, before: Tensor, smoothness: float) -> None:
+    Args:
+        steps: how far these and those before them lie apart, as of `usual_steps`.
+    """
+
+    def __init__(
+        self, objective: Objective, coordinates: Tensor, weights: Tensor, before: Tensor, smoothness: float, steps: Tensor
+    ) -> None:
         self.objective, self.before, self.smoothness, self.weights = objective, before.clone(), smoothness, weights
         self.seen = torch.isfinite(coordinates).all(dim=1)
         self.coordinates = torch.where(self.seen[:, None], coordinates, 0.0)
-        self.bands = [smoothness * band for band in second_difference_bands(len(coordinates), len(before))]
+        differences = second_differences(steps)
+        self.differences = differences.to(coordinates)
+        self.bands = [smoothness * band for band in second_difference_bands(len(coordinates), len(before), differences)]
 
     def solve(self, at: Tensor, steps: int, tolerance: float) -> Tensor:
         damping = torch.full((len(at),), START_DAMPING, dtype=at.dtype)
@@ -116,7 +131,8 @@ class _Window:
 
     def _differences(self, at: Tensor) -> Tensor:
         curve = torch.cat([self.before, at])
-        return curve[2:] - 2 * curve[1:-1] + curve[:-2]
+        to_first, to_middle, to_last = self.differences[:, :, None].unbind(dim=1)
+        return to_last * curve[2:] + to_middle * curve[1:-1] + to_first * curve[:-2]
 
     def _roughness(self, at: Tensor) -> Tensor:
         return 0.5 * self.smoothness * self._differences(at).square().sum()
@@ -126,9 +142,10 @@ class _Window:
         second = self.smoothness * self._differences(at)
         result = at.new_zeros(len(self.before) + len(at), at.shape[1])
         if len(second):
-            result[2:] += second
-            result[1:-1] -= 2 * second
-            result[:-2] += second
+            to_first, to_middle, to_last = self.differences[:, :, None].unbind(dim=1)
+            result[2:] += to_last * second
+            result[1:-1] += to_middle * second
+            result[:-2] += to_first * second
         return result[len(self.before) :]
 
     def _step(self, hessian: Tensor, gradient: Tensor, damping: Tensor, at: Tensor) -> Tensor:

@@ -164,17 +164,26 @@ def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
     return {
         "source": animation.source or rig.name,
         "about": " · ".join(about),
-        "figures": [
-            ["mm mean error", f"{float(mean.nanmean()):.3g}"],
-            ["mm worst vertex", f"{float(most.nan_to_num().max()):.3g}"],
-            ["frames with a flag", f"{len(errors.flagged):,}"],
-        ],
+        "figures": _figures(errors),
         "fps": animation.fps,
         "numbers": animation.frame_numbers.tolist(),
         "axis_mm": [_rounded(float(values.nan_to_num().quantile(0.999))) for values in (mean, most)],
         "controls": [{"name": c.name, "lower": c.lower, "upper": c.upper, "unit": c.unit} for c in rig.controls],
         "errors": _frame_facts(animation, errors),
     }
+
+
+def _figures(errors: FrameErrors) -> list[list[str]]:
+    """What stands in the page's head: a unit or a name, and a number."""
+    values = errors.summary()
+    named = {
+        "mean_error_mm": "mm mean error",
+        "neutral_mean_error_mm": "mm at neutral",
+        "least_mean_error_mm": f"mm at least, on {0 if errors.reach is None else len(errors.reach.rows)} frames",
+        "max_error_mm": "mm worst vertex",
+    }
+    shown = [[name, f"{values[key]:.3g}"] for key, name in named.items() if key in values]
+    return [*shown, ["frames with a flag", f"{len(errors.flagged):,}"]]
 
 
 def _frame_facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:

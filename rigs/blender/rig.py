@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from riginv.arkit import ArkitParts
 from riginv.errors import InputError
 from riginv.rig import Control, Motion, RigBackend
 from rigs.blender.interpreter import find_interpreter, script_command
@@ -98,6 +99,9 @@ class BlenderRig(RigBackend):
             pose = ", ".join(f"{self.control_names[control]} {float(values[error.row, control]):g}" for control in moved[:8])
             raise InputError(f"{self.name}: {error}; what it moves: {pose}{', ...' if len(moved) > 8 else ''}") from None
         return torch.from_numpy(np.ascontiguousarray(vertices)).to(controls)
+
+    def arkit_parts(self) -> dict[str, ArkitParts]:
+        return {name: parts for rig in self._twin_of for name, parts in rig.arkit_parts().items()}
 
     def arkit_deltas(self) -> dict[str, Tensor]:
         return {name: deltas for rig in self._twin_of for name, deltas in rig.arkit_deltas().items()}

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from riginv import arkit
 from riginv.cache import cached_tensors, code_key
 from rigs.body.axes import joint_frames
 from rigs.body.skeleton import Skeleton, read_skeleton, read_weights
@@ -22,7 +23,7 @@ def body_geometry() -> dict[str, Tensor]:
         rest_vertices `(vertex, 3)`, mm; faces `(face, 3)`; weights `(vertex, joint)`; parents `(joint,)`; heads and tails
         `(joint, 3)`, mm; rolls `(joint,)`; frames `(joint, 3, 3)`, as `rigs.body.axes.joint_frames` has them.
     """
-    return cached_tensors("body", code_key([HERE, HERE.parent / "face", HERE.parent / "arkit.py"], ["anny"]), build_geometry)
+    return cached_tensors("body", code_key([HERE, HERE.parent / "face", Path(arkit.__file__)], ["anny"]), build_geometry)
 
 
 def build_geometry() -> dict[str, Tensor]:

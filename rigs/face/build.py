@@ -7,8 +7,9 @@ import torch
 import trimesh
 from torch import Tensor
 
+from riginv import arkit
+from riginv.arkit import ARKIT_NAMES
 from riginv.cache import cached_tensors, code_key
-from rigs.arkit import ARKIT_NAMES
 from rigs.face.assets import read_base_mesh
 from rigs.face.combinations import build_combinations
 from rigs.face.controls import build_controls
@@ -28,7 +29,7 @@ def face_geometry() -> dict[str, Tensor]:
         rest_vertices `(vertex, 3)` and basis `(coefficient, vertex, 3)`, mm; faces `(face, 3)`; part `(vertex,)`, indices into
         `PARTS`; inbetween_shape and inbetween_place, `(in-between,)`; combination_members `(combination, 3)`, -1 for none.
     """
-    return cached_tensors("face", code_key([HERE, HERE.parent / "arkit.py"], ["anny"]), build_geometry)
+    return cached_tensors("face", code_key([HERE, Path(arkit.__file__)], ["anny"]), build_geometry)
 
 
 def build_geometry() -> dict[str, Tensor]:

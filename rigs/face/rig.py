@@ -3,11 +3,11 @@
 import torch
 from torch import Tensor
 
+from riginv.arkit import ARKIT_NAMES
 from riginv.geometry.blendshapes import combination_slopes, combination_weights, screen, screen_slopes
 from riginv.geometry.curves import Curve, curves_and_slopes, evaluate_curves, pack_curves
 from riginv.geometry.jacobian import Jacobian, Pattern
 from riginv.rig import LinearRig
-from rigs.arkit import ARKIT_NAMES
 from rigs.face.build import face_geometry
 from rigs.face.controls import build_controls
 from rigs.face.inbetweens import bump

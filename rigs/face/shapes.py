@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rigs.arkit import ARKIT_NAMES
+from riginv.arkit import ARKIT_NAMES
 from rigs.face.assets import ARKIT_FOLDER, EXPRESSION_FOLDER, MORPH_FOLDER, BaseMesh, data_folder, read_target
 from rigs.face.mesh import FaceMesh
 

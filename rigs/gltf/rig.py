@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from riginv.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.errors import InputError
 from riginv.rig import Control, LinearRig
-from rigs.arkit import arkit_targets
 from rigs.gltf.avatar import read_avatar
 from rigs.gltf.frames import frame_basis, joint_frames
 from rigs.gltf.motion import ANGLES, AXES_IN_SPACE, JointMotion, by_axis, coefficient_names
@@ -90,11 +90,13 @@ class GltfRig(LinearRig):
             return controls
         return self.joint_motion(controls[:, : len(self.targets)], controls[:, len(self.targets) :])
 
+    def arkit_parts(self) -> dict[str, ArkitParts]:
+        return arkit_parts(self.targets)
+
     def arkit_deltas(self) -> dict[str, Tensor]:
         rows = 1 if self.joint_motion is None else AXES_IN_SPACE
         deltas = self.basis[: rows * len(self.targets)].unflatten(0, (-1, rows)).sum(dim=1)
-        place = {name: number for number, name in enumerate(self.targets)}
-        return {arkit: deltas[place[name]] for arkit, name in arkit_targets(list(self.targets)).items()}
+        return arkit_deltas(self.arkit_parts(), dict(zip(self.targets, deltas)))
 
     def expressions(self) -> dict[str, dict[str, float]]:
         step = max(1, len(self.targets) // SHOWN)

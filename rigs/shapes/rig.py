@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
+from riginv.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.errors import InputError
 from riginv.rig import Control, LinearRig
-from rigs.arkit import arkit_targets
 from rigs.shapes.build import shape_geometry
 from rigs.shapes.folder import find_shapes
 from rigs.shapes.logic import Combination, ShapeLogic
@@ -68,9 +68,11 @@ class ShapesRig(LinearRig):
         """Controls `(batch, control)`, the weights of the primary shapes, to the weights `(batch, shape)` of all shapes."""
         return self.logic(controls)
 
+    def arkit_parts(self) -> dict[str, ArkitParts]:
+        return arkit_parts(self.shapes.primaries)
+
     def arkit_deltas(self) -> dict[str, Tensor]:
-        place = {name: number for number, name in enumerate(self.shapes.primaries)}
-        return {arkit: self.basis[place[name]] for arkit, name in arkit_targets(self.shapes.primaries).items()}
+        return arkit_deltas(self.arkit_parts(), dict(zip(self.shapes.primaries, self.basis)))
 
     def expressions(self) -> dict[str, dict[str, float]]:
         """Each shape as it was sculpted, those that correct others first."""

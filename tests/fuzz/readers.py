@@ -76,6 +76,16 @@ def _npy(path: Path, meshes: np.ndarray) -> Path:
     return path
 
 
+def _curves(path: Path) -> Path:
+    names, values = toy().control_names, np.linspace(0, 1, 42).reshape(6, 7).round(3)
+    if path.suffix == ".npz":
+        np.savez(path, controls=values, names=np.array(names), fps=25.0, frame_numbers=np.arange(6))
+    else:
+        rows = [",".join(map(str, (row, row / 25, *values[row]))) for row in range(6)]
+        path.write_text("\n".join([",".join(["frame", "seconds", *names]), *rows]) + "\n")
+    return path
+
+
 def _take(path: Path) -> Path:
     rows = [f"00:00:0{second}:00.000,61,{second / 10},0.5" for second in range(4)]
     path.write_text("\n".join(["Timecode,BlendShapeCount,JawOpen,MouthFunnel", *rows]) + "\n")
@@ -93,6 +103,8 @@ CLIPS: dict[str, Callable[[Path, np.ndarray, np.ndarray], Path]] = {
     "pc2": lambda path, meshes, faces: write_pc2(path, meshes),
     "glb": write_animated_glb,
     "csv": lambda path, meshes, faces: _take(path),
+    "curves.csv": lambda path, meshes, faces: _curves(path),
+    "curves.npz": lambda path, meshes, faces: _curves(path),
     "usda": write_usd,
     "usdc": write_usd,
     **dict.fromkeys(("skinned.usda", "skinned.usdc"), lambda path, meshes, faces: write_skinned_usd(path, toy())),

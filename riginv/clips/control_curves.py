@@ -1,0 +1,153 @@
+"""Curves of a rig's own controls as they stand in files: in a CSV, as riginv writes it or another, or in an .npz."""
+
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from riginv.array_files import BROKEN, DAMAGED_ZIP, check_npz
+from riginv.clips.arrays import VERTICES
+from riginv.clips.csv_table import CsvTable
+from riginv.clips.frame_rate import usual_rate
+from riginv.curves.text import MOVE_COLUMNS, TURN_COLUMNS
+from riginv.errors import InputError, in_short
+from riginv.files import check_regular, read_json
+
+FRAME, SECONDS = "frame", "seconds"
+MOTION = (*MOVE_COLUMNS, *TURN_COLUMNS)
+CONTROLS, FPS, NUMBERS = "controls", "fps", "frame_numbers"  # arrays of an .npz
+NAMES = ("names", "control_names")
+SAME_RATE = 1e-3  # two rates nearer than that, as a share of them, are one
+
+
+@dataclass
+class Curves:
+    """Curves as they stand in a file.
+
+    Attributes:
+        path: of the file.
+        format: of it, as people call it.
+        names: of the columns; None: the controls of the rig in their order.
+        values: `(frame, column)`; NaN where there is no finite number.
+        frame_numbers: `(frame,)`.
+        fps: frames a second, where the file says so, and where that comes from.
+        motion: of the whole mesh, `(frame, 6)`: along x, y, z, mm, and about them, degrees; None: there is none.
+        notes: what was mended or left out.
+        table: the table that the columns stand in, and which ones they are; None where they stand in none.
+    """
+
+    path: Path
+    format: str
+    names: list[str] | None
+    values: np.ndarray
+    frame_numbers: np.ndarray
+    fps: float | None = None
+    rate_source: str = ""
+    motion: np.ndarray | None = None
+    notes: list[str] = field(default_factory=list)
+    table: tuple[CsvTable, list[int]] | None = None
+
+    def check_column(self, column: int, name: str) -> None:
+        """Raises InputError where a column holds something else than finite numbers."""
+        if self.table is not None:
+            self.table[0].column(self.table[1][column])
+        elif not np.isfinite(self.values[:, column]).all():
+            row = int((~np.isfinite(self.values[:, column])).argmax())
+            raise InputError(
+                f"{self.path}: control '{name}' is {self.values[row, column]} in row {row}, expected a finite number"
+            )
+
+
+def csv_curves(table: CsvTable) -> Curves:
+    """The curves of a CSV with a column for each control, and perhaps `frame`, `seconds` and the motion of the whole mesh.
+
+    Raises:
+        InputError: a frame, a time or the motion is no number, or frames are not whole.
+    """
+    at = {name.lower(): number for number, name in enumerate(table.header)}
+    frames, seconds = (table.column(at[key]) if key in at else None for key in (FRAME, SECONDS))
+    moving = all(name in at for name in MOTION)
+    known = {FRAME, SECONDS, *(MOTION if moving else ())}
+    rest = [number for number, name in enumerate(table.header) if name and name.lower() not in known]
+    names = [table.header[number].removeprefix("'") for number in rest]  # it stands before what a spreadsheet would compute
+    motion = table.columns([at[name] for name in MOTION]) if moving else None
+    numbers = np.arange(len(table), dtype=np.float64) if frames is None else frames
+    curves = Curves(table.path, "CSV of curves", names, table.numbers[:, rest], numbers, motion=motion, table=(table, rest))
+    curves.notes += table.notes
+    if frames is None and seconds is not None and len(table) > 1:
+        curves.frame_numbers = np.round((seconds - seconds[0]) / np.median(np.diff(seconds)).clip(1e-9))
+    if not (np.round(curves.frame_numbers) == curves.frame_numbers).all() or np.abs(curves.frame_numbers).max() > 2**53:
+        raise InputError(f"{table.path}: column {FRAME} holds frames that are no whole numbers, which frames are counted in")
+    _find_rate(curves, seconds)
+    return curves
+
+
+def _find_rate(curves: Curves, seconds: np.ndarray | None) -> None:
+    """The frames a second: as the rows' times show, or else as the file beside the CSV says."""
+    beside, said = curves.path.with_suffix(".json"), None
+    if beside.is_file():
+        try:
+            said = read_json(beside).get("fps")
+        except InputError as error:
+            curves.notes.append(f"the file beside it was passed over: {error}")
+    said = float(said) if isinstance(said, int | float) and not isinstance(said, bool) and 0 < said < 1e6 else None
+    shown = None
+    if seconds is not None and len(seconds) > 1 and seconds[-1] > seconds[0]:
+        shown = usual_rate(float((curves.frame_numbers[-1] - curves.frame_numbers[0]) / (seconds[-1] - seconds[0])))
+    if said and shown and abs(said - shown) > SAME_RATE * said:
+        curves.notes.append(
+            f"{beside.name} says {said:g} frames a second, and its rows lie {shown:g} to a second: {shown:g} was taken"
+        )
+        said = None
+    if said:
+        curves.fps, curves.rate_source = said, beside.name
+    elif shown:
+        curves.fps, curves.rate_source = shown, "the seconds of its rows"
+
+
+def holds_curves(path: Path) -> bool:
+    """Whether an .npz holds curves and no meshes."""
+    try:
+        check_regular(path)
+        with zipfile.ZipFile(path) as archive:
+            names = {Path(name).stem for name in archive.namelist() if name.endswith(".npy")}
+    except (*DAMAGED_ZIP, OSError, ValueError):
+        return False  # the reader of meshes says what is wrong with it
+    return CONTROLS in names and not names & {*VERTICES}
+
+
+def npz_curves(path: Path) -> Curves:
+    """The curves of an .npz: `controls (frame, control)`, and perhaps `names` (or `control_names`), `fps` and `frame_numbers`.
+
+    Raises:
+        InputError: it is damaged, or an array is of another shape or type.
+    """
+    try:
+        check_npz(path)
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: file[name] for name in (CONTROLS, *NAMES, FPS, NUMBERS) if name in file}
+    except InputError:
+        raise
+    except (*DAMAGED_ZIP, *BROKEN, OSError) as error:
+        raise InputError(
+            f"{path}: cannot be read ({in_short(error)}): save plain numbers and texts, names=np.array(names, dtype=str)"
+        ) from None
+    if CONTROLS not in found:
+        raise InputError(f"{path}: no array '{CONTROLS}': damaged; save it again with np.savez")
+    values, numbers, fps = found[CONTROLS], found.get(NUMBERS), found.get(FPS)
+    if values.ndim != 2 or values.dtype.kind not in "fiu":
+        raise InputError(f"{path}: controls are {values.dtype} of shape {values.shape}, expected numbers (frame, control)")
+    if numbers is not None and (numbers.shape != values.shape[:1] or numbers.dtype.kind not in "iu"):
+        raise InputError(f"{path}: frame_numbers are {numbers.dtype} of shape {numbers.shape}, expected a whole number a frame")
+    if fps is not None and (fps.size != 1 or fps.dtype.kind not in "iuf"):
+        raise InputError(f"{path}: fps is {fps.dtype} of shape {fps.shape}, expected one number")
+    names = next((found[name] for name in NAMES if name in found), None)
+    if names is not None and (names.shape != values.shape[1:] or names.dtype.kind not in "US"):
+        raise InputError(
+            f"{path}: names are {names.dtype} of shape {names.shape}, expected a text for each of {values.shape[1]} controls"
+        )
+    labels = None if names is None else [str(np.char.decode(one) if names.dtype.kind == "S" else one) for one in names]
+    rows = np.arange(len(values)) if numbers is None else numbers
+    rate = None if fps is None else float(fps.reshape(-1)[0])
+    return Curves(path, "arrays of curves", labels, values.astype(np.float64), rows, rate, "fps" if rate else "")

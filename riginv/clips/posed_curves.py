@@ -1,0 +1,124 @@
+"""Clips given as curves of a rig's own controls: the meshes are the rig's poses, and the truth about them is known."""
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from riginv.clips.control_curves import Curves
+from riginv.clips.options import ReadingOptions
+from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
+from riginv.errors import InputError
+from riginv.rig import RigBackend
+
+SLACK = 1e-5  # of a control's range that a value may lie beyond it by rounding
+MOVES = 1e-6  # by which a column that the rig does not know may change
+
+
+class PosedCurves(MeshSequence):
+    """The poses of a rig that curves make.
+
+    Args:
+        curves: as they stand in a file; values beyond a control's limits are brought back to them.
+        rig: that they are of.
+        options: `unknown`: what happens with controls that one of the two lacks.
+
+    Raises:
+        InputError: names do not fit, and that is not to be ignored; or a value is no finite number.
+    """
+
+    def __init__(self, curves: Curves, rig: RigBackend, options: ReadingOptions) -> None:
+        self.rig, notes = rig, list(curves.notes)
+        controls = _controls(curves, rig, options, notes)
+        self.controls = _within_limits(controls, curves.frame_numbers, rig, notes).float().numpy()
+        self.motion = curves.motion
+        self.in_rig_space = self.motion is None
+        if self.motion is not None:
+            if not np.abs(self.motion).max() < 1e9:
+                raise InputError(f"{curves.path}: its motion goes {np.abs(self.motion).max():.3g} mm or degrees far: damaged")
+            self.turns = Rotation.from_euler("xyz", self.motion[:, 3:], degrees=True).as_matrix()
+            notes.append("the motion of the whole mesh that stands beside the controls was put on")
+        facts = SourceFacts(curves.format, rate_source=curves.rate_source, notes=tuple(notes))
+        faces = Polygons.triangles(rig.faces.cpu().numpy())
+        super().__init__(curves.path, curves.frame_numbers, len(rig.rest_vertices), faces, curves.fps, 1.0, "y", facts)
+
+    @torch.no_grad()
+    def read(self, start: int, stop: int) -> np.ndarray:
+        vertices = self.rig(torch.from_numpy(self.controls[start:stop]).to(self.rig.lower)).cpu().numpy()
+        if self.motion is not None:
+            vertices = vertices @ self.turns[start:stop].transpose(0, 2, 1) + self.motion[start:stop, None, :3]
+        return vertices.astype(np.float32)
+
+
+def _controls(curves: Curves, rig: RigBackend, options: ReadingOptions, notes: list[str]) -> torch.Tensor:
+    """The values `(frame, control)` of the rig's controls; those that the file does not name at neutral."""
+    names = curves.names
+    if names is None:
+        if curves.values.shape[1] != len(rig.controls):
+            raise InputError(
+                f"{curves.path}: curves of {curves.values.shape[1]} controls without names, and rig '{rig.name}' has "
+                f"{len(rig.controls)}: add their names as an array 'names'"
+            )
+        notes.append("its controls have no names: they were taken in the rig's order (an array 'names' names them)")
+        names = list(rig.control_names)
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"{curves.path}: control '{twice}' stands twice; each may be there once")
+    at = {name: number for number, name in enumerate(names)}
+    _check_names(curves, at, rig, options, notes)
+    values = rig.neutral_controls.cpu().double().repeat(len(curves.values), 1)
+    for number, name in enumerate(rig.control_names):
+        if name in at:
+            curves.check_column(at[name], name)
+            values[:, number] = torch.from_numpy(curves.values[:, at[name]])
+    return values
+
+
+def _check_names(curves: Curves, at: dict[str, int], rig: RigBackend, options: ReadingOptions, notes: list[str]) -> None:
+    missing = [name for name in rig.control_names if name not in at]
+    if len(missing) == len(rig.controls):
+        raise InputError(
+            f"{curves.path}: none of its columns ({', '.join(list(at)[:4])}, ...) is a control of rig '{rig.name}' "
+            f"({', '.join(rig.control_names[:4])}, ...), and it has no timecodes as a Live Link Face recording has"
+        )
+    if missing and not options.accepts_missing:
+        raise InputError(
+            f"{curves.path}: does not name {len(missing)} of the {len(rig.controls)} controls of rig '{rig.name}', the first: "
+            f"{', '.join(missing[:4])}; reading.unknown=ignore_missing leaves them at neutral"
+        )
+    if missing:
+        notes.append(f"controls that it does not name stay at neutral: {_listed(missing)}")
+    known = set(rig.control_names)
+    new = [name for name in at if name not in known]
+    moving = [name for name in new if _moves(curves, at[name])]
+    if moving and not options.accepts_new:
+        more = f" (nor {len(moving) - 1} more of its columns)" if len(moving) > 1 else ""
+        raise InputError(
+            f"{curves.path}: '{moving[0]}' moves, and rig '{rig.name}' has no such control{more}; reading.unknown=ignore_new "
+            f"leaves it out"
+        )
+    if new:
+        notes.append(f"columns that are no controls of the rig were left out: {_listed(new)}")
+
+
+def _moves(curves: Curves, column: int) -> bool:
+    """Whether a column holds numbers that change."""
+    values = curves.values[:, column]
+    return bool(np.isfinite(values).all() and np.ptp(values) > MOVES * max(1.0, np.abs(values).max()))
+
+
+def _within_limits(controls: torch.Tensor, frames: np.ndarray, rig: RigBackend, notes: list[str]) -> torch.Tensor:
+    lower, upper = rig.lower.cpu().double(), rig.upper.cpu().double()
+    beyond = torch.maximum(lower - controls, controls - upper) / (upper - lower)
+    if bool((beyond > SLACK).any()):
+        row, column = divmod(int(beyond.argmax()), beyond.shape[1])
+        name = rig.control_names[column]
+        notes.append(
+            f"{int((beyond > SLACK).sum()):,} values lie beyond their controls' limits and were brought back to them, the "
+            f"farthest '{name}' at {float(controls[row, column]):.4g} in frame {int(frames[row])} "
+            f"({float(lower[column]):g} to {float(upper[column]):g})"
+        )
+    return controls.clamp(lower, upper)
+
+
+def _listed(names: list[str]) -> str:
+    return f"{', '.join(names[:6])}{f' and {len(names) - 6} more' if len(names) > 6 else ''}"
