@@ -1,4 +1,4 @@
-"""Frame numbers and rate of samples whose times stand in a file: in seconds, or in frames where seconds cannot be meant."""
+"""Frame numbers and rate of samples whose times stand in a file: in seconds, or in what is meant where seconds cannot be."""
 
 from typing import NamedTuple
 
@@ -26,6 +26,8 @@ COARSEST = 4e-4  # 23.976 and 24 are 1e-3 apart
 EVEN = 0.05  # of a step, by which times may miss their frames
 LEAST, MOST = 5.0, 1000.0  # samples a second that meshes are recorded at
 FARTHEST = 10_000_000  # frame that can be meant
+MOST_FRAMES_APART = 8.0  # of two samples whose times are in frames: beyond that they are in milliseconds
+SMALLER_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 
 
 class FrameTimes(NamedTuple):
@@ -70,7 +72,7 @@ def frames_at(start: float, step: float, count: int) -> FrameTimes:
 
 
 def frames_of(times: np.ndarray, source: str) -> FrameTimes:
-    """Samples at times `(sample,)`, in seconds, or in frames where a clip would be slower than any in seconds.
+    """Samples at times `(sample,)`: in seconds, or in frames or smaller units where a clip in seconds would be too slow.
 
     Args:
         source: what the file calls them.
@@ -87,19 +89,27 @@ def frames_of(times: np.ndarray, source: str) -> FrameTimes:
         what = "are not all numbers" if not np.isfinite(resolution) else "do not rise from frame to frame"
         return in_order._replace(notes=(f"Its {source} {what}: the frames were taken one after the other.",))
     step = float(np.median(steps))
+    if step >= MOST_FRAMES_APART and (times == np.round(times)).all():
+        resolution = max(resolution, 0.5)  # whole milliseconds
     apart = np.maximum(np.round(steps / step), 1)
     if (np.abs(steps / step - apart) > EVEN + 2 * resolution / step).any():
         return _uneven(times, steps, source)
     step = float((times[-1] - times[0]) / apart.sum())
     skipped = np.concatenate([[0], np.cumsum(apart)]).astype(np.int64)
-    if 1 / step < LEAST:
+    if 1 / LEAST < step < MOST_FRAMES_APART:
         return _in_frames(times, step, skipped, source)
-    if 1 / step > MOST:
-        note = f"Its {source} are {step:.3g} apart, {1 / step:.0f} frames a second, which cannot be meant: passed over."
+    unit = next((name for name, size in SMALLER_UNITS.items() if LEAST <= 1 / (size * step) <= MOST), "")
+    unit = "" if step < MOST_FRAMES_APART else unit
+    seconds = SMALLER_UNITS.get(unit, 1.0)
+    if not LEAST <= 1 / (seconds * step) <= MOST:
+        note = f"Its {source} are {step:.3g} apart, {1 / step:.3g} frames a second, which cannot be meant: passed over."
         return in_order._replace(notes=(note,))
-    fps = usual_rate(1 / step, 2 * resolution / float(times[-1] - times[0]))
-    first = round(float(times[0]) * fps)
-    return FrameTimes(first + skipped, fps, source, _missing(skipped, source))
+    fps = usual_rate(1 / (seconds * step), 2 * resolution / float(times[-1] - times[0]))
+    first = round(float(times[0]) * seconds * fps)
+    said = (f"Its {source} are in {unit}: seconds would be {1 / step:.3g} frames a second (reading.fps=...).",) if unit else ()
+    return FrameTimes(
+        (first if abs(first) < FARTHEST else 0) + skipped, fps, f"its {source}", (*said, *_missing(skipped, source))
+    )
 
 
 def usual_rate(rate: float, coarse: float = 0.0) -> float:
@@ -113,14 +123,16 @@ def usual_rate(rate: float, coarse: float = 0.0) -> float:
 
 
 def _uneven(times: np.ndarray, steps: np.ndarray, source: str) -> FrameTimes:
-    """Samples one after the other, at the rate that they have in all."""
-    fps = len(steps) / float(times[-1] - times[0])
+    """Samples one after the other, at the rate that they have in all, by least squares."""
+    fps = 1 / float(np.polyfit(np.arange(len(times)), times - times[0], 1)[0])
     said = f"Its {source} are uneven, {steps.min():.3g} to {steps.max():.3g} apart: the frames were taken one after the other"
     numbers = np.arange(len(times))
     if not LEAST <= fps <= MOST:
         return FrameTimes(numbers, notes=(f"{said}.",))
     fps = usual_rate(fps)
-    return FrameTimes(numbers, fps, f"{source}, in all", (f"{said}, {fps:g} a second as they are in all (reading.fps=...).",))
+    return FrameTimes(
+        numbers, fps, f"its {source}, in all", (f"{said}, {fps:g} a second as they are in all (reading.fps=...).",)
+    )
 
 
 def _in_frames(times: np.ndarray, step: float, skipped: np.ndarray, source: str) -> FrameTimes:
