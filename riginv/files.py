@@ -87,6 +87,8 @@ def opened(path: Path) -> Iterator[BinaryIO]:
             yield file
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
 

@@ -45,11 +45,11 @@ class ArrayClip(MeshSequence):
         self.member: zipfile.ZipInfo | None = None
         beside: dict[str, np.ndarray] = {}
         others: tuple[str, ...] = ()
-        notes: list[str] = []
+        notes = list(options.unused(f"NumPy {path.suffix.lower()}", path.suffix.lower() != ".npz"))
         if path.suffix.lower() == ".npz":
             with self._archive() as archive:
                 layouts = _layouts(path, archive)
-                self.member = _vertices_member(path, archive, layouts, notes)
+                self.member = _vertices_member(path, archive, layouts, options.mesh_names, notes)
                 layout = _layout(f"{path}, {self.member.filename}", layouts[self.member.filename])
                 names = {Path(member).stem: member for member in layouts if member != self.member.filename}
                 beside = {name: self._small(archive, names[name]) for name in BESIDE if name in names}
@@ -164,9 +164,17 @@ def _is_mesh(layout: Header) -> bool:
     return len(layout.shape) == 3 and layout.shape[2] == 3 and layout.dtype.kind == "f"
 
 
-def _vertices_member(path: Path, archive: zipfile.ZipFile, layouts: dict[str, Header], notes: list[str]) -> zipfile.ZipInfo:
-    """The array of vertices: of a known name, or else the only one that can be."""
+def _vertices_member(
+    path: Path, archive: zipfile.ZipFile, layouts: dict[str, Header], asked: list[str], notes: list[str]
+) -> zipfile.ZipInfo:
+    """The array of vertices: the one that was asked for, one of a known name, or else the only one that can be."""
     found = {Path(member).stem: member for member in layouts}
+    if asked:
+        if len(asked) > 1 or asked[0] not in found:
+            raise InputError(
+                f"{path}: reading.mesh names {', '.join(asked)}, expected one of its arrays: {', '.join(list(found)[:12])}"
+            )
+        return archive.getinfo(found[asked[0]])
     named = [name for name in VERTICES if name in found]
     able = [name for name in (*named, *(other for other in found if other not in named)) if _is_mesh(layouts[found[name]])]
     if able and (able[0] in named or len(able) == 1):
@@ -175,13 +183,10 @@ def _vertices_member(path: Path, archive: zipfile.ZipFile, layouts: dict[str, He
         return archive.getinfo(found[able[0]])
     if named:
         return archive.getinfo(found[named[0]])
-    listed = (
-        f"and {len(able)} others could be it: {', '.join(able[:8])}"
-        if able
-        else f"found {', '.join(list(found)[:8]) or 'none'}"
-    )
+    listed = ", ".join((able or list(found))[:8]) or "none"
     raise InputError(
-        f"{path}: no array of vertices: expected one named {' or '.join(VERTICES)}, {listed}; save it by that name"
+        f"{path}: no array of vertices: expected one named {' or '.join(VERTICES)}, found {listed}"
+        + (f", and any of these {len(able)} could be it: reading.mesh=NAME says which" if able else "")
     )
 
 

@@ -8,7 +8,7 @@ from riginv.clips.numbered import find_frames
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, SourceFacts
 from riginv.errors import InputError
-from riginv.meshes.mesh_file import note_on_objects
+from riginv.meshes.mesh_file import MeshFile, note_on_objects
 from riginv.meshes.reading import read_mesh
 
 
@@ -28,11 +28,21 @@ class FileFrames(MeshSequence):
     def __init__(self, path: str, options: ReadingOptions) -> None:
         self.frames = find_frames(path, self.suffix, options.missing_frames == "bridge")
         first = read_mesh(self.frames.first)
-        self.face_bytes = first.face_bytes
-        facts = SourceFacts(
-            self.suffix[1:].upper(), first.objects, notes=(*self.frames.notes, *first.notes, *note_on_objects(first))
-        )
-        super().__init__(path, self.frames.numbers, len(first.points), first.polygons(), facts=facts)
+        self.face_bytes, self.first_faces, self.points_in_file = first.face_bytes, first.polygons(), len(first.points)
+        names = first.objects
+        read = tuple(name for name in names if name in options.mesh_names) if names and options.mesh_names else names
+        self.picked = _vertices_of(first, options.mesh_names) if names and options.mesh_names else None
+        notes = (*self.frames.notes, *first.notes, *options.unused(self.suffix[1:].upper(), not names))
+        notes += note_on_objects(first.path, read)
+        left_out = tuple(name for name in names if name not in read)
+        facts = SourceFacts(self.suffix[1:].upper(), read, left_out, notes=notes)
+        faces, count = self.first_faces, len(first.points)
+        if self.picked is not None:
+            if faces is not None:
+                faces.check(path, count)
+                faces = faces.among(self.picked)
+            count = len(self.picked)
+        super().__init__(path, self.frames.numbers, count, faces, facts=facts)
 
     def read(self, start: int, stop: int) -> np.ndarray:
         values = np.full((stop - start, self.vertex_count, 3), np.nan, np.float32)
@@ -45,19 +55,34 @@ class FileFrames(MeshSequence):
     def _checked(self, path: Path) -> np.ndarray:
         mesh = read_mesh(path)
         first = self.frames.first.name
-        if len(mesh.points) != self.vertex_count:
+        if len(mesh.points) != self.points_in_file:
             raise InputError(
-                f"{path}: {len(mesh.points)} vertices, and {first} has {self.vertex_count}: all frames must be the same mesh: "
-                f"export them again"
+                f"{path}: {len(mesh.points)} vertices, and {first} has {self.points_in_file}: all frames must be one mesh; "
+                "export them again"
             )
         if mesh.face_bytes != self.face_bytes:
-            found, expected = mesh.polygons(), self.faces
+            found, expected = mesh.polygons(), self.first_faces
             if found is not None and expected is not None and not found.same_as(expected):
                 raise InputError(
                     f"{path}: its {len(found)} faces are not the {len(expected)} of {first}: all frames must be the same mesh "
                     f"with its vertices in the same order; export them again"
                 )
-        return mesh.points
+        return mesh.points if self.picked is None else mesh.points[self.picked]
+
+
+def _vertices_of(mesh: MeshFile, names: list[str]) -> np.ndarray:
+    """The vertices `(vertex,)` of some objects, rising.
+
+    Raises:
+        InputError: there is none of such a name, or it has no vertices of its own.
+    """
+    for name in names:
+        if name not in mesh.objects or not len(mesh.vertices_of(name)):
+            what = "has no vertices of its own" if name in mesh.objects else "is no object"
+            raise InputError(
+                f"{mesh.path}: reading.mesh names {name!r}, which {what} there; its objects: {', '.join(mesh.objects[:12])}"
+            )
+    return np.unique(np.concatenate([mesh.vertices_of(name) for name in names]))
 
 
 class ObjFrames(FileFrames):

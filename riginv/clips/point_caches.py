@@ -61,7 +61,7 @@ class PointCache(MeshSequence):
         InputError: the file is too short for what its header says, or that cannot be meant.
     """
 
-    def __init__(self, path: Path, layout: Layout, times: FrameTimes, notes: tuple[str, ...] = ()) -> None:
+    def __init__(self, path: Path, layout: Layout, times: FrameTimes, notes: tuple[str, ...]) -> None:
         self.file, self.layout = path, layout
         found = _size(path)
         if found < layout.needed:
@@ -109,7 +109,7 @@ class MddCache(PointCache):
             )
         with np.errstate(invalid="ignore"):
             times = read_numbers(path, np.dtype(f"{layout.order}f4"), (layout.frames,), 8).astype(np.float32)
-        super().__init__(path, layout, frames_of(times, "times"))
+        super().__init__(path, layout, frames_of(times, "times"), options.unused("MDD"))
 
 
 class Pc2Cache(PointCache):
@@ -128,9 +128,9 @@ class Pc2Cache(PointCache):
         swapped = np.frombuffer(data, PC2_HEADER.newbyteorder())[0]
         layout = _believable(path, _pc2(header, "<"), _pc2(swapped, ">"))
         header = header if layout.is_usual else swapped
-        notes = ()
+        notes = options.unused("PC2")
         if header["version"] != PC2_VERSION:
-            notes = (f"It is a PC2 of version {header['version']}, and was read as one of version {PC2_VERSION}.",)
+            notes += (f"It is a PC2 of version {header['version']}, and was read as one of version {PC2_VERSION}.",)
         times = frames_at(float(header["start"]), float(header["rate"]), layout.frames)
         super().__init__(path, layout, times, notes)
 

@@ -5,6 +5,7 @@ keep what the file says, as it says it.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ class MeshFile(ABC):
 
     Attributes:
         path: of the file.
-        points: `(vertex, 3)` float64, in the file's unit and order; NaN where a coordinate is not known.
+        points: `(vertex, 3)` float64, in the file's unit and order; NaN or infinite where a coordinate is not known.
         face_bytes: what of the file holds its faces: two files that have it in common have the faces in common.
         notes: whole sentences: what was mended.
     """
@@ -30,6 +31,10 @@ class MeshFile(ABC):
     def objects(self) -> tuple[str, ...]:
         """The names of the objects in the file, where it names any."""
         return ()
+
+    def vertices_of(self, name: str) -> np.ndarray:
+        """The vertices `(vertex,)` of an object, rising."""
+        raise KeyError(name)
 
     @abstractmethod
     def polygons(self) -> Polygons | None:
@@ -43,13 +48,12 @@ class MeshFile(ABC):
 NAMED = 6  # objects that a note names
 
 
-def note_on_objects(mesh: MeshFile) -> tuple[str, ...]:
-    """Says of a file of several objects that these are read as one mesh."""
-    names = mesh.objects
+def note_on_objects(path: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Says that several objects of a file are read as one mesh."""
     if len(names) < 2:
         return ()
     listed = ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
-    return (f"The {len(names)} objects in {mesh.path.name} ({listed}) were read as one mesh, in this order.",)
+    return (f"{len(names)} objects in {path.name} ({listed}) were read as one mesh, in this order.",)
 
 
 class Points(NamedTuple):

@@ -11,12 +11,13 @@ import numpy as np
 from riginv.errors import InputError
 from riginv.meshes.mesh_file import MeshFile, Points
 from riginv.meshes.polygons import Polygons
-from riginv.text_numbers import FORTRAN_NOTE, mend_numbers, parse_numbers, reason_of
+from riginv.text_numbers import FORTRAN_NOTE, INFINITY_SIGN, mend_numbers, parse_numbers, reason_of
 
 PLAIN = b"0123456789+-.eE \t\r\nv"
 MENDED = PLAIN + b"na"
+MENDABLE = PLAIN + b"nNaAiIfFtTyYdDqQsSjJoOrRbBxX()_#$" + INFINITY_SIGN  # in spellings of NaN, and in exponents
 SPACES = bytes.maketrans(b"v", b" ")
-UNUSUAL = (b" v", b"\tv", b"v\t")  # vertices that may stand elsewhere than in lines that begin with `v `
+UNUSUAL = {b"v": (b" v ",), b"f": (b" f ", b"fo ")}  # where a line of a keyword may not begin with it and a space
 VERTEX = re.compile(rb"^[ \t]*v[ \t]+([^\n]*)", re.MULTILINE)
 FACE = re.compile(rb"^[ \t]*fo?[ \t]+([^\n]*)", re.MULTILINE)
 VERTEX_OR_FACE = re.compile(rb"^[ \t]*(v|fo?)[ \t]+([^\n]*)", re.MULTILINE)
@@ -45,11 +46,26 @@ class ObjMesh(MeshFile):
 
     @property
     def objects(self) -> tuple[str, ...]:
-        names = (name.strip().decode("utf-8", "replace") for name in OBJECT.findall(self.data))
-        return tuple(dict.fromkeys(filter(None, names)))
+        return tuple(dict.fromkeys(filter(None, map(_object_name, OBJECT.findall(self.data)))))
+
+    def vertices_of(self, name: str) -> np.ndarray:
+        lines = [*OBJECT.finditer(self.data)]
+        ends = [line.start() for line in lines[1:]] + [len(self.data)]
+        seen = len(VERTEX.findall(self.data[: lines[0].start()])) if lines else 0
+        found = [np.zeros(0, np.int64)]
+        for line, end in zip(lines, ends):
+            count = len(VERTEX.findall(self.data[line.end() : end]))
+            if _object_name(line[1]) == name:
+                found.append(np.arange(seen, seen + count))
+            seen += count
+        return np.concatenate(found)
 
     def polygons(self) -> Polygons | None:
         return read_polygons(self.path, self.data)
+
+
+def _object_name(text: bytes) -> str:
+    return text.strip().decode("utf-8", "replace")
 
 
 def _plain_text(path: Path, data: bytes) -> bytes:
@@ -76,24 +92,34 @@ def read_points(path: Path, data: bytes) -> Points:
         end = data.find(b"\n", max(last, start))
         block = data[start : end + 1] if end >= 0 else data[start:] + b"\n"
         around = data[:start], data[start + len(block) :]
-        if b"\\" not in data and not any(_may_hold_vertices(part) for part in around):
+        if b"\\" not in data and not any(b"v" in part and _is_unusual(part, b"v") for part in around):
             found = _in_bulk(block)
             if found is not None:
                 return found
-    data = CONTINUED.sub(b" ", data)
-    lines = VERTEX.findall(data)  # of several objects, of any style
+    data = CONTINUED.sub(b" ", data) if b"\\" in data else data
+    lines = _lines(data, b"v", VERTEX)  # of several objects, of any style
     found = _in_bulk(b"v " + b"\nv ".join(lines) + b"\n") if lines else None
     return found if found is not None else _line_by_line(path, data)
 
 
-def _may_hold_vertices(part: bytes) -> bool:
-    return b"v" in part and any(mark in part for mark in UNUSUAL)
+def _is_unusual(data: bytes, keyword: bytes) -> bool:
+    return b"\t" in data or b"\\" in data or any(mark in data for mark in UNUSUAL[keyword])
+
+
+def _lines(data: bytes, keyword: bytes, pattern: re.Pattern) -> list[bytes]:
+    """What stands behind a keyword, line by line; a pattern that begins with plain letters is found ten times faster."""
+    if _is_unusual(data, keyword):
+        return pattern.findall(data)
+    first = [data[2:].partition(b"\n")[0]] if data.startswith(keyword + b" ") else []
+    return first + re.findall(rb"\n" + keyword + rb" ([^\n]*)", data)
 
 
 def _in_bulk(block: bytes) -> Points | None:
     """The vertices of lines that are all `v` and as many numbers each; None where one is not."""
     fortran = 0
     if block.translate(None, PLAIN):
+        if block.translate(None, MENDABLE):
+            return None
         block, fortran = mend_numbers(block)
         if block.translate(None, MENDED):
             return None
@@ -135,13 +161,14 @@ def _line_by_line(path: Path, data: bytes) -> Points:
 
 
 def face_lines(data: bytes) -> bytes:
-    """What of an OBJ holds its faces, to compare two files by."""
+    """What of an OBJ holds its faces, to compare two files by: what lies between the first and the last, if no vertices do."""
     start, last = data.find(b"\nf "), data.rfind(b"\nf ")
-    if start < 0 or data.startswith(b"f"):
-        return b"\n".join(FACE.findall(data)) if b"f" in data else b""
-    end = data.find(b"\n", last + 1)
-    block = data[start : end if end >= 0 else len(data)].rstrip()
-    return b"\n".join(FACE.findall(block)) if b"\nv " in block else block
+    if start >= 0 and not data.startswith(b"f"):
+        end = data.find(b"\n", last + 1)
+        block = data[start : end if end >= 0 else len(data)].rstrip()
+        if b"\nv " not in block:
+            return block
+    return b"\n".join(_lines(data, b"f", FACE)) if b"f" in data else b""
 
 
 def read_polygons(path: Path, data: bytes) -> Polygons | None:
@@ -151,7 +178,7 @@ def read_polygons(path: Path, data: bytes) -> Polygons | None:
         InputError: a line that is no face; the message names it.
     """
     data = CONTINUED.sub(b" ", data) if b"\\" in data else data
-    lines = FACE.findall(data)
+    lines = _lines(data, b"f", FACE)
     if not lines:
         return None
     found = _polygons_in_bulk(b"\n".join(lines) + b"\n", len(lines))

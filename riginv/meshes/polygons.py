@@ -54,6 +54,15 @@ class Polygons:
         step = 1 + np.arange(len(starts)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
         return self.corners[np.stack([starts, starts + step, starts + step + 1], axis=1)]
 
+    def among(self, vertices: np.ndarray) -> "Polygons":
+        """The faces all of whose corners are among some vertices, `(vertex,)` and rising, by their order there."""
+        if not len(vertices):
+            return Polygons(np.zeros(0, np.int64), np.zeros(0, np.int64))
+        index = np.minimum(np.searchsorted(vertices, self.corners), len(vertices) - 1)
+        face = np.repeat(np.arange(len(self)), self.sizes)
+        whole = np.bincount(face, vertices[index] != self.corners, len(self)) == 0
+        return Polygons(self.sizes[whole], index[whole[face]])
+
     @classmethod
     def triangles(cls, faces: np.ndarray) -> "Polygons":
         """From `(face, 3)`."""

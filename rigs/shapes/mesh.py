@@ -35,7 +35,7 @@ class Sculpt:
     @property
     def notes(self) -> tuple[str, ...]:
         """Whole sentences: what was mended, and that several objects are one mesh here."""
-        return (*self.file.notes, *note_on_objects(self.file))
+        return (*self.file.notes, *note_on_objects(self.path, self.file.objects))
 
     def check_like(self, neutral: "Sculpt") -> None:
         """Raises InputError where this mesh does not have the neutral's vertices and faces, in its order."""
