@@ -49,7 +49,7 @@ def _with_quoted_path(argument: str, sweeps: bool) -> str:
     if isinstance(means, str) and means == value:
         return argument
     is_hydras = means is None or isinstance(means, str | list | dict) or (sweeps and isinstance(means, Override))
-    if override is not None and is_hydras and not _exists(value):
+    if override is not None and is_hydras and value == value.strip() and not _exists(value):
         return argument
     return start + quoted(value)
 

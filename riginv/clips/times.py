@@ -22,7 +22,7 @@ USUAL = (
     *(n * 1000 / 1001 for n in (24, 30, 60, 120)),
 )
 NEAR = 1e-4  # of a usual rate, within which it is meant; times may be coarser than that
-COARSEST = 4e-4  # 23.976 and 24 are 1e-3 apart
+COARSEST = 0.01  # part of a rate that times may be off, for a usual one to be looked for
 EVEN = 0.05  # of a step, by which times may miss their frames
 LEAST, MOST = 5.0, 1000.0  # samples a second that meshes are recorded at
 FARTHEST = 10_000_000  # frame that can be meant
@@ -49,6 +49,7 @@ class FrameTimes(NamedTuple):
 def frames_at(start: float, step: float, count: int) -> FrameTimes:
     """Samples every `step` frames from frame `start` on, of a file that does not say its rate."""
     notes = []
+    step = float(f"{step:.6g}")  # as it was before it became a single float
     if not (np.isfinite(step) and 1 / FARTHEST < step < FARTHEST):
         notes.append(f"A sample every {step:g} frames makes no sense: one at each frame was taken.")
         step = 1.0
