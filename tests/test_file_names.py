@@ -3,7 +3,6 @@
 import csv
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -142,21 +141,19 @@ def test_rigs_in_folders_of_any_name(name, run, tmp_path, own_cache):
     assert outcome.code == 0, outcome.text
 
 
-@pytest.mark.parametrize("pattern", ["my takes/a.%04d.obj", "it's/b.%d.obj"])
-def test_a_pattern_is_typed_as_the_message_shows_it(pattern, tmp_path):
-    """In a real shell: the message of a refusal, pasted behind clip=."""
-    folder = tmp_path / Path(pattern).parent
+@pytest.mark.parametrize("folder", ["my takes", "it's $1"])
+def test_a_pattern_is_typed_as_the_message_shows_it(folder, run, tmp_path):
+    """The message of a refusal, pasted behind `clip=` in a shell."""
     for name in ("a", "b"):
-        obj_sequence(folder, performance(RIG, 2), RIG.faces.numpy())
+        obj_sequence(tmp_path / folder, performance(RIG, 2), RIG.faces.numpy())
         for number in (1001, 1002):
-            (folder / f"shot.{number}.obj").rename(folder / f"{name}.{number:06d}.obj")
-    command = [sys.executable, "-m", "riginv.invert", *TOY, "look.page=false", "look.sheet=false"]
-    refused = subprocess.run([*command, f"clip={folder}", "out=o"], cwd=tmp_path, capture_output=True, text=True)
-    assert refused.returncode == 1 and "2 sequences" in refused.stderr
-    typed = refused.stderr.strip().partition("give ")[2].partition(" or ")[0]
-    line = f"{' '.join(command)} clip={typed} out=o"
-    done = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, (line, done.stderr)
+            (tmp_path / folder / f"shot.{number}.obj").rename(tmp_path / folder / f"{name}.{number:06d}.obj")
+    refused = run("invert", *TOY, f"clip={folder}", "out=o")
+    assert refused.code == 1 and "2 sequences" in refused.text
+    typed = refused.text.strip().partition("give ")[2].partition(" or ")[0]
+    word = subprocess.run(["bash", "-c", f"printf %s clip={typed}"], capture_output=True, text=True, check=True).stdout
+    done = run("invert", *TOY, word, "out=o", "look.page=false", "look.sheet=false")
+    assert done.code == 0, (typed, done.text)
 
 
 def test_what_other_keys_need_is_shown(run):

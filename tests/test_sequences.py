@@ -70,6 +70,15 @@ def test_a_dash_is_no_sign_where_it_only_parts_the_number(tmp_path):
     assert numbers(touch(tmp_path / "c", "f-2.obj", "f-1.obj", "f0.obj", "f1.obj")) == [-2, -1, 0, 1]
 
 
+def test_a_dash_behind_a_space_may_be_either_and_is_asked_about(tmp_path):
+    folder = touch(tmp_path / "shot", "take -0003.obj", "take -0002.obj", "take -0001.obj")
+    with pytest.raises(InputError, match=r"a dash stands .*/take -%04d.obj' where it is part of .*/take %04d.obj' where it is"):
+        numbers(folder)
+    assert numbers(folder / "take -%04d.obj") == [1, 2, 3] and numbers(folder / "take %04d.obj") == [-3, -2, -1]
+    touch(folder, "take 0000.obj")
+    assert numbers(folder) == [-3, -2, -1, 0]
+
+
 @pytest.mark.parametrize(
     "pattern", ["head.%04d.lod0.obj", "head.%d.lod0.obj", "head.####.lod0.obj", "head.$F4.lod0.obj", "head.<frame>.lod0.obj"]
 )

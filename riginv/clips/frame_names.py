@@ -145,6 +145,7 @@ def sequence_of(path: str, files: Sequence[Path]) -> tuple[NumberedFiles | None,
     frames = {name.path for name in main}
     others = [file for file in files if file not in frames]
     found = NumberedFiles(main, frame_position(path, main))
+    _check_dash(path, found)
     if len(others) >= len(main):
         listed = ", ".join(file.name for file in others[:LISTED]) + (", ..." if len(others) > LISTED else "")
         raise InputError(
@@ -152,6 +153,18 @@ def sequence_of(path: str, files: Sequence[Path]) -> tuple[NumberedFiles | None,
             f"{_one_of([found.pattern])}, or one with * for what varies beside the frame's number"
         )
     return found, others
+
+
+def _check_dash(path: str, found: NumberedFiles) -> None:
+    """Raises InputError where a dash behind a space may be a sign of all numbers, or part of the name."""
+    before = found.files[0].texts[found.position]
+    if before.endswith(" -") and len(found.files) > 1:
+        folder, name = Path(shlex.split(found.pattern)[0]).parent, Path(shlex.split(found.pattern)[0]).name
+        signed = shlex.quote(str(folder / re.sub(r" -(%0?\d*d)", r" \1", name)))
+        raise InputError(
+            f"{path}: a dash stands before the number of every frame ({found.files[0].path.name}, ...): give {found.pattern} "
+            f"where it is part of the name, or {signed} where it is a minus"
+        )
 
 
 def _one_of(patterns: Sequence[str]) -> str:

@@ -92,35 +92,54 @@ def frames_of(times: np.ndarray, source: str) -> FrameTimes:
     step = float(np.median(steps))
     if step >= MOST_FRAMES_APART and (times == np.round(times)).all():
         resolution = max(resolution, 0.5)  # whole milliseconds
-    apart = np.maximum(np.round(steps / step), 1)
-    if (np.abs(steps / step - apart) > EVEN + 2 * resolution / step).any():
+    apart = next(
+        (found for base in (step, float(steps.min())) if (found := _multiples(steps, base, resolution)) is not None), None
+    )
+    if apart is None:
         return _uneven(times, steps, source)
     step = float((times[-1] - times[0]) / apart.sum())
     skipped = np.concatenate([[0], np.cumsum(apart)]).astype(np.int64)
     if 1 / LEAST < step < MOST_FRAMES_APART:
         return _in_frames(times, step, skipped, source)
     unit = next((name for name, size in SMALLER_UNITS.items() if LEAST <= 1 / (size * step) <= MOST), "")
-    unit = "" if step < MOST_FRAMES_APART else unit
-    seconds = SMALLER_UNITS.get(unit, 1.0)
-    if not LEAST <= 1 / (seconds * step) <= MOST:
+    if step < MOST_FRAMES_APART or not unit:
+        return _in_seconds(times, step, skipped, resolution, source)
+    size = SMALLER_UNITS[unit]
+    found = _in_seconds(times * size, step * size, skipped, resolution * size, source)
+    said = f"Its {source} are in {unit}: seconds would be {1 / step:.3g} frames a second (reading.fps=...)."
+    return found._replace(notes=(said, *found.notes))
+
+
+def _multiples(steps: np.ndarray, base: float, resolution: float) -> np.ndarray | None:
+    """How many times a step each of some steps is; None where one is no multiple of it."""
+    apart = np.maximum(np.round(steps / base), 1)
+    base = float(steps.sum() / apart.sum())
+    off = np.abs(steps / base - apart)
+    return apart if (off <= EVEN + 2 * resolution / base).all() and apart.sum() < FARTHEST else None
+
+
+def _in_seconds(times: np.ndarray, step: float, skipped: np.ndarray, resolution: float, source: str) -> FrameTimes:
+    """Samples whose times are seconds, `step` apart and `skipped` steps behind the first."""
+    if not LEAST <= 1 / step <= MOST:
         note = f"Its {source} are {step:.3g} apart, {1 / step:.3g} frames a second, which cannot be meant: passed over."
-        return in_order._replace(notes=(note,))
-    fps = usual_rate(1 / (seconds * step), 2 * resolution / float(times[-1] - times[0]))
-    first = round(float(times[0]) * seconds * fps)
-    said = (f"Its {source} are in {unit}: seconds would be {1 / step:.3g} frames a second (reading.fps=...).",) if unit else ()
-    return FrameTimes(
-        (first if abs(first) < FARTHEST else 0) + skipped, fps, f"its {source}", (*said, *_missing(skipped, source))
-    )
+        return FrameTimes(np.arange(len(times)), notes=(note,))
+    fps = usual_rate(1 / step, 2 * resolution / float(times[-1] - times[0]), float(times[0]))
+    first = round(float(times[0]) * fps)
+    numbers = (first if abs(first) < FARTHEST else 0) + skipped
+    return FrameTimes(numbers, fps, f"its {source}", _missing(skipped, source))
 
 
-def usual_rate(rate: float, coarse: float = 0.0) -> float:
+def usual_rate(rate: float, coarse: float = 0.0, time: float = 0.0) -> float:
     """The usual rate that is meant by one that was measured, where one is near.
 
     Args:
         coarse: what part of itself the measured one may be off.
+        time: of a frame, seconds: of several rates that are near, the one is meant that counts a whole number there.
     """
-    near = min(USUAL, key=lambda usual: abs(usual - rate))
-    return near if abs(near / rate - 1) <= min(max(NEAR, coarse), COARSEST) else round(rate, 3)
+    near = [usual for usual in USUAL if abs(usual / rate - 1) <= min(max(NEAR, coarse), COARSEST)]
+    return min(
+        near, key=lambda usual: (abs(time * usual - round(time * usual)) > EVEN, abs(usual - rate)), default=round(rate, 3)
+    )
 
 
 def _uneven(times: np.ndarray, steps: np.ndarray, source: str) -> FrameTimes:
