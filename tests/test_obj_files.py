@@ -134,6 +134,12 @@ def test_faces_that_are_none_are_named(faces, says, tmp_path):
             open_sequence(str(tmp_path / "a.obj"), ToyRig(), ReadingOptions())
 
 
+@pytest.mark.parametrize("line", ["v4 5 6", "v4 5 nan", "vt 4 5", "vx 4 5 6", "v"])
+def test_what_only_looks_like_a_vertex_is_none(line):
+    data = f"v 1 2 3\n{line}\nv 7 8 9\n".encode()
+    np.testing.assert_array_equal(ObjMesh(Path("a.obj"), data).points, [[1, 2, 3], [7, 8, 9]])
+
+
 def test_rigs_and_clips_read_the_same(tmp_path, own_cache):
     write_folder(tmp_path / "rig", smile=POINTS + offset(1))
     for name, style in (("frown", "comments behind"), ("blink", "windows"), ("jaw", "faces first")):

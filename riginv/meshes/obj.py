@@ -128,6 +128,8 @@ def _in_bulk(block: bytes) -> Points | None:
     lines = np.flatnonzero(plain == ord("\n"))
     if len(marks) != len(lines) or (plain[marks[1:] - 1] != ord("\n")).any() or (plain[lines[:-1] + 1] != ord("v")).any():
         return None
+    if (plain[marks + 1] > ord(" ")).any():  # v1 2 3
+        return None
     text = block.translate(SPACES)
     space = np.frombuffer(text, np.uint8) <= ord(" ")
     starts = np.flatnonzero(space[:-1] & ~space[1:])

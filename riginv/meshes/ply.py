@@ -62,7 +62,7 @@ class PlyMesh(MeshFile):
                     corners, position = _whole(body.column(element, rows, column)), rows.end
                     sizes = rows.sizes[:, column]
                     polygons = Polygons(sizes, corners) if wanted.name == FACES else Polygons.strips(sizes, corners)
-                elif polygons is None or not self.header.order:
+                else:
                     position = _after(body, element, position)
             except (TruncatedBodyError, OverflowError):
                 raise _damaged(self.path, element) from None
@@ -107,21 +107,25 @@ def _points(path: Path, header: Header, data: bytes, number: int) -> tuple[Point
             position = _after(body, before, position)
         except (TruncatedBodyError, OverflowError):
             raise _damaged(path, before) from None
-    columns = [element.index(axis) for axis in "xyz"]
     try:
         end = _after(body, element, position)
-        if header.order and not element.has_lists:
-            table = np.frombuffer(data, row_type(element, header.order), element.count, position)
-            values = np.stack([table[str(column)].astype(np.float64) for column in columns], axis=1)
-        else:
-            rows = body.rows(element, position)
-            values = np.stack([body.column(element, rows, column) for column in columns], axis=1).astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            values = _coordinates(header, data, body, element, position)
     except (TruncatedBodyError, OverflowError, ValueError):
         raise _damaged(path, element) from None
     if header.order:
         return Points(values, notes), position, end
     _check_length(path, header, body, number, end)
     return Points(values, notes), 0, 0
+
+
+def _coordinates(header: Header, data: bytes, body: PlyBody, element: Element, position: int) -> np.ndarray:
+    columns = [element.index(axis) for axis in "xyz"]
+    if header.order and not element.has_lists:
+        table = np.frombuffer(data, row_type(element, header.order), element.count, position)
+        return np.stack([table[str(column)].astype(np.float64) for column in columns], axis=1)
+    rows = body.rows(element, position)
+    return np.stack([body.column(element, rows, column) for column in columns], axis=1).astype(np.float64)
 
 
 def _check_length(path: Path, header: Header, body: PlyBody, number: int, position: int) -> None:

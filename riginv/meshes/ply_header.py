@@ -14,6 +14,7 @@ TYPES = {
     **{"float32": "f4", "float64": "f8", "int64": "i8", "uint64": "u8"},
 }
 BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+PASSED_OVER = ("ply", "format", "comment", "obj_info")
 LONGEST = 1 << 16
 END = re.compile(rb"^end_header[ \t]*", re.MULTILINE)
 
@@ -91,6 +92,10 @@ def _elements(lines: list[list[str]]) -> list[Element]:
             elements[-1].properties.append(Property(words[4], TYPES[words[3]], TYPES[words[2]]))
         elif words[:1] == ["property"]:
             elements[-1].properties.append(Property(words[2], TYPES[words[1]]))
+        elif words and words[0] not in PASSED_OVER:  # a damaged line may be a property that is missed
+            raise ValueError
+    if any(element.count and not element.properties for element in elements):
+        raise ValueError
     return elements
 
 
