@@ -65,7 +65,10 @@ def test_negative_frames_play_in_order(frame, width, tmp_path):
 
 
 def test_a_dash_is_no_sign_where_it_only_parts_the_number(tmp_path):
-    assert numbers(touch(tmp_path / "a", "f-1.obj", "f-2.obj", "f-3.obj")) == [1, 2, 3]
+    folder = touch(tmp_path / "a", "f-1.obj", "f-2.obj", "f-3.obj")
+    found = find_frames(str(folder), ".obj")
+    assert found.numbers.tolist() == [1, 2, 3] and f"not a minus ({folder}/f%d.obj: a minus)" in found.notes[0]
+    assert numbers(folder / "f%d.obj") == [-3, -2, -1]
     assert numbers(touch(tmp_path / "b", "take 1-7-1.obj", "take 1-7-2.obj")) == [1, 2]
     assert numbers(touch(tmp_path / "c", "f-2.obj", "f-1.obj", "f0.obj", "f1.obj")) == [-2, -1, 0, 1]
 

@@ -49,6 +49,13 @@ class NumberedFiles(NamedTuple):
     def pattern(self) -> str:
         return pattern_of(self.files, self.position)
 
+    @property
+    def signed_pattern(self) -> str:
+        """The pattern by which the dash before every number is a minus; empty where there is none."""
+        if not self.files[0].texts[self.position].endswith("-"):
+            return ""
+        return pattern_of([_negative(name, self.position) for name in self.files], self.position)
+
 
 def take_apart(path: Path) -> FileName:
     """The numbers in a name, and what stands around them."""
@@ -157,13 +164,10 @@ def sequence_of(path: str, files: Sequence[Path]) -> tuple[NumberedFiles | None,
 
 def _check_dash(path: str, found: NumberedFiles) -> None:
     """Raises InputError where a dash behind a space may be a sign of all numbers, or part of the name."""
-    before = found.files[0].texts[found.position]
-    if before.endswith(" -") and len(found.files) > 1:
-        folder, name = Path(shlex.split(found.pattern)[0]).parent, Path(shlex.split(found.pattern)[0]).name
-        signed = shlex.quote(str(folder / re.sub(r" -(%0?\d*d)", r" \1", name)))
+    if found.files[0].texts[found.position].endswith(" -") and len(found.files) > 1:
         raise InputError(
             f"{path}: a dash stands before the number of every frame ({found.files[0].path.name}, ...): give {found.pattern} "
-            f"where it is part of the name, or {signed} where it is a minus"
+            f"where it is part of the name, or {found.signed_pattern} where it is a minus"
         )
 
 

@@ -153,6 +153,10 @@ def _in_order(path: str, found: Sequence[Path], bridge: bool) -> FrameFiles:
         note = f"None of the {len(found)} names has a number: they were read in the order of their names, as frames from 0."
         return FrameFiles(np.arange(len(found)), list(found), (note,) if len(found) > 1 else ())
     notes = (f"Left out: {_listed(file.name for file in others)}, not of the sequence {sequence.pattern}.",) if others else ()
+    if sequence.signed_pattern and len(sequence.files) > 1:
+        notes += (
+            f"The dash before the numbers was taken for a part of the name, not a minus ({sequence.signed_pattern}: a minus).",
+        )
     numbered = [(name.number(sequence.position), name.path) for name in sequence.files]
     return _numbered(path, numbered, bridge, notes)
 
