@@ -159,7 +159,11 @@ def test_gaps_are_named_as_spans_and_long_ones_refused(tmp_path):
     folder = touch(tmp_path / "shot", *(f"f.{number}.obj" for number in (1, 2, 3, 7, 9, 10, 1001, 1002)))
     with pytest.raises(InputError, match="994 of frames 1 to 1002 are missing: 4 to 6, 8, 11 to 1000; add them"):
         numbers(folder)
-    assert len(numbers(folder, bridge=True)) == 1002
+    bridged = find_frames(str(folder), ".obj", bridge=True)
+    assert len(bridged.numbers) == 1002 and sum(path is None for path in bridged.paths) == 994
+    assert bridged.notes == ("994 frames have no file: neighbours stand in (reading.missing_frames=error).",)
+    every_second = find_frames(str(touch(tmp_path / "b", "f.1.obj", "f.3.obj", "f.5.obj")), ".obj")
+    assert every_second.numbers.tolist() == [1, 3, 5] and "every 2 frames" in every_second.notes[0]
     touch(folder, "f.20260101000000.obj")
     with pytest.raises(InputError, match="rename them in order"):
         numbers(folder, bridge=True)
