@@ -10,11 +10,12 @@ from rich.console import Console
 from rich.table import Table
 
 from riginv.clips.open import open_sequence
+from riginv.clips.options import ReadingOptions
 from rigs.face import FaceRig
 from tests.clips import obj_sequence, ply_sequence, write_mdd, write_npz, write_pc2
 
 FRAMES = 60
-OPTIONS = {"mesh": None, "missing_frames": "error", "fps": None, "interpreter": None}
+OPTIONS = ReadingOptions()
 
 
 def main() -> None:

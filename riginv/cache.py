@@ -53,7 +53,8 @@ def cached_tensors(name: str, key: str, build: Callable[[], dict[str, Tensor]]) 
         with contextlib.suppress(OSError, SafetensorError, InputError):  # the last: another process keeps the same just now
             with alone(path), written_beside(path) as beside:
                 save_file(tensors, beside, {SUM: _digest(tensors)})
-    return tensors
+    # Sums of floats depend on how their memory is aligned: copies are aligned alike, whether built or read.
+    return {name: tensor.clone() for name, tensor in tensors.items()}
 
 
 def _read(path: Path) -> dict[str, Tensor] | None:

@@ -9,7 +9,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import yaml
 
@@ -72,6 +72,35 @@ def check_regular(path: Path) -> None:
         return  # whoever opens it says so
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise InputError(f"{path}: this is no file but a device, a pipe or a socket, which are never read: name a file")
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[BinaryIO]:
+    """A file open for reading bytes.
+
+    Raises:
+        InputError: it is not there, or cannot be read.
+    """
+    check_regular(path)
+    try:
+        with path.open("rb") as file:
+            yield file
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """All bytes of a file.
+
+    Raises:
+        InputError: it is not there, or cannot be read.
+    """
+    with opened(path) as file:
+        return file.read()
 
 
 def read_text(path: Path) -> str:

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from riginv.clips.clip import Clip
-from riginv.clips.obj_text import read_points
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.picked import PickedVertices
@@ -17,6 +16,7 @@ from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
 from riginv.errors import InputError
+from riginv.meshes.obj import read_points
 from rigs.gltf.rig import GltfRig
 from tests.avatars import AvatarWriter, face_avatar
 from tests.clips import (
@@ -139,7 +139,7 @@ def test_a_live_link_recording_moves_the_shapes(rig, tmp_path):
     ],
 )
 def test_vertex_lines_of_every_style(text, count):
-    found = read_points(Path("a.obj"), text)
+    found = read_points(Path("a.obj"), text).values
     assert found.shape == (count, 3)
     assert np.allclose(found[1], [-4, 5, 0.6] if b"-4e0" in text else [4, 5, 6])
 

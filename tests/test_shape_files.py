@@ -10,7 +10,7 @@ from safetensors.numpy import save_file
 from riginv.errors import InputError
 from rigs.shapes import ShapesRig
 from rigs.shapes.deltas import names_in, read_deltas
-from rigs.shapes.mesh import read_mesh
+from rigs.shapes.mesh import read_sculpt
 from tests.sculpts import FACES, FAN, POINTS, offset, write_folder, write_obj, write_ply
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -27,10 +27,10 @@ def test_an_obj_keeps_its_order_along_seams_and_whatever_else_stands_in_it(tmp_p
     path.write_text(
         "# a comment\r\nmtllib ä.mtl\no head\n" + SEAMS + text.replace("\nf", "\nusemtl skin\ns 1\nf", 1), "latin-1"
     )
-    mesh = read_mesh(path)
+    mesh = read_sculpt(path)
     np.testing.assert_allclose(mesh.vertices, points, atol=1e-8)
-    assert [list(face) for face in np.split(mesh.corners, np.cumsum(mesh.sizes)[:-1])] == FACES
-    assert mesh.triangles().tolist() == FAN
+    assert [list(face) for face in np.split(mesh.faces.corners, np.cumsum(mesh.faces.sizes)[:-1])] == FACES
+    assert mesh.faces.fans().tolist() == FAN
 
 
 def test_an_obj_of_trimesh_and_one_with_colours_are_read_in_their_order(tmp_path):
@@ -39,27 +39,27 @@ def test_an_obj_of_trimesh_and_one_with_colours_are_read_in_their_order(tmp_path
     sphere.visual.vertex_colors = np.full((len(sphere.vertices), 4), 100, np.uint8)
     sphere.export(tmp_path / "c.obj")
     for name in ("s.obj", "c.obj"):
-        mesh = read_mesh(tmp_path / name)
+        mesh = read_sculpt(tmp_path / name)
         np.testing.assert_allclose(mesh.vertices, sphere.vertices, atol=1e-7)
-        np.testing.assert_array_equal(mesh.triangles(), sphere.faces)
+        np.testing.assert_array_equal(mesh.faces.fans(), sphere.faces)
 
 
 @pytest.mark.parametrize("kind", ["ascii", "binary_little_endian", "binary_big_endian"])
 def test_a_ply_keeps_its_order_in_text_and_binary(tmp_path, kind):
     points = POINTS + offset(1)
     write_ply(tmp_path / "a.ply", points, kind)
-    mesh = read_mesh(tmp_path / "a.ply")
+    mesh = read_sculpt(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.vertices, points)
-    assert mesh.triangles().tolist() == FAN
+    assert mesh.faces.fans().tolist() == FAN
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
 def test_a_ply_of_trimesh_is_read_in_its_order(tmp_path, encoding):
     sphere = trimesh.creation.icosphere(2)
     sphere.export(tmp_path / "s.ply", encoding=encoding)
-    mesh = read_mesh(tmp_path / "s.ply")
+    mesh = read_sculpt(tmp_path / "s.ply")
     np.testing.assert_allclose(mesh.vertices, sphere.vertices, atol=1e-6)
-    np.testing.assert_array_equal(mesh.triangles(), sphere.faces)
+    np.testing.assert_array_equal(mesh.faces.fans(), sphere.faces)
 
 
 def broken(folder: Path, **files: bytes | str) -> Path:
@@ -202,7 +202,7 @@ def test_no_damage_to_a_file_gets_past_the_readers(tmp_path):
             path.write_bytes(damaged[: draw.integers(len(whole)) if draw.random() < 0.3 else None])
             try:
                 if path.suffix in (".obj", ".ply"):
-                    assert np.isfinite(read_mesh(path).vertices).all()
+                    assert np.isfinite(read_sculpt(path).vertices).all()
                 else:
                     assert all(read_deltas(path, name, len(POINTS)).shape == POINTS.shape for name in names_in(path))
                 outcomes.add((path.name, "read"))

@@ -19,6 +19,7 @@ from riginv.cli.apart import end_with_starter
 from riginv.cli.blame import blame
 from riginv.cli.config_folders import check_config_folders
 from riginv.cli.explain import CONFIGS, explain
+from riginv.cli.path_values import with_quoted_paths
 from riginv.cli.quiet import hush
 from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
 from riginv.cli.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
@@ -45,7 +46,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             register_sweep_resolvers()
             job = _Job(task, config_name)
             try:
-                arguments = [true_rig_choice(argument) for argument in options_first(sys.argv[1:])]
+                arguments = [true_rig_choice(argument) for argument in with_quoted_paths(options_first(sys.argv[1:]))]
                 check_config_folders(arguments)
                 sys.argv[1:] = with_sweep_folder(arguments, config_name)
                 hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()

@@ -4,6 +4,7 @@ import difflib
 import errno
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from riginv.cli.path_values import quoted
 from riginv.errors import InputError, NonFiniteLossError
 
 PACKAGE = Path(__file__).parent.parent
@@ -33,7 +35,9 @@ def explain(error: BaseException, config_name: str) -> str | None:
         if isinstance(cause, MissingConfigException):
             return _unknown_choice(cause)
         if isinstance(cause, OverrideParseException):
-            return f"cannot read the argument '{cause.override}': expected KEY=VALUE or GROUP=CHOICE"
+            return (
+                f"cannot read the argument '{cause.override}': expected KEY=VALUE or GROUP=CHOICE{_in_quotes(cause.override)}"
+            )
         if isinstance(cause, ConfigCompositionException) and (key := re.match(r"Could not override '([^']+)'", str(cause))):
             return f"{key[1]}: there is no such key{_near(key[1], _known_keys(config_name))} --cfg job shows them all"
     if any(_says_full(cause) for cause in causes):
@@ -80,6 +84,12 @@ def _unknown_choice(error: MissingConfigException) -> str:
     known = {file.relative_to(folder).with_suffix("").as_posix() for file in files}
     known |= {option for option in error.options or [] if not (folder / option).is_dir()}
     return f"{group}={choice}: there is no such {group}{_near(choice, known)} Known: {', '.join(sorted(known))}"
+
+
+def _in_quotes(argument: str | None) -> str:
+    """How to type an argument whose value is text that Hydra reads something else into."""
+    key, equals, value = (argument or "").partition("=")
+    return f"; a value with brackets, quotes or the like: {shlex.quote(f'{key}={quoted(value)}')}" if equals and value else ""
 
 
 def _near(word: str, words: set[str]) -> str:

@@ -17,7 +17,7 @@ SWEEPS = Path("runs") / "sweep"
 TYPED = "multirun.yaml"  # Hydra writes it before the first job starts
 FOLDER = "hydra.sweep.dir="
 LONGEST = 80  # characters of its name
-IN_BRACKETS = re.compile(r"\[[^\]]*\]|\{[^}]*\}")  # a list is one value
+IN_BRACKETS = re.compile(r"\[[^\]]*\]|\{[^}]*\}|\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'")  # a list or a text is one value
 SWEPT = re.compile(r"=.*,|=(range|choice|glob)\(")
 NOT_OF_THE_TASK = ("hydra.", "hydra/", "resume=", "-")
 

@@ -1,4 +1,4 @@
-"""Clips as NumPy arrays: .npy, and .npz with `vertices (frame, vertex, 3)` and perhaps `faces`, `fps`, `frame_numbers`.
+"""Clips as NumPy arrays: .npy, and .npz with `vertices (frame, vertex, 3)` and perhaps faces, a rate, times, frame numbers.
 
 Arrays that are stored as they are, as `np.savez` does, are read in place, window by window; compressed ones are unpacked as a
 stream, from the first frame to the last, and from the start again where an earlier frame is asked for.
@@ -14,18 +14,19 @@ from typing import BinaryIO
 import numpy as np
 
 from riginv.array_files import DAMAGED_ZIP, Header, check_shape, read_header
-from riginv.clips.files import opened, read_numbers
+from riginv.clips.array_facts import BESIDE, faces_of, frame_times
+from riginv.clips.files import read_numbers
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, Polygons
+from riginv.clips.sequence import MeshSequence, SourceFacts
 from riginv.errors import InputError, in_short
+from riginv.files import opened
 
 VERTICES = ("vertices", "verts", "points", "positions")
 LOCAL_HEADER = struct.Struct("<4s22xHH")  # of a zip's member: its signature, and how long its name and its extra field are
 LARGEST_SMALL = 1 << 30  # bytes of any array but the vertices
 
 
-def _layout(where: str, file: BinaryIO) -> Header:
-    header = read_header(where, file)
+def _layout(where: str, header: Header) -> Header:
     if header.dtype.hasobject:
         raise InputError(f"{where}: it holds Python objects, which are never loaded: save plain numbers")
     check_shape(where, header)
@@ -42,29 +43,31 @@ class ArrayClip(MeshSequence):
     def __init__(self, name: str, options: ReadingOptions) -> None:
         self.file = path = Path(name)
         self.member: zipfile.ZipInfo | None = None
-        faces, fps, numbers = None, None, None
+        beside: dict[str, np.ndarray] = {}
+        others: tuple[str, ...] = ()
+        notes = list(options.unused(f"NumPy {path.suffix.lower()}", path.suffix.lower() != ".npz"))
         if path.suffix.lower() == ".npz":
             with self._archive() as archive:
-                self.member = _vertices_member(path, archive)
-                small = {Path(name).stem: name for name in archive.namelist() if name.endswith(".npy")}
-                faces = _faces(path, self._small(archive, small.get("faces")))
-                fps = _fps(path, self._small(archive, small.get("fps")))
-                numbers = self._small(archive, small.get("frame_numbers"))
-                with archive.open(self.member) as file:
-                    layout = _layout(f"{path}, {self.member.filename}", file)
+                layouts = _layouts(path, archive)
+                self.member = _vertices_member(path, archive, layouts, options.mesh_names, notes)
+                layout = _layout(f"{path}, {self.member.filename}", layouts[self.member.filename])
+                names = {Path(member).stem: member for member in layouts if member != self.member.filename}
+                beside = {name: self._small(archive, names[name]) for name in BESIDE if name in names}
+                others = tuple(stem for stem, member in names.items() if _is_mesh(layouts[member]) and stem not in BESIDE)
         else:
             with opened(path) as file:
-                layout = _layout(str(path), file)
-        shape = layout.shape
-        if len(shape) != 3 or shape[2] != 3 or layout.dtype.kind != "f":
-            raise InputError(f"{path}: the vertices are {layout.dtype} of shape {shape}, expected floats (frame, vertex, 3)")
-        self.layout, self.frame_bytes = layout, 3 * shape[1] * layout.dtype.itemsize
+                layout = _layout(str(path), read_header(str(path), file))
+        _check_vertices(path, layout)
+        self.layout, self.frame_bytes = layout, 3 * layout.shape[1] * layout.dtype.itemsize
         self.stored = self.member is None or self.member.compress_type == zipfile.ZIP_STORED
         self.offset = layout.length + (self._start_of_member() if self.member and self.stored else 0)
         self._check_size()
         self._stream: BinaryIO | None = None
         self._stream_at = 0
-        super().__init__(path, _frame_numbers(path, numbers, shape[0]), shape[1], faces, fps)
+        times = frame_times(path, beside, layout.shape[0], notes)
+        read = (Path(self.member.filename).stem,) if self.member else ()
+        facts = SourceFacts(f"NumPy {path.suffix.lower()}", read, others, rate_source=times.rate_source, notes=tuple(notes))
+        super().__init__(path, times.numbers, layout.shape[1], faces_of(path, beside), times.fps, facts=facts)
 
     def read(self, start: int, stop: int) -> np.ndarray:
         shape = (stop - start, self.vertex_count, 3)
@@ -112,12 +115,10 @@ class ArrayClip(MeshSequence):
         except (*DAMAGED_ZIP, UnicodeDecodeError) as error:
             raise InputError(f"{self.file}: no .npz, or a damaged one ({in_short(error)}): copy it or save it again") from None
 
-    def _small(self, archive: zipfile.ZipFile, name: str | None) -> np.ndarray | None:
+    def _small(self, archive: zipfile.ZipFile, name: str) -> np.ndarray:
         """One of the small arrays beside the vertices."""
-        if name is None:
-            return None
         with archive.open(name) as file:
-            layout = _layout(f"{self.file}, {name}", file)
+            layout = _layout(f"{self.file}, {name}", read_header(f"{self.file}, {name}", file))
             size = int(np.prod([float(length) for length in layout.shape]) * layout.dtype.itemsize)
             if size > LARGEST_SMALL:
                 raise InputError(f"{self.file}: {name} would be {size / 1e9:.1f} GB: damaged; save it again")
@@ -146,40 +147,54 @@ class ArrayClip(MeshSequence):
             )
 
 
-def _vertices_member(path: Path, archive: zipfile.ZipFile) -> zipfile.ZipInfo:
-    found = {Path(info.filename).stem: info for info in archive.infolist() if info.filename.endswith(".npy")}
-    name = next((name for name in VERTICES if name in found), None)
-    if name is None:
+def _layouts(path: Path, archive: zipfile.ZipFile) -> dict[str, Header]:
+    """The headers of all arrays in an archive, by the names of its members."""
+    layouts = {}
+    for info in archive.infolist():
+        if info.filename.endswith(".npy"):
+            if info.flag_bits & 1:
+                raise InputError(f"{path}: it is encrypted; save it without a password")
+            with archive.open(info) as file:
+                layouts[info.filename] = read_header(f"{path}, {info.filename}", file)
+    return layouts
+
+
+def _is_mesh(layout: Header) -> bool:
+    """Whether an array may hold the vertices of each frame."""
+    return len(layout.shape) == 3 and layout.shape[2] == 3 and layout.dtype.kind == "f"
+
+
+def _vertices_member(
+    path: Path, archive: zipfile.ZipFile, layouts: dict[str, Header], asked: list[str], notes: list[str]
+) -> zipfile.ZipInfo:
+    """The array of vertices: the one that was asked for, one of a known name, or else the only one that can be."""
+    found = {Path(member).stem: member for member in layouts}
+    if asked:
+        if len(asked) > 1 or asked[0] not in found:
+            raise InputError(
+                f"{path}: reading.mesh names {', '.join(asked)}, expected one of its arrays: {', '.join(list(found)[:12])}"
+            )
+        return archive.getinfo(found[asked[0]])
+    named = [name for name in VERTICES if name in found]
+    able = [name for name in (*named, *(other for other in found if other not in named)) if _is_mesh(layouts[found[name]])]
+    if able and (able[0] in named or len(able) == 1):
+        if able[0] not in named:
+            notes.append(f"The array {able[0]!r} was taken for the vertices: no other has the shape (frame, vertex, 3).")
+        return archive.getinfo(found[able[0]])
+    if named:
+        return archive.getinfo(found[named[0]])
+    listed = ", ".join((able or list(found))[:8]) or "none"
+    raise InputError(
+        f"{path}: no array of vertices: expected one named {' or '.join(VERTICES)}, found {listed}"
+        + (f", and any of these {len(able)} could be it: reading.mesh=NAME says which" if able else "")
+    )
+
+
+def _check_vertices(path: Path, layout: Header) -> None:
+    if len(layout.shape) == 3 and layout.shape[2] == 3 and layout.dtype.kind in "iu":
         raise InputError(
-            f"{path}: no array of vertices: expected one named {' or '.join(VERTICES)}, found "
-            f"{', '.join(list(found)[:8]) or 'none'}"
+            f"{path}: the vertices are whole numbers ({layout.dtype}), expected floats: save them as float32 in the units that "
+            f"they are meant in; where they are quantised, scale them first"
         )
-    if found[name].flag_bits & 1:
-        raise InputError(f"{path}: it is encrypted; save it without a password")
-    return found[name]
-
-
-def _faces(path: Path, faces: np.ndarray | None) -> Polygons | None:
-    if faces is None or not faces.size:
-        return None
-    if faces.ndim != 2 or faces.shape[1] < 3 or faces.dtype.kind not in "iu":
-        raise InputError(f"{path}: faces are {faces.dtype} of shape {faces.shape}, expected whole numbers (face, 3)")
-    with np.errstate(over="ignore"):
-        corners = faces.astype(np.int64)
-    return Polygons(np.full(len(faces), faces.shape[1], np.int64), corners.reshape(-1))
-
-
-def _fps(path: Path, fps: np.ndarray | None) -> float | None:
-    if fps is None:
-        return None
-    if fps.size != 1 or fps.dtype.kind not in "iuf":
-        raise InputError(f"{path}: fps is {fps.dtype} of shape {fps.shape}, expected one number")
-    return float(fps.reshape(-1)[0])
-
-
-def _frame_numbers(path: Path, numbers: np.ndarray | None, frames: int) -> np.ndarray:
-    if numbers is None:
-        return np.arange(frames)
-    if numbers.shape != (frames,) or numbers.dtype.kind not in "iu":
-        raise InputError(f"{path}: frame_numbers are {numbers.dtype} of shape {numbers.shape}, expected {frames} whole numbers")
-    return numbers.astype(np.int64)
+    if not _is_mesh(layout):
+        raise InputError(f"{path}: the vertices are {layout.dtype} of shape {layout.shape}, expected floats (frame, vertex, 3)")

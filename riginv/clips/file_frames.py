@@ -1,21 +1,19 @@
 """A sequence with a file for each frame: OBJ and PLY; every file must have the mesh of the first."""
 
-from abc import abstractmethod
 from pathlib import Path
 
 import numpy as np
 
-from riginv.clips.files import read_bytes
 from riginv.clips.numbered import find_frames
-from riginv.clips.obj_text import face_lines, read_points, read_polygons
 from riginv.clips.options import ReadingOptions
-from riginv.clips.ply_file import read_ply
-from riginv.clips.sequence import MeshSequence, Polygons
+from riginv.clips.sequence import MeshSequence, SourceFacts
 from riginv.errors import InputError
+from riginv.meshes.mesh_file import MeshFile, note_on_objects
+from riginv.meshes.reading import read_mesh
 
 
 class FileFrames(MeshSequence):
-    """Files, one for each frame.
+    """Files, one for each frame; the order of their vertices is kept.
 
     Args:
         path: as in `find_frames`.
@@ -25,67 +23,75 @@ class FileFrames(MeshSequence):
         InputError: there are no files, some are missing, or the first one is no mesh.
     """
 
-    suffixes: tuple[str, ...] = ()
+    suffix: str
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
-        self.frames = find_frames(path, self.suffixes, options.missing_frames == "bridge")
-        points, self.face_bytes = self.parse(self.frames.first)
-        super().__init__(path, self.frames.numbers, len(points), self.polygons(self.frames.first))
-
-    @abstractmethod
-    def parse(self, path: Path) -> tuple[np.ndarray, bytes]:
-        """The vertices `(vertex, 3)` of a file, and the bytes that hold its faces."""
-
-    @abstractmethod
-    def polygons(self, path: Path) -> Polygons | None:
-        """The faces of a file."""
+        self.frames = find_frames(path, self.suffix, options.missing_frames == "bridge")
+        first = read_mesh(self.frames.first)
+        self.face_bytes, self.first_faces, self.points_in_file = first.face_bytes, first.polygons(), len(first.points)
+        names = first.objects
+        read = tuple(name for name in names if name in options.mesh_names) if names and options.mesh_names else names
+        self.picked = _vertices_of(first, options.mesh_names) if names and options.mesh_names else None
+        notes = (*self.frames.notes, *first.notes, *options.unused(self.suffix[1:].upper(), not names))
+        notes += note_on_objects(first.path, read)
+        left_out = tuple(name for name in names if name not in read)
+        facts = SourceFacts(self.suffix[1:].upper(), read, left_out, notes=notes)
+        faces, count = self.first_faces, len(first.points)
+        if self.picked is not None:
+            if faces is not None:
+                faces.check(path, count)
+                faces = faces.among(self.picked)
+            count = len(self.picked)
+        super().__init__(path, self.frames.numbers, count, faces, facts=facts)
 
     def read(self, start: int, stop: int) -> np.ndarray:
         values = np.full((stop - start, self.vertex_count, 3), np.nan, np.float32)
-        for place, path in zip(values, self.frames.paths[start:stop]):
+        for frame, path in zip(values, self.frames.paths[start:stop]):
             if path is not None:
-                place[:] = self._checked(path)
+                with np.errstate(over="ignore", invalid="ignore"):
+                    frame[:] = self._checked(path)
         return values
 
     def _checked(self, path: Path) -> np.ndarray:
-        points, face_bytes = self.parse(path)
+        mesh = read_mesh(path)
         first = self.frames.first.name
-        if len(points) != self.vertex_count:
+        if len(mesh.points) != self.points_in_file:
             raise InputError(
-                f"{path}: {len(points)} vertices, and {first} has {self.vertex_count}: all frames must be the same mesh: "
-                f"export them again"
+                f"{path}: {len(mesh.points)} vertices, and {first} has {self.points_in_file}: all frames must be one mesh; "
+                "export them again"
             )
-        if face_bytes != self.face_bytes:
-            found, expected = self.polygons(path), self.faces
+        if mesh.face_bytes != self.face_bytes:
+            found, expected = mesh.polygons(), self.first_faces
             if found is not None and expected is not None and not found.same_as(expected):
                 raise InputError(
                     f"{path}: its {len(found)} faces are not the {len(expected)} of {first}: all frames must be the same mesh "
                     f"with its vertices in the same order; export them again"
                 )
-        return points
+        return mesh.points if self.picked is None else mesh.points[self.picked]
+
+
+def _vertices_of(mesh: MeshFile, names: list[str]) -> np.ndarray:
+    """The vertices `(vertex,)` of some objects, rising.
+
+    Raises:
+        InputError: there is none of such a name, or it has no vertices of its own.
+    """
+    for name in names:
+        if name not in mesh.objects or not len(mesh.vertices_of(name)):
+            what = "has no vertices of its own" if name in mesh.objects else "is no object"
+            raise InputError(
+                f"{mesh.path}: reading.mesh names {name!r}, which {what} there; its objects: {', '.join(mesh.objects[:12])}"
+            )
+    return np.unique(np.concatenate([mesh.vertices_of(name) for name in names]))
 
 
 class ObjFrames(FileFrames):
-    """Wavefront OBJ files; the order of their vertices is kept."""
+    """Wavefront OBJ files."""
 
-    suffixes = (".obj",)
-
-    def parse(self, path: Path) -> tuple[np.ndarray, bytes]:
-        data = read_bytes(path)
-        return read_points(path, data), face_lines(data)
-
-    def polygons(self, path: Path) -> Polygons | None:
-        return read_polygons(path, read_bytes(path))
+    suffix = ".obj"
 
 
 class PlyFrames(FileFrames):
-    """PLY files, in text or binary; the order of their vertices is kept."""
+    """PLY files, in text or binary."""
 
-    suffixes = (".ply",)
-
-    def parse(self, path: Path) -> tuple[np.ndarray, bytes]:
-        mesh = read_ply(path, read_bytes(path))
-        return mesh.points, mesh.face_bytes
-
-    def polygons(self, path: Path) -> Polygons | None:
-        return read_ply(path, read_bytes(path)).polygons()
+    suffix = ".ply"

@@ -1,41 +1,11 @@
-"""Opening what a user named, so that a missing or unreadable file ends in a sentence."""
+"""Numbers that lie in a row in a file."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
 from riginv.errors import InputError
-from riginv.files import check_regular
-
-
-@contextmanager
-def opened(path: Path) -> Iterator[BinaryIO]:
-    """A file open for reading bytes.
-
-    Raises:
-        InputError: it is not there, or cannot be read.
-    """
-    check_regular(path)
-    try:
-        with path.open("rb") as file:
-            yield file
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; clip=PATH names a clip") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
-
-
-def read_bytes(path: Path) -> bytes:
-    """All bytes of a file.
-
-    Raises:
-        InputError: it is not there, or cannot be read.
-    """
-    with opened(path) as file:
-        return file.read()
+from riginv.files import opened
 
 
 def read_numbers(path: Path, dtype: np.dtype, shape: tuple[int, ...], offset: int) -> np.ndarray:

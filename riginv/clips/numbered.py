@@ -1,18 +1,24 @@
-"""One file for each frame: which files a pattern names, and which frame each is."""
+"""One file for each frame: which files a path names, and which frame each is."""
 
 import re
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from riginv.clips.frame_names import LISTED, frame_position, group, pattern_of, sequence_of
 from riginv.errors import InputError
 
-PLACE = re.compile(r"%(0?)(\d*)d|#+")
-NUMBER = re.compile(r"\d+")
-SHOWN = 6  # missing frames that a message names
+# Of a frame's number in a pattern: of the first kind that a name has, the others are what they are.
+PLACEHOLDERS = tuple(
+    re.compile(placeholder, re.IGNORECASE)
+    for placeholder in (r"%0?\d*d", r"\$F\d*", r"<f(?:rame)?\d*>|\{f(?:rame)?(?::0?\d*d?)?\}", r"(?<!\d)#+(?!\d)")
+)
+SHOWN = 6  # missing frames, or spans of them, that a message names
 LONGEST_GAP = 100_000  # frames; more is no gap but another numbering
+LARGEST = 2**53  # number of a frame
 
 
 class FrameFiles(NamedTuple):
@@ -21,10 +27,12 @@ class FrameFiles(NamedTuple):
     Attributes:
         numbers: of the frames, `(frame,)`, rising.
         paths: of each frame, None where its file is missing.
+        notes: whole sentences: what was left out or guessed.
     """
 
     numbers: np.ndarray
     paths: list[Path | None]
+    notes: tuple[str, ...] = ()
 
     @property
     def first(self) -> Path:
@@ -33,75 +41,165 @@ class FrameFiles(NamedTuple):
 
 def is_pattern(path: str) -> bool:
     """Whether a path stands for several files."""
-    return any(mark in path for mark in "*?#[") or bool(PLACE.search(path))
+    return any(mark in path for mark in "*?") or any(kind.search(Path(path).name) for kind in PLACEHOLDERS)
 
 
-def find_frames(path: str, suffixes: tuple[str, ...], bridge: bool = False) -> FrameFiles:
-    """The files that a path names: a folder, a glob, a pattern as `shot.%04d.obj` or `shot.####.obj`, or one file.
+def visible_files(folder: Path) -> list[Path]:
+    """The files in a folder that are not hidden, as `._f.1.obj` and `.DS_Store` of macOS are; by name.
+
+    Raises:
+        InputError: the folder cannot be looked into.
+    """
+    return [path for path in _files(folder) if not path.name.startswith(".")]
+
+
+def find_frames(path: str, suffix: str, bridge: bool = False) -> FrameFiles:
+    """The files that a path names: a folder, a glob, one file, or a pattern as `shot.%04d.obj`, `shot.####.obj`, `shot.$F4.obj`
+    or `shot.<frame>.obj`.
+
+    Where no pattern says it, the number that varies from name to name is the frame's. Files without a number are left out.
 
     Args:
-        suffixes: the endings of the files that are meant, where a folder is named.
+        suffix: the ending of the files that are meant, where a folder is named.
         bridge: let missing frames count as unknown.
 
     Raises:
-        InputError: there are none, two of the same number, or some are missing between others.
+        InputError: there are none, several sequences, two files of the same number, or some are missing between others.
     """
     given = Path(path)
     if given.is_file():
-        return FrameFiles(np.array([_number(given.stem, 0)]), [given])
+        return _one_file(given)
     if given.is_dir():
-        found = sorted(file for file in _inside(given) if file.suffix.lower() in suffixes and not file.name.startswith("."))
-        expected = f"files ending in {' or '.join(suffixes)}"
-    elif match := PLACE.search(given.name):
-        found = _numbered(given, match)
-        expected = f"files as {given.name} in {given.parent}"
-    else:
-        found = sorted(file for file in _inside(given.parent) if fnmatchcase(file.name, given.name) and file.is_file())
-        expected = "files of that pattern"
-    if not found:
-        raise InputError(f"{path}: no frames: expected {expected}, found none")
-    return _in_order(path, found, bridge)
+        found = [file for file in visible_files(given) if file.suffix.lower() == suffix]
+        if not found:
+            raise InputError(f"{path}: no frames: expected files ending in {suffix}, found none")
+        return _in_order(path, found, bridge)
+    kind = next((kind for kind in PLACEHOLDERS if kind.search(given.name)), None)
+    if kind is not None:
+        return _of_pattern(path, given, kind, bridge)
+    names = [file.name for file in _of_same_kind(given)]
+    for glob in (given.name, given.name.replace("[", "[[]")):  # brackets may stand for themselves
+        found = [given.parent / name for name in names if fnmatchcase(name, glob)]
+        if found:
+            return _in_order(path, found, bridge)
+    expected = "files of that pattern" if is_pattern(path) or "[" in given.name else "that file"
+    raise InputError(f"{path}: no frames: expected {expected}, found none{_folder_missing(given)}")
 
 
-def _numbered(given: Path, place: re.Match) -> list[Path]:
-    before, after = re.escape(given.name[: place.start()]), re.escape(given.name[place.end() :])
-    name = re.compile(before + r"\d+" + after)
-    return sorted(file for file in _inside(given.parent) if name.fullmatch(file.name))
-
-
-def _inside(folder: Path) -> list[Path]:
+def _one_file(given: Path) -> FrameFiles:
+    """One file as a clip of one frame; others that differ from it by a number are pointed out."""
+    beside = [file for file in visible_files(given.parent) if file.suffix.lower() == given.suffix.lower()]
+    names = next((names for names in group([given, *beside]) if any(name.path == given for name in names)), [])
+    names = list({name.path: name for name in names}.values())
+    name = next(name for name in names if name.path == given)
+    if not name.digits:
+        return FrameFiles(np.array([0]), [given])
     try:
-        return list(folder.iterdir()) if folder.is_dir() else []
+        position = frame_position(str(given), names)
+    except InputError:
+        position = len(name.digits) - 1
+    notes = ()
+    if len(names) > 1:
+        pattern = pattern_of(names, position)
+        notes = (f"One frame was read; {len(names) - 1} more files beside it are as {pattern}, which reads them all.",)
+    number = name.number(position)
+    return FrameFiles(np.array([number if abs(number) < LARGEST else 0]), [given], notes)
+
+
+def _of_pattern(path: str, given: Path, kind: re.Pattern, bridge: bool) -> FrameFiles:
+    """The files of a pattern with a placeholder; where it has several, the one is meant by which there are files."""
+    candidates = []
+    for match in kind.finditer(given.name):
+        before, after = given.name[: match.start()], given.name[match.end() :]
+        whole = r"(?<!\d)" if before[-1:] in ("*", "?") else ""  # what stands for anything takes no digits of the number
+        name = re.compile(rf"{_literal(before)}{whole}(-?\d+){_literal(after)}", re.DOTALL)
+        matches = [(file, found) for file in _of_same_kind(given) if (found := name.fullmatch(file.name))]
+        if matches:
+            candidates.append((match[0], matches))
+    if not candidates:
+        raise InputError(
+            f"{path}: no frames: expected files as {given.name} in {given.parent}, found none{_folder_missing(given)}"
+        )
+    if len(candidates) > 1:
+        raise InputError(f"{path}: {len(candidates)} places in it fit as the frame's number: write %d at the one that is meant")
+    return _numbered(path, [(int(found[1]), file) for file, found in candidates[0][1]], bridge, ())
+
+
+def _literal(text: str) -> str:
+    """A part of a pattern as a regular expression: `*` and `?` stand for anything, all else for itself."""
+    return re.escape(text).replace(r"\*", ".*").replace(r"\?", ".")
+
+
+def _of_same_kind(given: Path) -> list[Path]:
+    """The files beside a pattern, hidden ones where it names these."""
+    return _files(given.parent) if given.name.startswith(".") else visible_files(given.parent)
+
+
+def _folder_missing(given: Path) -> str:
+    return "" if given.parent.is_dir() else f": there is no folder {given.parent}"
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        return sorted(path for path in folder.iterdir() if path.is_file()) if folder.is_dir() else []
     except OSError as error:
         raise InputError(f"{folder}: cannot be looked into: {error}") from None
 
 
-def _number(stem: str, otherwise: int) -> int:
-    numbers = NUMBER.findall(stem)
-    return int(numbers[-1]) if numbers and len(numbers[-1]) <= 15 else otherwise
+def _in_order(path: str, found: Sequence[Path], bridge: bool) -> FrameFiles:
+    """Files by the number that varies in their names."""
+    sequence, others = sequence_of(path, found)
+    if sequence is None:
+        note = f"None of the {len(found)} names has a number: they were read in the order of their names, as frames from 0."
+        return FrameFiles(np.arange(len(found)), list(found), (note,) if len(found) > 1 else ())
+    notes = (f"Left out: {_listed(file.name for file in others)}, not of the sequence {sequence.pattern}.",) if others else ()
+    if sequence.signed_pattern and len(sequence.files) > 1:
+        notes += (
+            f"The dash before the numbers was taken for a part of the name, not a minus ({sequence.signed_pattern}: a minus).",
+        )
+    numbered = [(name.number(sequence.position), name.path) for name in sequence.files]
+    return _numbered(path, numbered, bridge, notes)
 
 
-def _in_order(path: str, found: list[Path], bridge: bool) -> FrameFiles:
-    if any(NUMBER.search(file.stem) is None for file in found):
-        return FrameFiles(np.arange(len(found)), list(found))  # by name
+def _listed(names: Iterable[str]) -> str:
+    names = list(names)
+    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
+
+
+def _numbered(path: str, found: list[tuple[int, Path]], bridge: bool, notes: tuple[str, ...]) -> FrameFiles:
     by_number: dict[int, Path] = {}
-    for file in found:
-        other = by_number.setdefault(_number(file.stem, 0), file)
+    for number, file in found:
+        if abs(number) >= LARGEST:
+            raise InputError(f"{file}: its frame's number is beyond 2^53: rename the files in order")
+        other = by_number.setdefault(number, file)
         if other is not file:
             raise InputError(f"{path}: {other.name} and {file.name} are the same frame: give a pattern that names one of them")
     numbers = np.array(sorted(by_number))
     steps = np.diff(numbers)
     if len(steps) and (steps != steps[0]).any():
-        step = int(steps.min())
-        if (numbers[-1] - numbers[0]) // step > LONGEST_GAP + len(numbers):
-            raise InputError(f"{path}: frames {numbers[0]} to {numbers[-1]} with {len(numbers)} files: rename them in order")
-        full = np.union1d(np.arange(numbers[0], numbers[-1] + 1, step), numbers)
-        missing = np.setdiff1d(full, numbers)
-        if not bridge:
-            shown = ", ".join(map(str, missing[:SHOWN])) + (", ..." if len(missing) > SHOWN else "")
-            raise InputError(
-                f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]} are missing: {shown}; add them, or let their "
-                f"neighbours stand in with reading.missing_frames=bridge"
-            )
-        numbers = full
-    return FrameFiles(numbers, [by_number.get(int(number)) for number in numbers])
+        numbers = _with_missing(path, numbers, int(steps.min()), bridge)
+        notes += (f"{len(numbers) - len(by_number)} frames have no file: neighbours stand in (reading.missing_frames=error).",)
+    elif len(steps) and steps[0] > 1:
+        notes += (f"There is a file at every {steps[0]} frames: time goes by their numbers.",)
+    return FrameFiles(numbers, [by_number.get(int(number)) for number in numbers], notes)
+
+
+def _with_missing(path: str, numbers: np.ndarray, step: int, bridge: bool) -> np.ndarray:
+    """The numbers, and those that are missing between them."""
+    if (numbers[-1] - numbers[0]) // step > LONGEST_GAP + len(numbers):
+        raise InputError(f"{path}: frames {numbers[0]} to {numbers[-1]} with {len(numbers)} files: rename them in order")
+    full = np.union1d(np.arange(numbers[0], numbers[-1] + 1, step), numbers)
+    missing = np.setdiff1d(full, numbers)
+    if not bridge:
+        raise InputError(
+            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]} are missing: {_spans(missing, step)}; add them, "
+            "or let their neighbours stand in with reading.missing_frames=bridge"
+        )
+    return full
+
+
+def _spans(numbers: np.ndarray, step: int) -> str:
+    """Numbers for a message, those in a row as `first-last`."""
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != step) + 1)
+    spans = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
+    return ", ".join(spans[:SHOWN]) + (", ..." if len(spans) > SHOWN else "")

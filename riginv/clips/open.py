@@ -10,7 +10,7 @@ from riginv.clips.control_curves import csv_curves, holds_curves, npz_curves
 from riginv.clips.csv_table import read_csv
 from riginv.clips.file_frames import ObjFrames, PlyFrames
 from riginv.clips.live_link import TIMECODE, RecordedShapes, is_recording
-from riginv.clips.numbered import is_pattern
+from riginv.clips.numbered import is_pattern, visible_files
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.picked import PickedVertices
 from riginv.clips.point_caches import MddCache, Pc2Cache
@@ -65,9 +65,10 @@ def open_sequence(path: str, rig: RigBackend, options: ReadingOptions) -> MeshSe
     given = Path(path)
     suffix = given.suffix.lower()
     if _is_folder(given):
-        inside = {file.suffix.lower() for file in given.iterdir()} & set(FRAMES)
+        inside = {file.suffix.lower() for file in visible_files(given)} & set(FRAMES)
         if len(inside) != 1:
-            raise InputError(f"{path}: a folder, expected to hold OBJ or PLY files, one for each frame, and not both")
+            which = "; 'FOLDER/*.obj' names the OBJ files of one that holds both" if inside else ""
+            raise InputError(f"{path}: a folder, expected to hold OBJ or PLY files, one for each frame, and not both{which}")
         return FRAMES[inside.pop()](path, options)
     if suffix in FRAMES:
         return FRAMES[suffix](path, options)

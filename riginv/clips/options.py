@@ -68,6 +68,11 @@ class ReadingOptions:
             return []
         return [str(name) for name in self.mesh] if isinstance(self.mesh, list | tuple) else [str(self.mesh)]
 
+    def unused(self, format: str, mesh: bool = True) -> tuple[str, ...]:
+        """Says what has no meaning for a format that holds one animation, and with `mesh` one mesh without a name."""
+        keys = ["mesh"] * (mesh and self.mesh is not None) + ["animation"] * (self.animation is not None)
+        return tuple(f"reading.{key}={getattr(self, key)} was passed over: {format} holds one {key}." for key in keys)
+
 
 @dataclass(frozen=True)
 class FrameOptions:

@@ -25,8 +25,8 @@ class PickedVertices(MeshSequence):
     def __init__(self, sequence: MeshSequence, path: Path) -> None:
         self.sequence = sequence
         self.picked = read_picked(path, sequence.vertex_count)
-        facts = sequence.fps, sequence.unit_mm, sequence.up
-        super().__init__(sequence.path, sequence.frame_numbers, len(self.picked), None, *facts)
+        known = sequence.fps, sequence.unit_mm, sequence.up, sequence.facts
+        super().__init__(sequence.path, sequence.frame_numbers, len(self.picked), None, *known)
 
     def read(self, start: int, stop: int) -> np.ndarray:
         values = self.sequence.read(start, stop)[:, self.picked]

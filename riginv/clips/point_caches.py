@@ -1,47 +1,93 @@
-"""Point caches: MDD, big-endian, with the time of each frame; PC2, little-endian.
+"""Point caches: MDD, big-endian, with the time of each frame in seconds; PC2, little-endian, a sample every so many frames.
 
-Source: their layouts as Blender's manual describes them for the Mesh Cache modifier, and its add-ons write them.
+Source: their layouts as Blender's manual describes them for the Mesh Cache modifier, and its add-ons write them. Some programs
+write them in the other byte order, or frames in place of seconds.
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from riginv.clips.files import opened, read_numbers
+from riginv.clips.files import read_numbers
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MOST_VERTICES, MeshSequence
+from riginv.clips.sequence import MOST_VERTICES, MeshSequence, SourceFacts
+from riginv.clips.times import FrameTimes, frames_at, frames_of
 from riginv.errors import InputError
+from riginv.files import opened
 
 MOST_FRAMES = 10_000_000
 PC2_SIGNATURE = b"POINTCACHE2\0"
 PC2_HEADER = np.dtype(
     [("signature", "S12"), ("version", "<i4"), ("vertices", "<i4"), ("start", "<f4"), ("rate", "<f4"), ("frames", "<i4")]
 )
+PC2_VERSION = 1
+SWAPPED = {">": "<", "<": ">"}
+ORDERS = {">": "big-endian", "<": "little-endian"}
+
+
+class Layout(NamedTuple):
+    """What the header of a point cache says.
+
+    Attributes:
+        kind: MDD or PC2.
+        frames, vertices: how many.
+        offset: the byte at which the vertices start.
+        order: of bytes: `<` or `>`.
+        is_usual: whether the format has that order of bytes.
+    """
+
+    kind: str
+    frames: int
+    vertices: int
+    offset: int
+    order: str
+    is_usual: bool = True
+
+    @property
+    def needed(self) -> int:
+        """Bytes that the file must have."""
+        return self.offset + 12 * self.frames * self.vertices
+
+    @property
+    def possible(self) -> bool:
+        return 1 <= self.frames <= MOST_FRAMES and 1 <= self.vertices <= MOST_VERTICES
 
 
 class PointCache(MeshSequence):
     """What both have in common: after a header, the vertices of all frames as single floats.
 
-    Args:
-        dtype: of these, with its byte order.
-        offset: the byte at which they start.
+    Raises:
+        InputError: the file is too short for what its header says, or that cannot be meant.
     """
 
-    def __init__(
-        self, path: Path, frames: int, vertices: int, dtype: str, offset: int, start: int = 0, fps: float | None = None
-    ) -> None:
-        self.file, self.dtype, self.offset = path, np.dtype(dtype), offset
-        needed, found = offset + 12 * frames * vertices, _size(path)
-        if found < needed:
+    def __init__(self, path: Path, layout: Layout, times: FrameTimes, notes: tuple[str, ...]) -> None:
+        self.file, self.layout = path, layout
+        found = _size(path)
+        if found < layout.needed:
             raise InputError(
-                f"{path}: its header promises {frames} frames of {vertices} vertices, {needed} bytes, and it has {found}: "
-                f"truncated; copy it or export it again"
+                f"{path}: its header promises {layout.frames} frames of {layout.vertices} vertices, {layout.needed} bytes, and "
+                f"it has {found}: truncated; copy it or export it again"
             )
-        super().__init__(path, np.arange(start, start + frames), vertices, fps=fps)
+        if not layout.is_usual:
+            notes = (
+                f"{layout.kind} is {ORDERS[SWAPPED[layout.order]]}; this file is {ORDERS[layout.order]}, and read so.",
+                *notes,
+            )
+        if found > layout.needed:
+            more = (found - layout.needed) // (12 * layout.vertices)
+            notes = (
+                *notes,
+                f"The file goes on for {found - layout.needed:,} bytes behind the {layout.frames:,} frames of its header"
+                + (f", enough for {more:,} frames more, which were not read." if more else ", which were not read."),
+            )
+        facts = SourceFacts(layout.kind, rate_source=times.rate_source, notes=(*notes, *times.notes))
+        super().__init__(path, times.numbers, layout.vertices, fps=times.fps, facts=facts)
 
     def read(self, start: int, stop: int) -> np.ndarray:
-        offset = self.offset + 12 * start * self.vertex_count
-        values = read_numbers(self.file, self.dtype, (stop - start, self.vertex_count, 3), offset)
+        offset = self.layout.offset + 12 * start * self.vertex_count
+        dtype = np.dtype(f"{self.layout.order}f4")
+        values = read_numbers(self.file, dtype, (stop - start, self.vertex_count, 3), offset)
         with np.errstate(invalid="ignore"):
             return values.astype(np.float32)
 
@@ -55,13 +101,15 @@ class MddCache(PointCache):
 
     def __init__(self, name: str, options: ReadingOptions) -> None:
         path = Path(name)
-        frames, vertices = (int(number) for number in read_numbers(path, np.dtype(">i4"), (2,), 0))
-        _check_counts(path, frames, vertices, "MDD")
-        if _size(path) < 8 + 4 * frames:
-            raise InputError(f"{path}: {_size(path)} bytes, too few for the times of {frames} frames: truncated, or no MDD")
+        counts = read_numbers(path, np.dtype("u1"), (8,), 0)
+        layout = _believable(path, _mdd(counts, ">"), _mdd(counts, "<"))
+        if _size(path) < layout.offset:
+            raise InputError(
+                f"{path}: {_size(path)} bytes, too few for the times of {layout.frames} frames: truncated, or no MDD"
+            )
         with np.errstate(invalid="ignore"):
-            times = read_numbers(path, np.dtype(">f4"), (frames,), 8).astype(np.float64)
-        super().__init__(path, frames, vertices, ">f4", 8 + 4 * frames, fps=_rate(times))
+            times = read_numbers(path, np.dtype(f"{layout.order}f4"), (layout.frames,), 8).astype(np.float32)
+        super().__init__(path, layout, frames_of(times, "times"), options.unused("MDD"))
 
 
 class Pc2Cache(PointCache):
@@ -73,31 +121,45 @@ class Pc2Cache(PointCache):
 
     def __init__(self, name: str, options: ReadingOptions) -> None:
         path = Path(name)
-        header = np.frombuffer(read_numbers(path, np.dtype("u1"), (PC2_HEADER.itemsize,), 0), PC2_HEADER)[0]
+        data = read_numbers(path, np.dtype("u1"), (PC2_HEADER.itemsize,), 0)
+        header = np.frombuffer(data, PC2_HEADER)[0]
         if header["signature"] != PC2_SIGNATURE.rstrip(b"\0"):
             raise InputError(f"{path}: it starts with {bytes(header['signature'])[:12]!r}, expected {PC2_SIGNATURE!r}: no PC2")
-        frames, vertices, start = int(header["frames"]), int(header["vertices"]), float(header["start"])
-        _check_counts(path, frames, vertices, "PC2")
-        first = round(start) if abs(start) < MOST_FRAMES else 0
-        super().__init__(path, frames, vertices, "<f4", PC2_HEADER.itemsize, first)
+        swapped = np.frombuffer(data, PC2_HEADER.newbyteorder())[0]
+        layout = _believable(path, _pc2(header, "<"), _pc2(swapped, ">"))
+        header = header if layout.is_usual else swapped
+        notes = options.unused("PC2")
+        if header["version"] != PC2_VERSION:
+            notes += (f"It is a PC2 of version {header['version']}, and was read as one of version {PC2_VERSION}.",)
+        times = frames_at(float(header["start"]), float(header["rate"]), layout.frames)
+        super().__init__(path, layout, times, notes)
 
 
-def _check_counts(path: Path, frames: int, vertices: int, kind: str) -> None:
-    if not 1 <= frames <= MOST_FRAMES or not 1 <= vertices <= MOST_VERTICES:
-        raise InputError(f"{path}: {frames} frames of {vertices} vertices: damaged, without any frame, or no {kind}")
+def _mdd(counts: np.ndarray, order: str) -> Layout:
+    frames, vertices = (int(number) for number in np.frombuffer(counts, f"{order}i4"))
+    return Layout("MDD", frames, vertices, 8 + 4 * frames, order, order == ">")
+
+
+def _pc2(header: np.void, order: str) -> Layout:
+    return Layout("PC2", int(header["frames"]), int(header["vertices"]), PC2_HEADER.itemsize, order, order == "<")
+
+
+def _believable(path: Path, usual: Layout, swapped: Layout) -> Layout:
+    """The layout in the format's own order of bytes; in the other, where only that fits the size of the file exactly.
+
+    Raises:
+        InputError: neither can be meant.
+    """
+    size = _size(path)
+    if swapped.possible and swapped.needed == size and not (usual.possible and usual.needed <= size):
+        return swapped
+    if not usual.possible:
+        raise InputError(
+            f"{path}: {usual.frames} frames of {usual.vertices} vertices: damaged, without any frame, or no {usual.kind}"
+        )
+    return usual
 
 
 def _size(path: Path) -> int:
     with opened(path) as file:
         return file.seek(0, 2)
-
-
-def _rate(times: np.ndarray) -> float | None:
-    """Frames a second, where frames follow each other evenly; None where they do not say."""
-    steps = np.diff(times)
-    if not len(steps) or not np.isfinite(steps).all():
-        return None
-    step = (times[-1] - times[0]) / len(steps)
-    if not step > 0 or np.abs(steps - step).max() > 0.05 * step:
-        return None
-    return round(1 / step, 3)

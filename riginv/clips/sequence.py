@@ -8,50 +8,10 @@ import numpy as np
 
 from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
+from riginv.meshes.polygons import Polygons
 from riginv.rig import RigBackend
 
 MOST_VERTICES = 50_000_000  # of one mesh; more is damage
-
-
-@dataclass(frozen=True)
-class Polygons:
-    """The faces of a mesh, of any number of corners.
-
-    Attributes:
-        sizes: how many corners each face has, `(face,)`.
-        corners: the vertex of each corner, face after face, `(corner,)`.
-    """
-
-    sizes: np.ndarray
-    corners: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.sizes)
-
-    def same_as(self, other: "Polygons") -> bool:
-        return np.array_equal(self.sizes, other.sizes) and np.array_equal(self.corners, other.corners)
-
-    def edges(self) -> np.ndarray:
-        """The edges `(edge, 2)`, each once, its lower vertex first."""
-        after = np.arange(1, len(self.corners) + 1)
-        ends = np.cumsum(self.sizes)
-        full = self.sizes > 0
-        after[ends[full] - 1] = ends[full] - self.sizes[full]
-        both = np.sort(np.stack([self.corners, self.corners[after]], axis=1), axis=1)
-        return np.unique(both, axis=0)
-
-    @classmethod
-    def triangles(cls, faces: np.ndarray) -> "Polygons":
-        """From `(face, 3)`."""
-        return cls(np.full(len(faces), 3, np.int64), np.asarray(faces, np.int64).reshape(-1))
-
-    def check(self, path: str | Path, vertices: int) -> None:
-        """Raises InputError where a corner names no vertex."""
-        if len(self.corners) and not 0 <= self.corners.min() <= self.corners.max() < vertices:
-            wrong = self.corners[(self.corners < 0) | (self.corners >= vertices)][0]
-            raise InputError(
-                f"{path}: a face uses vertex {int(wrong)}, expected 0 to {vertices - 1}: the file is damaged; export it again"
-            )
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from riginv.clips.sequence import MeshSequence, Polygons
+from riginv.clips.sequence import MeshSequence
 from riginv.errors import InputError
+from riginv.meshes.polygons import Polygons
 from riginv.rig import RigBackend
 
 KNOWN = 12  # meshes that a message lists

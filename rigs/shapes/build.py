@@ -12,12 +12,15 @@ from rich.progress import track
 from scipy import sparse
 from torch import Tensor
 
-from riginv.cache import cached_tensors
+import riginv.meshes
+import riginv.text_numbers
+from riginv.cache import cached_tensors, code_key
 from riginv.errors import InputError
+from riginv.meshes.reading import READERS
 from rigs.shapes.deltas import read_deltas
 from rigs.shapes.folder import Source
 from rigs.shapes.logic import ShapeLogic
-from rigs.shapes.mesh import READERS, PolygonMesh, read_mesh
+from rigs.shapes.mesh import Sculpt, read_sculpt
 from rigs.shapes.names import Convention
 
 
@@ -27,14 +30,15 @@ def shape_geometry(
     """The tensors of a folder of shapes.
 
     Returns:
-        rest_vertices `(vertex, 3)` and basis `(shape, vertex, 3)`, mm, in the order of `shapes.names`; faces `(face, 3)`.
+        rest_vertices `(vertex, 3)` and basis `(shape, vertex, 3)`, mm, in the order of `shapes.names`; faces `(face, 3)`;
+        notes `(byte,)`: sentences for the user, a line each, in UTF-8.
 
     Raises:
         InputError: a file cannot be read, or does not fit the neutral.
     """
     files = [neutral, *sorted({source.path for source in sources.values()})]
     facts = {
-        "code": [path.read_text() for path in sorted(Path(__file__).parent.glob("*.py"))],
+        "code": code_key([Path(__file__).parent, Path(riginv.meshes.__file__).parent, Path(riginv.text_numbers.__file__)]),
         "files": [(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in files],
         "deltas": [sources[name].is_deltas for name in shapes.names],
         "shapes": [shapes.names, shapes.inbetweens, shapes.combinations, shapes.combination_inbetweens],
@@ -48,25 +52,33 @@ def build_geometry(
     neutral_path: Path, sources: Mapping[str, Source], shapes: Convention, logic: ShapeLogic, unit_mm: float
 ) -> dict[str, Tensor]:
     """Build what `shape_geometry` returns, without the cache."""
-    neutral = read_mesh(neutral_path)
-    if not len(neutral.sizes):
+    neutral = read_sculpt(neutral_path)
+    if not len(neutral.faces):
         raise InputError(f"{neutral_path}: the neutral has vertices but no faces; export it again with its faces")
+    notes = list(neutral.notes)
     console = Console(stderr=True)
     names = track(shapes.names, "reading shapes", console=console, transient=True, disable=not console.is_terminal)
-    found = np.stack([_read(name, sources[name], neutral) for name in names]).astype(np.float32)
+    found = np.stack([_read(name, sources[name], neutral, notes) for name in names]).astype(np.float32)
     return {
         "rest_vertices": torch.tensor(neutral.vertices * unit_mm, dtype=torch.float32),
-        "faces": torch.tensor(neutral.triangles()),
+        "faces": torch.tensor(neutral.faces.fans()),
         "basis": torch.from_numpy(solve_basis(found, sources, shapes, logic) * np.float32(unit_mm)),
+        "notes": torch.tensor(list("\n".join(dict.fromkeys(notes)).encode()), dtype=torch.uint8),
     }
 
 
-def _read(name: str, source: Source, neutral: PolygonMesh) -> np.ndarray:
+def notes_of(geometry: Mapping[str, Tensor]) -> tuple[str, ...]:
+    """The sentences for the user that `shape_geometry` returns."""
+    return tuple(filter(None, bytes(geometry["notes"].tolist()).decode().split("\n")))
+
+
+def _read(name: str, source: Source, neutral: Sculpt, notes: list[str]) -> np.ndarray:
     """How far a file moves each vertex of the neutral, `(vertex, 3)`, in the file's unit."""
     if source.path.suffix.lower() not in READERS:
         return read_deltas(source.path, name, len(neutral.vertices)).astype(np.float32)
-    mesh = read_mesh(source.path)
+    mesh = read_sculpt(source.path, neutral)
     mesh.check_like(neutral)
+    notes.extend(mesh.file.notes)
     return (mesh.vertices if source.is_deltas else mesh.vertices - neutral.vertices).astype(np.float32)
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from riginv.errors import InputError
+from riginv.meshes.reading import READERS as MESH_READERS
 from rigs.shapes.deltas import READERS as DELTA_READERS
 from rigs.shapes.deltas import names_in
-from rigs.shapes.mesh import READERS as MESH_READERS
 
 LISTED = 8  # names in a message, at most
 

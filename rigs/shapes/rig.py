@@ -9,7 +9,7 @@ from torch import Tensor
 from riginv.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.errors import InputError
 from riginv.rig import Control, LinearRig
-from rigs.shapes.build import shape_geometry
+from rigs.shapes.build import notes_of, shape_geometry
 from rigs.shapes.folder import find_shapes
 from rigs.shapes.logic import Combination, ShapeLogic
 from rigs.shapes.names import Convention, misspelt_parts, read_names
@@ -62,6 +62,7 @@ class ShapesRig(LinearRig):
         name = neutral_path.resolve().parent.name
         super().__init__(name, controls, rest, faces, basis, shapes.names, primary_count=len(shapes.primaries))
         self.shapes, self.logic = shapes, logic
+        self.notes = notes_of(geometry)
         LOG.info(self.describe())
 
     def coefficients(self, controls: Tensor) -> Tensor:

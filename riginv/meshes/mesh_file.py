@@ -1,0 +1,63 @@
+"""A mesh as its file states it, and what a reader of such files gives.
+
+General loaders merge, split and reorder vertices; a mesh whose order differs from its rig's is worthless. So the readers here
+keep what the file says, as it says it.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from riginv.meshes.polygons import Polygons
+
+
+class MeshFile(ABC):
+    """A mesh in a file.
+
+    Attributes:
+        path: of the file.
+        points: `(vertex, 3)` float64, in the file's unit and order; NaN or infinite where a coordinate is not known.
+        face_bytes: what of the file holds its faces: two files that have it in common have the faces in common.
+        notes: whole sentences: what was mended.
+    """
+
+    def __init__(self, path: Path, points: np.ndarray, face_bytes: bytes, notes: tuple[str, ...] = ()) -> None:
+        self.path, self.points, self.face_bytes, self.notes = path, points, face_bytes, notes
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """The names of the objects in the file, where it names any."""
+        return ()
+
+    def vertices_of(self, name: str) -> np.ndarray:
+        """The vertices `(vertex,)` of an object, rising."""
+        raise KeyError(name)
+
+    @abstractmethod
+    def polygons(self) -> Polygons | None:
+        """The faces; None where there are none.
+
+        Raises:
+            InputError: they are truncated or damaged.
+        """
+
+
+NAMED = 6  # objects that a note names
+
+
+def note_on_objects(path: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Says that several objects of a file are read as one mesh."""
+    if len(names) < 2:
+        return ()
+    listed = ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
+    return (f"{len(names)} objects in {path.name} ({listed}) were read as one mesh, in this order.",)
+
+
+class Points(NamedTuple):
+    """Vertices `(vertex, 3)` float64, and whole sentences about what was mended to read them."""
+
+    values: np.ndarray
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,20 @@
+"""Reading a mesh from a file by its name's ending."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from riginv.files import read_bytes
+from riginv.meshes.mesh_file import MeshFile
+from riginv.meshes.obj import ObjMesh
+from riginv.meshes.ply import PlyMesh
+
+READERS: Mapping[str, Callable[[Path, bytes], MeshFile]] = {".obj": ObjMesh, ".ply": PlyMesh}
+
+
+def read_mesh(path: Path) -> MeshFile:
+    """Read an OBJ or PLY file.
+
+    Raises:
+        InputError: it is missing, cannot be read, or is damaged.
+    """
+    return READERS[path.suffix.lower()](path, read_bytes(path))
