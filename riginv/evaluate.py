@@ -8,6 +8,7 @@ from riginv.cli.command import command, run_directory
 from riginv.cli.run_folder import METRICS, POSES, find_run_folder, plain_config
 from riginv.cli.tables import print_results
 from riginv.cli.validation import validate
+from riginv.clips.description_text import show_clip
 from riginv.data.mesh_sets import PosedRig
 from riginv.data.test_sets import random_poses
 from riginv.errors import InputError
@@ -36,6 +37,7 @@ def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     is_inverse = isinstance(model, Inverse)
     true_rig = build_true_rig(config, rig or (model.rig if is_inverse else model))
     clip = build_clip(config, true_rig) if is_inverse else None
+    show_clip(clip)
     title = f"{config['bundle']}" + (f" + {config['refine']} steps" if config["refine"] else "")
     return title, true_rig, judge_model(model, true_rig, config["poses"], clip)
 

@@ -8,6 +8,7 @@ from rich.console import Console
 from riginv.cli.command import command, run_directory
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
+from riginv.clips.description_text import show_clip
 from riginv.reproduction.cast import rig_in_space
 from riginv.reproduction.expected import measured
 from riginv.reproduction.plan import Plan, open_ended, trainings
@@ -22,6 +23,7 @@ from riginv.reproduction.preflight import (
 )
 from riginv.reproduction.report import write_report
 from riginv.reproduction.running import Runner, duration, jobs_here, one_thread
+from riginv.reproduction.sets import recording
 from riginv.reproduction.steps import Graph
 
 
@@ -40,6 +42,7 @@ def reproduce(config: DictConfig) -> None:
 
     rig = rig_in_space(plain["rig"])
     capture = plain["capture"], check_capture(plain["capture"], rig.rig)
+    show_clip(recording(rig.rig, plain["capture"]))
     check_rig(plain["body"])
     judge, judge_name, why_itself = choose_judge(plain["true_rig"], rig.rig)
     if why_itself:

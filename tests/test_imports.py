@@ -17,7 +17,7 @@ FLOORS = [
     {"array_files", "build"},
     {"geometry"},
     {"rig"},
-    {"mesh_space"},
+    {"mesh_space", "rig_size"},
     {"sampling", "metrics", "render"},
     {"losses"},
     {"networks"},
@@ -31,7 +31,7 @@ FLOORS = [
     {"evaluation", "methods"},
     {"callbacks", "baselines", "inversion"},
     {"assemble"},
-    {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx", "sample"},
+    {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx", "sample", "inspect"},
     {"reproduction"},
     {"reproduce"},
 ]

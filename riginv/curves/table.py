@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,8 @@ def write_curves(path: Path, animation: Animation) -> None:
     write_rows(path, columns, [[number, time, *row] for number, time, row in zip(numbers, times, digits(values))])
 
 
-def write_sidecar(path: Path, animation: Animation) -> None:
-    """Write what the columns of curves.csv mean."""
+def write_sidecar(path: Path, animation: Animation, clip: Mapping[str, Any] | None = None) -> None:
+    """Write what the columns of curves.csv mean, and what was read of the clip that they come from."""
     numbers = animation.frame_numbers.tolist()
     content: dict[str, Any] = {
         "source": animation.source,
@@ -42,6 +43,8 @@ def write_sidecar(path: Path, animation: Animation) -> None:
         "controls": [vars(control) for control in animation.rig.controls],
         "made_by": animation.made_by,
     }
+    if clip is not None:
+        content["clip"] = clip
     if animation.motion is not None:
         content["motion"] = [*MOVE_COLUMNS, *TURN_COLUMNS]
     if animation.keys is not None:

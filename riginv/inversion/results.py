@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from riginv.clips.clip import Clip
+from riginv.clips.description import describe
+from riginv.clips.description_text import rows
 from riginv.curves.animation import Animation, FrameErrors
 from riginv.curves.formats import write_formats
 from riginv.curves.reduction import reduced
@@ -64,12 +66,14 @@ def write_results(
             f"{reduction.keys} keys of {reduction.keys_before} are left; no vertex goes {reduction.worst_mm:.3g} mm away"
         )
     advance("curves", 0)
-    paths = write_formats(folder, curves, errors, config["formats"], after["swap_mouth"])
+    described = describe(clip)
+    paths = write_formats(folder, curves, errors, config["formats"], after["swap_mouth"], described.as_json())
     targets = _targets(clip, animation)
     if look["page"]:
         advance("page", 0)
         paths.append(folder / PAGE)
-        notes.append(f"{PAGE}: {write_viewer(folder / PAGE, animation, errors, targets).note}")
+        shown = write_viewer(folder / PAGE, animation, errors, targets, clip=rows(described))
+        notes.append(f"{PAGE}: {shown.note}")
     if look["sheet"]:
         paths.append(folder / SHEET)
         write_sheet(folder / SHEET, animation, errors, targets)
@@ -82,8 +86,8 @@ def write_results(
 def _targets(clip: Clip, animation: Animation) -> Callable[[Sequence[int]], Tensor]:
     """The meshes that were asked for, by the rows of the animation, without their rigid motion."""
 
-    def targets(rows: Sequence[int]) -> Tensor:
-        meshes = torch.cat([clip.vertices(row, row + 1) for row in rows])
-        return meshes if animation.motion is None else unmoved(animation.motion[list(rows)], meshes)
+    def targets(wanted: Sequence[int]) -> Tensor:
+        meshes = torch.cat([clip.vertices(row, row + 1) for row in wanted])
+        return meshes if animation.motion is None else unmoved(animation.motion[list(wanted)], meshes)
 
     return targets

@@ -22,7 +22,19 @@ from riginv.rig import LinearRig, RigBackend
 PACKAGE = Path(__file__).parent.parent
 DRAWING = ("pictures", "plots", "render")
 MAKE_NO_FIGURES = (  # files and folders of the package that no result of a step depends on but through its config
-    *("cli", "callbacks", "reproduce", "compare", "evaluate", "check", "contact_sheet", "summary", "templates", "wording"),
+    *(
+        "cli",
+        "callbacks",
+        "reproduce",
+        "compare",
+        "evaluate",
+        "check",
+        "inspect",
+        "contact_sheet",
+        "summary",
+        "templates",
+        "wording",
+    ),
     *("report", "tables", "claims", "paper", "machine", "preflight", "running", "workers", "plan", "recipes", "expected"),
 )
 DISTRIBUTIONS = ("torch", "numpy", "scipy", "lightning", "anny")

@@ -56,12 +56,14 @@ def write_viewer(
     errors: FrameErrors,
     targets: Targets,
     advance: Callable[[int], None] | None = None,
+    clip: Sequence[tuple[str, str]] = (),
 ) -> Shown:
     """Write the page.
 
     Args:
         targets: the meshes that were asked for, by the rows of the animation, in the rig's space (rigid motion removed).
         advance: told how many meshes of `Shown.frames` were added.
+        clip: what was read, as rows of a table: what it is, and the value.
 
     Returns:
         what it holds; a long clip is shown in fewer meshes, a large mesh in fewer vertices.
@@ -90,6 +92,7 @@ def write_viewer(
         "heat": (HEAT_STOPS * 255).round().astype(int).tolist(),
         "colored": colors is not None,
         "note": note,
+        "clip": [list(row) for row in clip],
     }
     parts = {
         "TITLE": html.escape(facts["source"]),

@@ -1,0 +1,138 @@
+"""What was read of a clip in words: one line for the terminal, rows of a table for a page."""
+
+from collections.abc import Sequence
+
+from riginv.cli.first_lines import show_lines
+from riginv.clips.clip import Clip
+from riginv.clips.description import ClipDescription, describe
+from riginv.clips.units import UNITS
+from riginv.data.mesh_sets import MeshSet
+from riginv.errors import printable
+from riginv.rig_size import extent
+
+LONGEST_LINE = 200  # characters
+LONGEST_NAME = 40
+NAMES = 12  # of meshes or animations in a row of a table
+
+
+def line(clip: ClipDescription) -> str:
+    """What was read, in one line of at most `LONGEST_LINE` characters."""
+    for brief in (False, True):
+        parts = [
+            clip.facts.format,
+            *_contents(clip, brief),
+            _frames(clip, brief),
+            _with(f"{clip.fps:g} fps", clip.rate_source, brief),
+        ]
+        parts += [_length(clip), _size(clip), _unit(clip, brief), _with(f"{clip.up} up", clip.up_source, brief)]
+        text = f"clip {_short(clip.file)}: {', '.join(filter(None, parts))}"
+        if len(text) <= LONGEST_LINE:
+            return text
+    return text[: LONGEST_LINE - 3] + "..."
+
+
+def show_clip(meshes: MeshSet | None) -> ClipDescription | None:
+    """Say what was read, where a set of meshes was read from a file, and return it; None: nothing was."""
+    if not isinstance(meshes, Clip):
+        return None
+    found = describe(meshes)
+    show_lines([line(found)], warnings=found.warnings)
+    return found
+
+
+def rows(clip: ClipDescription, names: int | None = NAMES) -> list[tuple[str, str]]:
+    """What was read, as rows of a table: what it is, and the value.
+
+    Args:
+        names: how many meshes or animations are named in a row, at most; None: all.
+    """
+    facts = clip.facts
+    found = [
+        ("format", facts.format),
+        ("meshes", named(facts.meshes, names)),
+        ("meshes left out", named(facts.other_meshes, names)),
+        ("animation", facts.animation),
+        ("animations passed over", named(facts.other_animations, names)),
+        ("vertices", f"{clip.vertices:,}"),
+        ("frames", _frames(clip)),
+        ("rate", _with(f"{clip.fps:g} frames a second", clip.rate_source)),
+        ("length", _length(clip)),
+        ("size", _size(clip)),
+        ("unit", _unit(clip).removeprefix("unit ")),
+        ("up", _with(clip.up, clip.up_source)),
+        ("motion", _motion(clip)),
+    ]
+    return [(name, printable(text)) for name, text in found if text]
+
+
+def named(names: Sequence[str], most: int | None = NAMES) -> str:
+    """Names in a row, and how many more there are than `most`; None: all."""
+    more = 0 if most is None else len(names) - most
+    return ", ".join(names[:most]) + (f" and {more:,} more (verbose=true names all)" if more > 0 else "")
+
+
+def _contents(clip: ClipDescription, brief: bool) -> list[str]:
+    """Meshes and animation."""
+    facts, parts = clip.facts, []
+    meshes, others = len(facts.meshes), len(facts.other_meshes)
+    if meshes or others:
+        named = f"mesh {_short(facts.meshes[0])}" if meshes == 1 and not brief else _count(meshes, "mesh", "meshes")
+        parts.append(named + (f" ({others:,} left out)" if others else ""))
+    if facts.animation:
+        passed = len(facts.other_animations)
+        parts.append(f"animation {_short(facts.animation)}" + (f" ({passed:,} passed over)" if passed else ""))
+    return parts
+
+
+def _frames(clip: ClipDescription, brief: bool = False) -> str:
+    first, last, count = clip.frames
+    text = f"1 frame, {first}" if count == 1 else f"{count:,} frames {first} to {last}"
+    if count < clip.all_frames.count:
+        text += f" of {clip.all_frames.first} to {clip.all_frames.last}"
+    said = []
+    if clip.missing:
+        names = ", ".join(map(str, clip.missing_first)) + (", ..." if clip.missing > len(clip.missing_first) else "")
+        said.append(f"{clip.missing:,} missing" + ("" if brief else f": {names}"))
+    if clip.excluded:
+        said.append(f"{clip.excluded:,} excluded")
+    if unknown := max(0, clip.motion.unknown - clip.excluded):
+        said.append(f"{unknown:,} not known")
+    return text + (f" ({'; '.join(said)})" if said else "")
+
+
+def _length(clip: ClipDescription) -> str:
+    return f"{clip.seconds:.4g} s"
+
+
+def _size(clip: ClipDescription) -> str:
+    return extent(clip.motion.size_mm, "" if clip.unit_mm else "units")
+
+
+def _unit(clip: ClipDescription, brief: bool = False) -> str:
+    if not clip.unit_mm:
+        return "unit not known"
+    name = next((name for name, mm in UNITS.items() if abs(mm - clip.unit_mm) < 1e-6 * mm), f"{clip.unit_mm:g} mm")
+    return _with(f"unit {name}", clip.unit_source, brief)
+
+
+def _motion(clip: ClipDescription) -> str:
+    motion, unit = clip.motion, "mm" if clip.unit_mm else "units"
+    text = f"up to {motion.farthest_mm:.3g} {unit} from the first frame" + (
+        f", at up to {motion.fastest_m_s:.3g} m/s" if clip.unit_mm else ""
+    )
+    return text + (f" ({motion.frames:,} frames looked at)" if motion.frames < motion.all_frames else "")
+
+
+def _with(text: str, source: str, brief: bool = False) -> str:
+    """A value and where it comes from."""
+    return text if brief or not source else f"{text} ({_short(source)})"
+
+
+def _count(count: int, one: str, many: str) -> str:
+    return f"{count:,} {one if count == 1 else many}"
+
+
+def _short(text: str) -> str:
+    """A text no longer than a name should be."""
+    text = printable(text)
+    return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 15]}...{text[-12:]}"
