@@ -16,7 +16,13 @@ NAMES = 12  # of meshes or animations in a row of a table
 
 
 def line(clip: ClipDescription) -> str:
-    """What was read, in one line of at most `LONGEST_LINE` characters."""
+    """What was read, in one line of at most `LONGEST_LINE` characters, the file's name first."""
+    start = f"clip {_short(clip.file)}: "
+    return start + in_short(clip, LONGEST_LINE - len(start))
+
+
+def in_short(clip: ClipDescription, most: int = LONGEST_LINE) -> str:
+    """What was read, in so many characters at most."""
     for brief in (False, True):
         parts = [
             clip.facts.format,
@@ -25,10 +31,10 @@ def line(clip: ClipDescription) -> str:
             _with(f"{clip.fps:g} fps", clip.rate_source, brief),
         ]
         parts += [_length(clip), _size(clip), _unit(clip, brief), _with(f"{clip.up} up", clip.up_source, brief)]
-        text = f"clip {_short(clip.file)}: {', '.join(filter(None, parts))}"
-        if len(text) <= LONGEST_LINE:
+        text = ", ".join(filter(None, parts))
+        if len(text) <= most:
             return text
-    return text[: LONGEST_LINE - 3] + "..."
+    return text[: most - 3] + "..."
 
 
 def show_clip(meshes: MeshSet | None) -> ClipDescription | None:

@@ -9,14 +9,14 @@ from torch import Tensor
 
 from riginv.clips.clip import Clip
 from riginv.clips.description import describe
-from riginv.clips.description_text import rows
+from riginv.clips.description_text import in_short, rows
 from riginv.curves.animation import Animation, FrameErrors
 from riginv.curves.formats import write_formats
 from riginv.curves.reduction import reduced
 from riginv.curves.resampling import resampled
 from riginv.errors import InputError
 from riginv.inversion.rigid import unmoved
-from riginv.viewer.page import write_viewer
+from riginv.viewer.page import ClipSource, write_viewer
 from riginv.viewer.sheet import write_sheet
 from riginv.viewer.tensorboard import write_tensorboard
 
@@ -63,7 +63,8 @@ def write_results(
         reduction = reduced(curves, after["keys_mm"])
         curves = reduction.animation
         notes.append(
-            f"{reduction.keys} keys of {reduction.keys_before} are left; no vertex goes {reduction.worst_mm:.3g} mm away"
+            f"{reduction.keys:,} of {reduction.keys_before:,} keys are kept; they move no vertex by more than "
+            f"{reduction.worst_mm:.3g} mm from where a key at every frame has it"
         )
     advance("curves", 0)
     described = describe(clip)
@@ -72,7 +73,8 @@ def write_results(
     if look["page"]:
         advance("page", 0)
         paths.append(folder / PAGE)
-        shown = write_viewer(folder / PAGE, animation, errors, targets, clip=rows(described))
+        source = ClipSource(in_short(described), rows(described), described.warnings, described.notes)
+        shown = write_viewer(folder / PAGE, animation, errors, targets, clip=source)
         notes.append(f"{PAGE}: {shown.note}")
     if look["sheet"]:
         paths.append(folder / SHEET)
