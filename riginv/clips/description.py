@@ -31,7 +31,7 @@ class ClipDescription:
     Attributes:
         file: its name.
         facts: what its reader took from the file and what it passed over.
-        vertices: of each mesh.
+        vertices, faces: of each mesh; no faces where the file has none.
         frames: those that were taken, of `all_frames` in the file.
         missing: how many frames between the first and the last are not there; `missing_first` are the first few.
         excluded: how many of the frames are treated as unknown because the user said so.
@@ -45,6 +45,7 @@ class ClipDescription:
     file: str
     facts: SourceFacts
     vertices: int
+    faces: int
     frames: FrameSpan
     all_frames: FrameSpan
     missing: int
@@ -81,6 +82,7 @@ class ClipDescription:
             "file": self.file,
             **{key: list(value) if isinstance(value, tuple) else value for key, value in facts.items()},
             "vertices": self.vertices,
+            "faces": self.faces,
             "frames": {**self.frames._asdict(), "missing": self.missing, "excluded": self.excluded},
             "all_frames": self.all_frames._asdict(),
             "fps": self.fps,
@@ -112,6 +114,7 @@ def describe(clip: Clip) -> ClipDescription:
         file=Path(sequence.path).name or sequence.path,
         facts=sequence.facts,
         vertices=sequence.vertex_count,
+        faces=len(sequence.faces) if sequence.faces else 0,
         frames=_span(numbers),
         all_frames=_span(sequence.frame_numbers),
         missing=missing,

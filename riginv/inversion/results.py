@@ -73,7 +73,7 @@ def write_results(
     if look["page"]:
         advance("page", 0)
         paths.append(folder / PAGE)
-        source = ClipSource(in_short(described), rows(described), described.warnings, described.notes)
+        source = ClipSource(in_short(described), rows(described, None), described.warnings, described.notes)
         shown = write_viewer(folder / PAGE, animation, errors, targets, clip=source)
         notes.append(f"{PAGE}: {shown.note}")
     if look["sheet"]:
