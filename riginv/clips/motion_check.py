@@ -132,15 +132,13 @@ class MotionCheck:
         moving, repeated = int((looked & ~same).sum()), sum(runs)
         if not moving or repeated < FEWEST_REPEATED or repeated < REPEATED * (repeated + moving):
             return ""
-        if len(set(runs)) == 1 and len(runs) >= REGULAR * moving:
-            said, rate = f"every mesh is there {runs[0] + 1} times in a row", self.fps / (runs[0] + 1)
-        else:
-            said = f"{repeated:,} of {int(looked.sum()):,} frames are the same as the one before"
-            rate = self.fps * moving / (repeated + moving)
-        return (
-            f"its frames repeat: {said}: written at {self.fps:g} frames a second and animated at about {rate:.3g} "
-            f"(after.fps={rate:.3g} gives curves at that rate)"
-        )
+        regular = len(set(runs)) == 1 and len(runs) >= REGULAR * moving
+        rate = self.fps / (runs[0] + 1) if regular else self.fps * moving / (repeated + moving)
+        said = f"{repeated:,} of {int(looked.sum()):,} frames are the same as the one before"
+        if regular:
+            said = f"every mesh is there {runs[0] + 1} times in a row"
+        advice = f" (after.fps={rate:.3g} gives curves at that rate)" if regular else ""
+        return f"its frames repeat: {said}: written at {self.fps:g} frames a second and animated at about {rate:.3g}{advice}"
 
 
 def _farthest(mesh: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
