@@ -163,8 +163,6 @@ class _Job:
         record.ended(sweep, time.perf_counter() - began, why)
 
     def _work(self, config: DictConfig) -> None:
-        if config.get("verbose") not in (None, False, True):
-            raise InputError(f"verbose is {config.verbose!r}, expected true or false")
         for package in OURS:  # what rigs tell of their files at length is of this level
             logging.getLogger(package).setLevel(logging.DEBUG if config.get("verbose") else logging.NOTSET)
         try:
