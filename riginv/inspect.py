@@ -22,6 +22,7 @@ from riginv.clips.open import open_alone, open_clip
 from riginv.clips.options import FrameOptions, ReadingOptions, clip_options
 from riginv.clips.units import meaning_alone
 from riginv.errors import InputError, printable
+from riginv.files import is_file
 from riginv.inverse import load_inverse
 from riginv.rig import RigBackend
 from riginv.store.place import Place
@@ -38,9 +39,9 @@ def inspect(config: DictConfig) -> None:
     validate(plain)
     path = Path(str(plain["clip"]))
     names = None if config.get("verbose") else NAMES
-    if (path / STORE).is_file():
+    if is_file(path / STORE):
         show_store(PoseStore.find(Place(str(path))), {})
-    elif any((folder / DESCRIPTION).is_file() for folder in (path, path / BUNDLE)):
+    elif any(is_file(folder / DESCRIPTION) for folder in (path, path / BUNDLE)):
         show_rows(path.name, bundle_rows(path, names))
     else:
         show_clip_file(plain, names)

@@ -153,6 +153,8 @@ def test_bundles_and_stores_of_poses_are_told(run: Callable, tmp_path):
         (["take.npz", "frames.first=99"], "none left"),
         (["take.npz", "rig=fase"], "did you mean face"),
         (["take.npz", "bundle=nowhere"], "nowhere: no bundle there"),
+        (["take.npz", "bundle=1"], "1: no bundle there"),
+        (["x" * 300], "File name too long"),
         (["take.npz", "verbose=loud"], "verbose is 'loud'"),
         (["take.npz", "raeding.fps=3"], "did you mean reading.fps"),
     ],
