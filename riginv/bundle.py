@@ -22,7 +22,7 @@ from torch import Tensor
 
 from riginv.arguments import fits, in_words
 from riginv.errors import InputError, in_short
-from riginv.files import read_text, read_yaml, sha256, written_beside
+from riginv.files import is_file, read_text, read_yaml, sha256, written_beside
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.base import RigNetwork
 from riginv.rig import Control, RigBackend
@@ -140,10 +140,10 @@ def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
     Raises:
         InputError: there is no bundle, a file is missing, truncated or altered, or it is of another kind or format.
     """
-    folder = Path(folder)
-    if not (folder / SUMS).is_file() and (folder / "bundle" / SUMS).is_file():
+    folder = Path(str(folder))
+    if not is_file(folder / SUMS) and is_file(folder / "bundle" / SUMS):
         folder = folder / "bundle"  # a run's folder was named instead
-    if not (folder / SUMS).is_file():
+    if not is_file(folder / SUMS):
         raise InputError(f"{folder}: no bundle there (no {SUMS}); name the bundle/ folder of a finished run")
     sums = _sums(folder)
     for name in {DESCRIPTION, WEIGHTS, SPACE} - {name for _, _, name in sums}:

@@ -8,6 +8,7 @@ from rich.markup import escape
 
 from riginv.build import build
 from riginv.cli.command import command
+from riginv.cli.first_lines import show_rig
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
 from riginv.rig import RigBackend
@@ -20,12 +21,7 @@ def check(config: DictConfig) -> None:
     validate(plain)
     rig = build(plain["rig"], kind=RigBackend)
     console, broken = Console(), 0
-    console.print(
-        f"rig [bold]{escape(rig.name)}[/]: {len(rig.controls)} controls, "
-        f"{len(rig.rest_vertices):,} vertices, {len(rig.faces):,} faces"
-    )
-    for note in rig.notes:
-        console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
+    show_rig(rig, plain["rig"], console)
     for clause, holds in contract(rig, plain["seed"]):
         try:
             holds()

@@ -10,8 +10,8 @@ from riginv.cli.command import command, run_directory
 from riginv.cli.comparison import keep_rows, kept_rows, show, write_tables
 from riginv.cli.comparison_progress import ComparisonProgress
 from riginv.cli.run_folder import find_run_folder, plain_config
-from riginv.cli.tables import print_notes
 from riginv.cli.validation import validate
+from riginv.clips.description_text import show_clip
 from riginv.data.test_sets import random_sets
 from riginv.errors import InputError
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
@@ -40,7 +40,7 @@ def compare(config: DictConfig) -> None:
         )
     methods, left_out = suited_methods(configs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
     clip = build_clip(plain, rig, true_rig)
-    print_notes(clip.notes if clip else ())
+    show_clip(clip)
     sets = [*random_sets(true_rig, plain["poses"]), *([clip] if clip else [])]
     folder.begin()
     with ComparisonProgress(len(methods)) as progress:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from riginv.build import build
 from riginv.cli.command import command
+from riginv.cli.first_lines import show_rig
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
 from riginv.errors import InputError
@@ -28,11 +29,16 @@ def contact_sheet(config: DictConfig) -> None:
     if out.suffix.lower() != ".png":
         raise InputError(f"out={out}: expected the name of a picture that ends in .png")
     rig = build(plain["rig"], kind=RigBackend)
-    poses = {"neutral": rig.neutral_controls, **named_poses(rig), **random_poses(rig, plain["random_poses"], plain["seed"])}
+    show_rig(rig, plain["rig"])
+    named = named_poses(rig)
+    shown = dict(list(named.items())[: plain["expressions"]])
+    poses = {"neutral": rig.neutral_controls, **shown, **random_poses(rig, plain["random_poses"], plain["seed"])}
     sheet = draw(rig, poses, plain["columns"], plain["turn_degrees"])
     with written_beside(out) as beside:
         sheet.save(beside, format="PNG", optimize=True)
-    Console().print(f"{out}: {len(poses)} poses of rig '{rig.name}'", highlight=False, markup=False)
+    more = len(named) - len(shown)
+    left_out = f"; {more} more of its expressions are not drawn (expressions=null draws all)" if more else ""
+    Console().print(f"{out}: {len(poses)} poses of rig '{rig.name}'{left_out}", highlight=False, markup=False, soft_wrap=True)
 
 
 def named_poses(rig: RigBackend) -> dict[str, Tensor]:

@@ -1,5 +1,9 @@
 """The one exception that means: the user can mend this."""
 
+import unicodedata
+
+MOVES_A_CURSOR = ("Cc", "Cs", "Zl", "Zp")  # categories of letters that move a cursor in a terminal, or end a line
+
 
 class InputError(ValueError):
     """Something that the user gave is wrong: commands show the message as one sentence, without a traceback.
@@ -15,3 +19,8 @@ class NonFiniteLossError(RuntimeError):
 def in_short(error: BaseException, most: int = 150) -> str:
     """What a library said, in one short line: some quote whole files."""
     return " ".join(str(error).split())[:most] or type(error).__name__
+
+
+def printable(text: str) -> str:
+    """A text of a file as it can be printed in one line."""
+    return "".join("?" if unicodedata.category(letter) in MOVES_A_CURSOR else letter for letter in text)

@@ -5,9 +5,11 @@ from omegaconf import DictConfig
 from riginv.assemble import Config, build_clip, build_true_rig
 from riginv.build import build
 from riginv.cli.command import command, run_directory
+from riginv.cli.first_lines import show_lines
 from riginv.cli.run_folder import METRICS, POSES, find_run_folder, plain_config
-from riginv.cli.tables import print_notes, print_results
+from riginv.cli.tables import print_results
 from riginv.cli.validation import validate
+from riginv.clips.description_text import show_clip
 from riginv.data.mesh_sets import PosedRig
 from riginv.data.test_sets import random_poses
 from riginv.errors import InputError
@@ -36,9 +38,9 @@ def judge_bundle(config: Config) -> tuple[str, RigBackend, list[Judgement]]:
     is_inverse = isinstance(model, Inverse)
     true_rig = build_true_rig(config, rig or (model.rig if is_inverse else model))
     clip = build_clip(config, model.rig, true_rig) if is_inverse else None
-    print_notes(clip.notes if clip else ())
+    show_clip(clip)
     if config["capture"] and not is_inverse:
-        print_notes(["the clip of capture was not looked at: a surrogate is judged on random poses, a clip judges an inverse"])
+        show_lines([], ["capture= was left out: a surrogate is judged on random poses, a clip judges an inverse"])
     title = f"{config['bundle']}" + (f" + {config['refine']} steps" if config["refine"] else "")
     return title, true_rig, judge_model(model, true_rig, config["poses"], clip)
 

@@ -10,8 +10,11 @@ from riginv.assemble import build_rig, build_true_rig
 from riginv.build import build
 from riginv.bundle import SUMS, read_bundle
 from riginv.cli.command import command
+from riginv.cli.first_lines import show_rig
 from riginv.cli.run_folder import plain_config
 from riginv.cli.validation import validate
+from riginv.clips.description import describe
+from riginv.clips.description_text import show_clip
 from riginv.clips.open import open_clip
 from riginv.clips.options import clip_options
 from riginv.curves.animation import Animation
@@ -45,6 +48,8 @@ def invert(config: DictConfig) -> None:
     check_formats(true_rig, plain["formats"])
     check_after(plain["after"], plain["look"])
     clip, notes = open_clip(str(plain["clip"]), true_rig, *clip_options(plain))
+    described = show_clip(clip)
+    show_rig(true_rig, plain["rig"])
     parts = build_parts(plain, clip, rig, true_rig, inverse)
     with alone(out), InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
         free_folder(out)
@@ -63,6 +68,7 @@ def invert(config: DictConfig) -> None:
         with written_beside(out) as beside:
             beside.mkdir()
             files, remarks = write_results(beside, clip, animation, errors, plain, progress.advance)
+    remarks += [f"warning: {warning}" for warning in describe(clip).new_warnings(described)]
     show(animation, errors, true_rig, out, files, remarks)
 
 

@@ -1,6 +1,7 @@
 """Pictures of meshes: rays cast by trimesh, shaded as clay."""
 
 import copy
+import re
 
 import numpy as np
 import trimesh
@@ -13,6 +14,8 @@ KEY_LIGHT, FILL_LIGHT, RIM_LIGHT = np.array([-0.45, 0.55, 0.75]), np.array([0.7,
 AMBIENT, KEY, FILL, RIM, SHINE, GAMMA = 0.16, 0.72, 0.28, 0.10, 0.12, 1.6
 HEAT_STOPS = np.array([[0.27, 0.33, 0.55], [0.35, 0.66, 0.62], [0.93, 0.86, 0.45], [0.85, 0.36, 0.22], [0.55, 0.05, 0.13]])
 HARD_EDGE = np.radians(30)
+FONT_SIZE, LINE, MARGIN, MOST_LINES, INK = 13, 16, 6, 3, (40, 40, 46)  # of labels
+BREAKS = re.compile(r"[^\s_]*[\s_]*")  # where a label may be broken: after spaces and underscores
 DISTANCE = 12.0  # of the camera, in half-heights of the picture: little perspective
 
 
@@ -107,15 +110,44 @@ def heat_colors(distances: Tensor, top: float) -> np.ndarray:
 
 
 def grid(pictures: list[Image.Image], labels: list[str], columns: int) -> Image.Image:
-    """Pictures of one size in rows, each with its label in the corner."""
+    """Pictures of one size in rows, each below its label, which is wrapped to the picture's width."""
     width, height = pictures[0].size
+    lines = [wrapped(label, width - 2 * MARGIN) for label in labels]
+    band = max(map(len, lines)) * LINE + MARGIN
     rows = -(-len(pictures) // columns)
-    sheet = Image.new("RGB", (width * columns, height * rows), tuple((BACKGROUND ** (1 / GAMMA) * 255).astype(int)))
-    for number, (picture, label) in enumerate(zip(pictures, labels)):
-        labelled = picture.copy()
-        ImageDraw.Draw(labelled).text((6, 4), label, fill=(40, 40, 46), font_size=13)
-        sheet.paste(labelled, (number % columns * width, number // columns * height))
+    paper = tuple((BACKGROUND ** (1 / GAMMA) * 255).astype(int))
+    sheet = Image.new("RGB", (width * columns, (height + band) * rows), paper)
+    draw = ImageDraw.Draw(sheet)
+    for number, (picture, text) in enumerate(zip(pictures, lines)):
+        left, top = number % columns * width, number // columns * (height + band)
+        for place, line in enumerate(text):
+            draw.text((left + MARGIN, top + MARGIN // 2 + place * LINE), line, fill=INK, font_size=FONT_SIZE)
+        sheet.paste(picture, (left, top + band))
     return sheet
+
+
+def wrapped(text: str, width: float) -> list[str]:
+    """A text in lines of so many pixels; a word that is too long for one is broken, and what no line is left for is cut."""
+    lines = [""]
+    for word in BREAKS.findall(text):
+        if lines[-1] and _pixels(f"{lines[-1]}{word}".rstrip()) > width:
+            lines.append("")
+        while _pixels(word.rstrip()) > width:
+            fits = next(count for count in range(len(word) - 1, 0, -1) if count == 1 or _pixels(word[:count]) <= width)
+            lines[-1:] = [word[:fits], ""]
+            word = word[fits:]
+        lines[-1] += word
+    lines = [line.rstrip() for line in lines if line.strip()] or [""]
+    if len(lines) <= MOST_LINES:
+        return lines
+    last = f"{lines[MOST_LINES - 1]}..."
+    while _pixels(last) > width:
+        last = f"{last[:-4]}..."
+    return [*lines[: MOST_LINES - 1], last]
+
+
+def _pixels(text: str) -> float:
+    return ImageDraw.Draw(Image.new("RGB", (1, 1))).textlength(text, font_size=FONT_SIZE)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -7,8 +7,8 @@ from rich.console import Console
 
 from riginv.cli.command import command, run_directory
 from riginv.cli.run_folder import plain_config
-from riginv.cli.tables import print_notes
 from riginv.cli.validation import validate
+from riginv.clips.description_text import show_clip
 from riginv.reproduction.cast import rig_in_space
 from riginv.reproduction.expected import measured
 from riginv.reproduction.plan import Plan, open_ended, trainings
@@ -40,12 +40,12 @@ def reproduce(config: DictConfig) -> None:
     say = Console(stderr=True, highlight=False, soft_wrap=True).print
 
     rig = rig_in_space(plain["rig"])
-    capture, notes = check_capture(plain, rig.rig)
+    capture, meshes = check_capture(plain, rig.rig)
     check_rig(plain["body"])
     judge, judge_name, why_itself = choose_judge(plain["true_rig"], rig.rig)
     if why_itself:
         say(f"The programmatic rig judges itself: {why_itself}.", markup=False)
-    print_notes(notes)
+    show_clip(meshes)
     plan = Plan(plain, judge, capture, jobs)
     check_folder(folder, rig, plain["budget"], sum(step.work == "train" for step in plan.steps))
     with one_thread():

@@ -22,12 +22,13 @@ from riginv.build import class_of
 from riginv.bundle import is_damaged, write_bundle
 from riginv.callbacks.hparams import log_choices, log_results
 from riginv.cli.command import command, run_directory
+from riginv.cli.first_lines import show_rig
 from riginv.cli.process import this_process
 from riginv.cli.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
 from riginv.cli.starter import run_in_processes
 from riginv.cli.summary import show
-from riginv.cli.tables import print_notes
 from riginv.cli.validation import validate
+from riginv.clips.description_text import show_clip
 from riginv.data.mesh_sets import MeshSet
 from riginv.evaluation import judge_model, load_model, surrogate_config, write_results
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
@@ -60,7 +61,8 @@ def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, 
     is_inverse = class_of(plain["model"]["_target_"], kind=RigModule).kind == "inverse"
     clip = build_clip(plain, rig, true_rig) if is_inverse else None
     if folder.written_here:
-        print_notes(clip.notes if clip else ())
+        show_clip(clip)
+        show_rig(rig, plain["rig"])
     trainer, training = fit_network(plain, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
     if last:
         part()

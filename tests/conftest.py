@@ -11,7 +11,7 @@ import pytest
 import torch
 from hydra.core.global_hydra import GlobalHydra
 
-from riginv import check, compare, evaluate, export_onnx, invert, reproduce, sample, train
+from riginv import check, compare, contact_sheet, evaluate, export_onnx, inspect, invert, reproduce, sample, train
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
@@ -24,6 +24,8 @@ COMMANDS = {
     "evaluate": evaluate.evaluate,
     "check": check.check,
     "compare": compare.compare,
+    "contact_sheet": contact_sheet.contact_sheet,
+    "inspect": inspect.inspect,
     "invert": invert.invert,
     "export_onnx": export_onnx.export_onnx,
     "reproduce": reproduce.reproduce,
@@ -99,6 +101,8 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
         given = [*(SMALL if small and name == "train" else []), *arguments]
         if not any(argument.startswith(("hydra.run.dir", "hydra.sweep.dir")) for argument in given) and name not in (
             "check",
+            "contact_sheet",
+            "inspect",
             "invert",
             "sample",
         ):

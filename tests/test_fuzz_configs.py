@@ -24,6 +24,7 @@ from riginv.cli.validation import validate
 from riginv.clips.open import open_clip
 from riginv.clips.options import clip_options
 from riginv.errors import InputError
+from riginv.inspect import show_clip_file
 from riginv.inversion.results import check_after
 from riginv.inversion.setup import build_parts, chosen_method
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
@@ -95,6 +96,7 @@ COMMANDS: dict[str, tuple[list[str], Callable]] = {
     "reproduce": ([*TOY, "rig@body=toy", "rig@true_rig=same"], before_reproducing),
     "check": (TOY, before_judging),
     "contact_sheet": (TOY, before_judging),
+    "inspect": ([*TOY, "clip=CLIP"], lambda plain, folder: show_clip_file(plain, None)),
 }
 
 WORDS = ["", "null", "nan", "face", "a b", "../x", "/dev/null", "%s", "\0", "é", "x" * 300, "os.system", "tests.toys.ToyRig"]

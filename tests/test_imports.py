@@ -18,7 +18,7 @@ FLOORS = [
     {"meshes"},
     {"geometry"},
     {"rig"},
-    {"mesh_space"},
+    {"mesh_space", "rig_size"},
     {"sampling", "metrics", "render"},
     {"losses"},
     {"networks"},
@@ -32,7 +32,7 @@ FLOORS = [
     {"evaluation", "methods"},
     {"callbacks", "baselines", "inversion"},
     {"assemble"},
-    {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx", "sample"},
+    {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx", "sample", "inspect"},
     {"reproduction"},
     {"reproduce"},
 ]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from PIL import Image
 
-from riginv.render import BACKGROUND, GAMMA, Camera, grid, heat_colors
+from riginv.render import BACKGROUND, GAMMA, LINE, MARGIN, Camera, grid, heat_colors, wrapped
 from tests.toys import ToyRig
 
 
@@ -79,4 +80,20 @@ def test_heat_rises_from_blue_to_red():
 def test_a_grid_holds_every_picture():
     toy = ToyRig()
     picture = Camera(toy.rest_vertices, size=(40, 50)).picture(toy.rest_vertices, toy.faces)
-    assert grid([picture] * 5, list("abcde"), columns=3).size == (120, 100)
+    assert grid([picture] * 5, list("abcde"), columns=3).size == (120, 100 + 2 * (LINE + MARGIN))
+
+
+def test_labels_are_whole_within_their_picture():
+    """Every letter of a label is there, in lines that are no wider than the picture; only far too long ones are cut."""
+    for text in (
+        "error: mean 0.12 mm, largest 12.34 mm; red is 12.5 mm",
+        "browDownLeft_mouthSmileLeft_jawOpen_cheekPuff",
+        "x" * 60,
+    ):
+        lines = wrapped(text, 228)
+        assert len(lines) > 1 and "".join(lines).replace(" ", "") == text.replace(" ", "")
+    assert len(wrapped("word " * 100, 228)) == 3 and wrapped("word " * 100, 228)[-1].endswith("...")
+    white = Image.new("RGB", (60, 50), "white")
+    sheet = np.asarray(grid([white] * 2, ["left and rather long", "right"], columns=2)).astype(int)
+    ink = np.flatnonzero((sheet[:-50].sum(axis=2) < 400).any(axis=0))
+    assert ink.min() >= MARGIN - 1 and ink[ink < 60].max() <= 60 - MARGIN and (sheet[-50:] == 255).all()

@@ -122,14 +122,14 @@ def test_arkit_shapes_are_known_by_name(tmp_path):
 
 def test_what_was_taken_as_what_can_be_read(tmp_path):
     shapes = dict.fromkeys(["smile", "jaw", "smile50", "smile_jaw", "smile_L", "jaw_smle", "smile_jaw50"], POINTS)
-    said = ShapesRig(str(write_folder(tmp_path / "rig", **shapes))).describe()
+    rig = ShapesRig(str(write_folder(tmp_path / "rig", **shapes)))
+    said = "\n".join([rig.describe(), *rig.notes])
     for line in (
-        "4 primary shapes",
+        "4 primary shapes, 1 in-between, 1 combination, 1 in-between of combinations",
         "smile50: in-between of smile at 0.5",
         "smile_jaw: combination of smile and jaw",
         "smile_jaw50: in-between of smile_jaw at 0.5",
-        "jaw_smle: a shape of its own, for there is no 'smle'; if 'smile' is meant",
-        "3 x 3 x 1 mm",
+        "jaw_smle is a shape of its own, for there is no 'smle'; if 'smile' is meant",
     ):
         assert line in said
     assert "smile_L" not in said
@@ -155,7 +155,10 @@ def test_it_is_trained_and_evaluated_like_any_rig(run, tmp_path):
     write_folder(tmp_path / "mine", **{name: POINTS + offset(number) for number, name in enumerate(names)})
     outcome = run("train", "rig=shapes", "rig.folder=mine", "rig.unit_mm=10")
     assert outcome.code == 0, outcome.text
-    assert "true rig, mine" in outcome.text and "smile50: in-between of smile at 0.5" in outcome.text
+    assert "true rig, mine" in outcome.text and "smile50: in-between of smile" not in outcome.text
+    assert "rig mine: 2 controls (2 primary shapes, 1 in-between, 1 combination)" in outcome.text
+    assert "30 mm tall (30 x 30 x 10 mm)" in outcome.text and "rig.unit_mm=10 says how many mm" in outcome.text
+    assert "smile50: in-between of smile at 0.5" in run("check", "rig=shapes", "rig.folder=mine", "verbose=true").text
     judged = run("evaluate", "bundle=run", "poses=20", folder="judged")
     assert judged.code == 0, judged.text
     assert judged.metrics["rig_poses/mean_vertex_error_mm"] == pytest.approx(outcome.metrics["rig_poses/mean_vertex_error_mm"])

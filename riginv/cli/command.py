@@ -1,7 +1,9 @@
 """What every command line shares: Hydra composes the config, and a user's mistake ends in one sentence."""
 
 import functools
+import logging
 import os
+import re
 import sys
 import time
 import traceback
@@ -15,11 +17,14 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
+from riginv.build import OURS
 from riginv.cli.apart import end_with_starter
 from riginv.cli.blame import blame
+from riginv.cli.closed_output import ends_with_its_reader
 from riginv.cli.config_folders import check_config_folders
 from riginv.cli.explain import CONFIGS, explain
-from riginv.cli.path_values import with_quoted_paths
+from riginv.cli.help import register_help_resolvers
+from riginv.cli.path_values import quoted, with_quoted_paths
 from riginv.cli.quiet import hush
 from riginv.cli.run_folder import discard_if_empty, register_folder_resolvers
 from riginv.cli.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
@@ -28,6 +33,8 @@ from riginv.cli.watched import end_with_watcher, is_watched, report
 from riginv.errors import InputError
 from riginv.locks import unlock_folders
 
+PATHS = {"inspect": "clip"}  # the key of the path that a command takes by itself
+OVERRIDE = re.compile(r"~|\+{0,2}[A-Za-z_][\w./@:-]*=")  # what Hydra takes for KEY=VALUE
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
 
 
@@ -44,24 +51,38 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             hush()
             register_folder_resolvers()
             register_sweep_resolvers()
-            job = _Job(task, config_name)
-            try:
-                arguments = [true_rig_choice(argument) for argument in with_quoted_paths(options_first(sys.argv[1:]))]
-                check_config_folders(arguments)
-                sys.argv[1:] = with_sweep_folder(arguments, config_name)
-                hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
-            except Exception as error:
-                _stop(error, config_name)
-            if job.error is not None:
-                _stop(job.error, config_name)
+            register_help_resolvers()
+            with ends_with_its_reader():
+                _run(_Job(task, config_name), config_name)
 
         return main
 
     return decorate
 
 
+def _run(job: "_Job", config_name: str) -> None:
+    """Let Hydra compose the config of a command line, and run its job."""
+    try:
+        options, values = split_options(sys.argv[1:])
+        values = path_as_value(values, PATHS.get(config_name))
+        arguments = [true_rig_choice(argument) for argument in with_quoted_paths([*options, *values])]
+        check_config_folders(arguments)
+        sys.argv[1:] = with_sweep_folder(arguments, config_name)
+        hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
+    except Exception as error:
+        _stop(error, config_name)
+    if job.error is not None:
+        _stop(job.error, config_name)
+
+
 def options_first(arguments: list[str]) -> list[str]:
     """Put options before KEY=VALUE arguments: Hydra's parser takes them in no other order, users write them in any."""
+    options, values = split_options(arguments)
+    return options + values
+
+
+def split_options(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """The options of a command line with their values, and everything else."""
     options, values = [], []
     waiting = False  # for the value of an option
     for argument in arguments:
@@ -70,7 +91,22 @@ def options_first(arguments: list[str]) -> list[str]:
             waiting = not waiting and argument in OPTIONS_WITH_VALUES
         else:
             values.append(argument)
-    return options + values
+    return options, values
+
+
+def path_as_value(values: list[str], key: str | None) -> list[str]:
+    """Let a path stand alone on a command line, as in `riginv.inspect PATH`: it becomes the value of a key.
+
+    Args:
+        key: None for commands that take no path so.
+    """
+    if key is None:
+        return values
+    literal = [quoted(value.replace("${", "\\${")) for value in values]  # no interpolation, whatever letters it has
+    return [
+        value if OVERRIDE.match(value) and not os.path.exists(value) else f"{key}={text}"
+        for value, text in zip(values, literal)
+    ]
 
 
 def true_rig_choice(argument: str) -> str:
@@ -126,6 +162,8 @@ class _Job:
         record.ended(sweep, time.perf_counter() - began, why)
 
     def _work(self, config: DictConfig) -> None:
+        for package in OURS:  # what rigs tell of their files at length is of this level
+            logging.getLogger(package).setLevel(logging.DEBUG if config.get("verbose") else logging.NOTSET)
         try:
             self.task(config)
         finally:

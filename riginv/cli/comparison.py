@@ -14,14 +14,14 @@ from rich.table import Table
 
 from riginv.arguments import fits
 from riginv.cli.run_folder import METRICS
-from riginv.cli.tables import WITHIN_REACH_MM
+from riginv.cli.tables import EXACT, WITHIN_REACH_MM
 from riginv.errors import InputError
 from riginv.files import read_json, write_json, write_text, written_beside
 
 CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "methods"
 HEADINGS = {
     "method": "method",
-    "set": "judged on",
+    "set": "test set",
     "mean_vertex_error_mm": "mean\nmm",
     "max_vertex_error_mm": "worst\nmm",
     "roughness": "rough-\nness",
@@ -103,9 +103,11 @@ def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
                 table.add_row(*(_shown(row, key) for key in HEADINGS if key != "set"))
         console.print(table)
     console.print(
-        "  Judged by the true rig, which was given the controls. Times the optimum: the error over that of\n"
-        "  many-start Levenberg-Marquardt on the same few meshes; of 0: it makes these exactly. Controls in use: away\n"
-        "  from neutral, of a mean frame.",
+        "  Vertex errors, judged by the true rig, which was given the controls. Roughness: mean squared second difference "
+        "of the curves. Controls in use: how many are not at neutral, averaged over the meshes. Times optimum: the error "
+        "over the least that Levenberg-Marquardt found from many starts, on a few of the meshes; "
+        f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes.",
+        highlight=False,
         soft_wrap=True,
     )
     for name, reason in left_out.items():
@@ -119,7 +121,7 @@ def _shown(row: dict[str, Any], key: str) -> str:
     if value is None or isinstance(value, str):
         return value or "-"
     if key == "optimum_ratio" and row["optimum_mm"] < WITHIN_REACH_MM:
-        return "of 0"
+        return EXACT
     if key == "roughness":
         return f"{value:.1e}"
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else "0"

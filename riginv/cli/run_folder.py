@@ -30,7 +30,7 @@ CONFIG, METRICS, POSES, CHOICES = "config.yaml", "metrics.json", "poses.png", "h
 CHECKPOINT, CHECKPOINT_BEFORE = "checkpoints/last.ckpt", "checkpoints/before.ckpt"
 BUNDLE, SURROGATE = "bundle", "surrogate"
 CONFIG_SUM = "# SHA-256 of the lines above: "
-NOT_PART_OF_A_RUN = ("resume",)
+NOT_PART_OF_A_RUN = ("resume", "verbose")
 HOW_MANY = ("trainer.devices", "trainer.num_nodes")  # may change when a run is resumed: what is learned does not depend on it
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 LONGEST = 120  # characters of a folder's name
@@ -138,11 +138,13 @@ def plain_config(config: DictConfig) -> dict[str, Any]:
     """The resolved config as plain values, without what may differ between two starts of one run.
 
     Raises:
-        InputError: a value that must be given is not.
+        InputError: a value that must be given is not, or `verbose` is neither true nor false.
     """
     for key in sorted(OmegaConf.missing_keys(config)):
         raise InputError(f"{key} must be given: add {key}=...")
     plain = OmegaConf.to_container(config, resolve=True)
+    if not isinstance(plain.get("verbose", False), bool):
+        raise InputError(f"verbose is {plain['verbose']!r:.80}, expected true or false")
     return {key: value for key, value in plain.items() if key not in NOT_PART_OF_A_RUN}
 
 

@@ -19,7 +19,7 @@ FOLDER = "hydra.sweep.dir="
 LONGEST = 80  # characters of its name
 IN_BRACKETS = re.compile(r"\[[^\]]*\]|\{[^}]*\}|\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'")  # a list or a text is one value
 SWEPT = re.compile(r"=.*,|=(range|choice|glob)\(")
-NOT_OF_THE_TASK = ("hydra.", "hydra/", "resume=", "-")
+NOT_OF_THE_TASK = ("hydra.", "hydra/", "resume=", "verbose=", "-")
 
 
 def register_sweep_resolvers() -> None:

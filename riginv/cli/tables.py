@@ -11,23 +11,24 @@ from rich.table import Table
 SETS = {
     "random_combinations": (
         "random combinations",
-        "blendshapes combined at random, as in the paper: mostly out of the rig's reach",
+        "blendshapes combined at random, as in the paper; the rig itself can make few of these meshes",
     ),
     "rig_poses": ("rig poses", "random poses of the rig, as in the paper"),
     "capture": ("capture", "the clip that was given"),
     "simulated_performance": ("simulated performance", "no clip was given: capture=CLIP judges any that riginv.invert takes"),
     "held_out_pairs": ("held-out pairs", "recorded poses that training never saw"),
-    "surrogate": ("surrogate", "the surrogate alone on the controls of those poses: how far it can be believed"),
+    "surrogate": ("surrogate", "the surrogate's own error on the controls of those poses: no other error here is more certain"),
     "walk": ("walk", "the walk that the rig brings, for no clip was given: capture=CLIP judges any that riginv.invert takes"),
     "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
 }
 WITHIN_REACH_MM = 0.005  # a least error below this: the rig can make these meshes
+EXACT = "exact"  # in place of a multiple of it
 NO_RIG = "none"  # as the true rig, where poses that were recorded of it are all there is
 COLUMNS = (
     ("mean_vertex_error_mm", "mean\nerror"),
-    ("neutral_mean_vertex_error_mm", "neutral's\nerror"),
-    ("mean_of_max_vertex_error_mm", "worst\nvertex"),
-    ("max_vertex_error_mm", "of\nall"),
+    ("neutral_mean_vertex_error_mm", "neutral\nerror"),
+    ("mean_of_max_vertex_error_mm", "mesh\nworst"),
+    ("max_vertex_error_mm", "all\nworst"),
 )
 
 
@@ -38,39 +39,41 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
         title_justify="left",
         title_style="bold",
         box=box.SIMPLE_HEAD,
+        show_edge=False,
         padding=(0, 1, 0, 0),
     )
-    table.add_column("judged on", no_wrap=True)
+    table.add_column("test set", no_wrap=True)
     for _, heading in COLUMNS:
         table.add_column(heading, justify="right")
-    table.add_column("share\nleft", justify="right")
-    table.add_column("times\nbest", justify="right")
+    table.add_column("% of\nneutral", justify="right")
+    table.add_column("times\noptimum", justify="right")
     table.add_column("rough-\nness", justify="right")
     for name in sets_of(metrics):
         values = [metrics[f"{name}/{key}"] for key, _ in COLUMNS]
         rough = metrics.get(f"{name}/roughness")
-        share = f"{values[0] / max(values[1], 1e-12):.0%}"
+        percent = f"{values[0] / max(values[1], 1e-12):.0%}"
         shown = [f"{value:.2f}" if value >= 0.1 else f"{value:.2g}" for value in values]
         table.add_row(
             SETS.get(name, (name,))[0],
             *shown,
-            share,
-            _times_best(metrics, name),
+            percent,
+            _times_optimum(metrics, name),
             "-" if rough is None else f"{rough:.1e}",
         )
     console = Console()
-    console.print(table)
+    console.print(table, "")
     for name in sets_of(metrics):
         title, meaning = SETS.get(name, (name, ""))
         console.print(f"  [bold]{escape(title)}[/]: {meaning}", highlight=False, soft_wrap=True)
     judge = f"Judged by the true rig, [bold]{escape(metrics['true_rig'])}[/], which was given the controls."
     if metrics["true_rig"] == NO_RIG:
-        judge = "No rig was at hand to judge: poses that training never saw did, and a [bold]surrogate[/] made the meshes."
+        judge = "There is no rig to judge by: the errors are of poses that training never saw, posed by a [bold]surrogate[/]."
     console.print(f"  {judge}", highlight=False, soft_wrap=True)
     console.print(
-        "  Neutral's error: what predicting the neutral mesh would cost; share left: of that. "
-        "Worst vertex: on average over the meshes, and of all. "
-        "Times best: the error over the least that a solver found from many starts, on a few of the meshes; of 0: none at all. "
+        "  Neutral error: that of the neutral mesh, whatever was asked for; % of neutral: the mean error in percent of it. "
+        "Mesh worst: the largest vertex error of a mesh, averaged over the meshes; all worst: the largest of all. "
+        "Times optimum: the mean error over the least that a solver found from many starts, on a few of the meshes; "
+        f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes. "
         "Roughness: mean squared second difference of the curves.",
         highlight=False,
         soft_wrap=True,
@@ -80,17 +83,10 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
         console.print(f"  {note}", soft_wrap=True, highlight=False, markup=False)
 
 
-def print_notes(notes: Sequence[str]) -> None:
-    """Show what was guessed, mended or left out as a clip was read, one line each."""
-    console = Console(stderr=True)
-    for note in notes:
-        console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
-
-
-def _times_best(metrics: Mapping[str, Any], name: str) -> str:
-    """How many times the best possible error; of nothing there is no multiple."""
+def _times_optimum(metrics: Mapping[str, Any], name: str) -> str:
+    """How many times the least possible error; of nothing there is no multiple."""
     ratio, best = (metrics.get(f"{name}/{key}") for key in ("optimum_ratio", "optimum_mean_vertex_error_mm"))
-    return "-" if ratio is None else "of 0" if best < WITHIN_REACH_MM else f"{ratio:.3g}"
+    return "-" if ratio is None else EXACT if best < WITHIN_REACH_MM else f"{ratio:.3g}"
 
 
 def sets_of(metrics: Mapping[str, float]) -> list[str]:

@@ -82,6 +82,7 @@ RULES: dict[str, Check] = {
     "checkpoint.*": AT_LEAST_1,
     "pictures.*": AT_LEAST_1,
     "random_poses": AT_LEAST_0,
+    "expressions": AT_LEAST_0,
     "window": AT_LEAST_1,
     "turns": AT_LEAST_1,
     "flags.*": POSITIVE,
@@ -106,7 +107,7 @@ RULES: dict[str, Check] = {
 MAY_BE_NULL = (
     *("frames.first", "frames.last"),
     *("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations"),
-    *("data.store", "chunk"),
+    *("data.store", "chunk", "expressions"),
     *("jobs", "budget.frames", "budget.networks.*.steps"),
 )
 

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from riginv.clips.motion_check import MotionCheck
 from riginv.clips.sequence import MeshSequence
 from riginv.clips.units import Meaning
 from riginv.data.mesh_sets import MeshSet
@@ -27,6 +28,7 @@ class Clip(MeshSet):
     Attributes:
         frame_numbers: `(frame,)`, as the source counts them.
         excluded: whether a frame was excluded, `(frame,)`.
+        motion_check: how it moves, as far as its meshes were read.
 
     Raises:
         InputError: no frame is left, or one that is named does not exist.
@@ -50,6 +52,7 @@ class Clip(MeshSet):
         controls = None if sequence.controls is None else torch.from_numpy(sequence.controls[inside])
         super().__init__("clip", meaning.fps, controls, torch.tensor(numbers[inside]))
         self.excluded = _excluded(sequence.path, self.frame_numbers, exclude)
+        self.motion_check = MotionCheck(self.frame_numbers, meaning.fps, bool(meaning.unit_source))
 
     def __len__(self) -> int:
         return len(self.frame_numbers)
@@ -62,6 +65,7 @@ class Clip(MeshSet):
         points = torch.where(torch.isfinite(points).all(dim=2, keepdim=True), points, torch.nan)
         points[self.excluded[start:stop]] = torch.nan
         self._check(points, start)
+        self.motion_check.add(start, points)
         return points
 
     def _check(self, points: Tensor, start: int) -> None:

@@ -52,11 +52,11 @@ def open_clip(path: str, rig: RigBackend, reading: ReadingOptions, frames: Frame
     return clip, [*sequence.facts.notes, *meaning.notes, *([note] if note else [])]
 
 
-def open_sequence(path: str, rig: RigBackend, options: ReadingOptions) -> MeshSequence:
+def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) -> MeshSequence:
     """Open a clip with the reader that its name calls for.
 
     Args:
-        rig: whose mesh it should hold; whose shapes or controls it should move.
+        rig: whose mesh it should hold; whose shapes or controls it should move; None only where its reader needs none.
         options: what the user says about the file.
 
     Raises:
@@ -84,6 +84,20 @@ def open_sequence(path: str, rig: RigBackend, options: ReadingOptions) -> MeshSe
     if suffix in PLUG_INS:
         return class_of(PLUG_INS[suffix], kind=MeshSequence).for_rig(path, options, rig)
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")
+
+
+def open_alone(path: str, options: ReadingOptions) -> MeshSequence:
+    """Open a clip where there is no rig: its reader chooses the meshes by itself.
+
+    Raises:
+        InputError: no reader knows the name, the file is missing or damaged, or only a rig can make meshes of it.
+    """
+    suffix = Path(path).suffix.lower()
+    if _is_folder(Path(path)) or suffix in READERS or suffix not in (*PLUG_INS, ".csv"):
+        return open_sequence(path, None, options)
+    if suffix == ".csv":
+        raise InputError(f"{path}: curves need a rig to become meshes: name it with rig=NAME or bundle=DIR")
+    return class_of(PLUG_INS[suffix], kind=MeshSequence)(path, options)
 
 
 def _is_folder(path: Path) -> bool:

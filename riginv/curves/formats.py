@@ -1,8 +1,8 @@
 """The formats that curves are written in, each a file of its own."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from riginv.curves import blender_script, bvh, glb, live_link, maya, usd
 from riginv.curves.animation import Animation, FrameErrors
@@ -50,13 +50,19 @@ def check_formats(rig: RigBackend, names: Sequence[str]) -> None:
 
 
 def write_formats(
-    folder: Path, animation: Animation, errors: FrameErrors, names: Sequence[str], swap_mouth: bool = False
+    folder: Path,
+    animation: Animation,
+    errors: FrameErrors,
+    names: Sequence[str],
+    swap_mouth: bool = False,
+    clip: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Write curves.csv, its sidecar curves.json, frames.csv, and a file for each further format.
 
     Args:
         names: of formats; csv goes without saying.
         swap_mouth: exchange MouthLeft and MouthRight in Live Link Face's CSV.
+        clip: what was read of the clip that the curves come from, for the sidecar.
 
     Returns:
         the files.
@@ -66,7 +72,7 @@ def write_formats(
     """
     check_formats(animation.rig, names)
     write_curves(folder / CURVES, animation)
-    write_sidecar(folder / SIDECAR, animation, errors)
+    write_sidecar(folder / SIDECAR, animation, errors, clip)
     write_frames(folder / FRAMES, animation, errors)
     paths = [folder / CURVES, folder / SIDECAR, folder / FRAMES]
     for name in dict.fromkeys(name for name in names if name != "csv"):

@@ -4,6 +4,7 @@ import csv
 import io
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,8 @@ def write_curves(path: Path, animation: Animation) -> None:
     write_rows(path, columns, [[number, time, *row] for number, time, row in zip(numbers, times, digits(values))])
 
 
-def write_sidecar(path: Path, animation: Animation, errors: FrameErrors) -> None:
-    """Write what the columns of curves.csv mean, and how large the errors are."""
+def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: Mapping[str, Any] | None = None) -> None:
+    """Write what the columns of curves.csv mean, how large the errors are, and what was read of the clip."""
     numbers = animation.frame_numbers.tolist()
     content: dict[str, Any] = {
         "source": animation.source,
@@ -47,6 +48,8 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors) -> None
     if errors.reach is not None:
         judged = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
         content["errors"]["least_error_frames"] = judged[errors.reach.rows].tolist()
+    if clip is not None:
+        content["clip"] = clip
     if animation.motion is not None:
         content["motion"] = [*MOVE_COLUMNS, *TURN_COLUMNS]
     if animation.keys is not None:

@@ -8,13 +8,15 @@ import torch
 from torch import Tensor
 
 from riginv.clips.clip import Clip
+from riginv.clips.description import describe
+from riginv.clips.description_text import in_short, rows
 from riginv.curves.animation import Animation, FrameErrors
 from riginv.curves.formats import write_formats
 from riginv.curves.reduction import reduced
 from riginv.curves.resampling import resampled
 from riginv.errors import InputError
 from riginv.inversion.rigid import unmoved
-from riginv.viewer.page import write_viewer
+from riginv.viewer.page import ClipSource, write_viewer
 from riginv.viewer.sheet import write_sheet
 from riginv.viewer.tensorboard import write_tensorboard
 
@@ -61,15 +63,19 @@ def write_results(
         reduction = reduced(curves, after["keys_mm"])
         curves = reduction.animation
         notes.append(
-            f"{reduction.keys} keys of {reduction.keys_before} are left; no vertex goes {reduction.worst_mm:.3g} mm away"
+            f"{reduction.keys:,} of {reduction.keys_before:,} keys are kept; they move no vertex by more than "
+            f"{reduction.worst_mm:.3g} mm from where a key at every frame has it"
         )
     advance("curves", 0)
-    paths = write_formats(folder, curves, errors, config["formats"], after["swap_mouth"])
+    described = describe(clip)
+    paths = write_formats(folder, curves, errors, config["formats"], after["swap_mouth"], described.as_json())
     targets = _targets(clip, animation)
     if look["page"]:
         advance("page", 0)
         paths.append(folder / PAGE)
-        notes.append(f"{PAGE}: {write_viewer(folder / PAGE, animation, errors, targets).note}")
+        source = ClipSource(in_short(described), rows(described, None), described.warnings, described.notes)
+        shown = write_viewer(folder / PAGE, animation, errors, targets, clip=source)
+        notes.append(f"{PAGE}: {shown.note}")
     if look["sheet"]:
         paths.append(folder / SHEET)
         write_sheet(folder / SHEET, animation, errors, targets)
@@ -82,8 +88,8 @@ def write_results(
 def _targets(clip: Clip, animation: Animation) -> Callable[[Sequence[int]], Tensor]:
     """The meshes that were asked for, by the rows of the animation, without their rigid motion."""
 
-    def targets(rows: Sequence[int]) -> Tensor:
-        meshes = torch.cat([clip.vertices(row, row + 1) for row in rows])
-        return meshes if animation.motion is None else unmoved(animation.motion[list(rows)], meshes)
+    def targets(wanted: Sequence[int]) -> Tensor:
+        meshes = torch.cat([clip.vertices(row, row + 1) for row in wanted])
+        return meshes if animation.motion is None else unmoved(animation.motion[list(wanted)], meshes)
 
     return targets

@@ -15,13 +15,14 @@ from torch import Tensor
 
 from riginv.cli.bar import Bar
 from riginv.curves.animation import Animation, FrameErrors
+from riginv.inversion.regions import STILL
 from riginv.rig import RigBackend
 
 WORST = 5  # frames that are named
 MEANINGS = {
-    "outside_training_range": "unlike anything that the network was trained on",
+    "outside_training_range": "the mesh is unlike those that the network was trained on",
     "outside_reach": "the rig cannot make this mesh",
-    "not_converged": "solver steps, or more of them, would help (refine=N, solver.steps)",
+    "not_converged": "more solver steps would lower the error (refine=N, solver.steps)",
     "missing_vertices": "some vertices are not known, or the frame was excluded",
 }
 
@@ -59,11 +60,11 @@ def show(
     """Show how good the frames are, which to look at, and what was written."""
     console = Console()
     known = ~errors.mean_mm.isnan()
-    title = f"{escape(animation.source)}: {len(animation)} frames at {animation.fps:g} a second, vertex errors in mm"
+    title = f"{escape(animation.source)}: {len(animation):,} frames at {animation.fps:g} a second, vertex errors in mm"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
-    for heading in ("", "mean", "median", "worst 5 %", "worst frame"):
+    for heading in ("", "mean", "median", "95 % below", "worst frame"):
         table.add_column(heading, justify="right" if heading else "left")
-    for name, values in (("mean over a frame's vertices", errors.mean_mm), ("worst vertex of a frame", errors.max_mm)):
+    for name, values in (("mean error of a frame", errors.mean_mm), ("largest error of a frame", errors.max_mm)):
         table.add_row(name, *_figures(values[known]))
     if errors.neutral_mm is not None:
         table.add_row("neutral in its place", *_figures(errors.neutral_mm[known]))
@@ -77,7 +78,7 @@ def show(
     if errors.reach is not None:
         console.print(f"  {_scale(errors)}", highlight=False, soft_wrap=True)
     if animation.motion is not None:
-        console.print(f"  Rigid motion was taken out: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
+        console.print(f"  Rigid motion was removed: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
     counts = Counter(flag for flags in errors.flags for flag in flags)
     for flag, count in counts.most_common():
         console.print(f"  [yellow]{flag}[/]: {count} frames: {MEANINGS[flag]}", highlight=False, soft_wrap=True)
@@ -106,12 +107,11 @@ def _worst(animation: Animation, errors: FrameErrors, known: Tensor) -> list[int
 
 
 def _extent(motion: Tensor) -> str:
-    """How far motions `(frame, 4, 4)` go from the one in the middle of them."""
+    """How far motions `(frame, 4, 4)` are from that of the middle frame."""
     middle = motion[len(motion) // 2]
     turns = torch.rad2deg(roma.rotmat_geodesic_distance(motion[:, :3, :3], middle[:3, :3].expand(len(motion), -1, -1)))
-    return (
-        f"turns of {float(turns.max()):.3g} degrees and ways of {float((motion - middle)[:, :3, 3].norm(dim=1).max()):.3g} mm"
-    )
+    moves = (motion - middle)[:, :3, 3].norm(dim=1)
+    return f"up to {float(turns.max()):.3g} degrees and {float(moves.max()):.3g} mm from the middle frame"
 
 
 def _figures(values: Tensor) -> list[str]:
@@ -119,5 +119,7 @@ def _figures(values: Tensor) -> list[str]:
 
 
 def _frame(animation: Animation, errors: FrameErrors, row: int) -> str:
-    region = f" at the {errors.worst_region[row]}" if errors.worst_region[row] else ""
-    return f"{int(animation.frame_numbers[row])} ({float(errors.mean_mm[row]):.2g} mm{region})"
+    region = errors.worst_region[row]
+    where = f", worst at the {region}" if region else ""
+    where = ", worst where no shape moves the mesh" if region == STILL else where
+    return f"{int(animation.frame_numbers[row])} ({float(errors.mean_mm[row]):.2g} mm{where})"

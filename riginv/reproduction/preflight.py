@@ -10,6 +10,7 @@ from pathlib import Path
 from riginv.build import build, class_of
 from riginv.cache import code_key
 from riginv.cli.run_folder import CONFIG, METRICS, RunFolder, find_run_folder
+from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
 from riginv.files import discard
 from riginv.inversion.capture import content_key
@@ -23,7 +24,19 @@ from riginv.rig import LinearRig, RigBackend
 PACKAGE = Path(__file__).parent.parent
 DRAWING = ("pictures", "plots", "render")
 MAKE_NO_FIGURES = (  # files and folders of the package that no result of a step depends on but through its config
-    *("cli", "callbacks", "reproduce", "compare", "evaluate", "check", "contact_sheet", "summary", "templates", "wording"),
+    *(
+        "cli",
+        "callbacks",
+        "reproduce",
+        "compare",
+        "evaluate",
+        "check",
+        "inspect",
+        "contact_sheet",
+        "summary",
+        "templates",
+        "wording",
+    ),
     *("report", "tables", "claims", "paper", "machine", "preflight", "running", "workers", "plan", "recipes", "expected"),
 )
 DISTRIBUTIONS = ("torch", "numpy", "scipy", "lightning", "anny")
@@ -81,14 +94,14 @@ def find_folder(path: Path, config: Config, resume: bool) -> tuple[RunFolder, st
         return RunFolder(path, config, resumed=False), f"Going on with another config than before ({reason})."
 
 
-def check_capture(config: Config, rig: LinearRig) -> tuple[str | None, tuple[str, ...]]:
-    """The hash of what the clip of a config's `capture` holds, None where none is given; and what is to be said of it.
+def check_capture(config: Config, rig: LinearRig) -> tuple[str | None, MeshSet | None]:
+    """The hash of what the clip of a config's `capture` holds, None where none is given; and the captured data.
 
     Raises:
         InputError: the clip cannot be read, or is none of the rig.
     """
     meshes = recording(rig, config)
-    return content_key(meshes) if config["capture"] else None, meshes.notes if meshes else ()
+    return content_key(meshes) if config["capture"] else None, meshes
 
 
 def check_folder(folder: RunFolder, rig: RigInMeshSpace, budget: Config, trainings: int) -> None:

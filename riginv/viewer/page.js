@@ -63,7 +63,7 @@ function draw() {
   scene.pose(meshes, low * 2 * width, next * 2 * width, part, state);
   scene.draw(state);
   const seconds = (numbers[row] - numbers[0]) / facts.fps;
-  $("now").textContent = `frame ${numbers[row]}   ${seconds.toFixed(2)} s   mean ${errors.mean[row]} mm   max ${errors.max[row]} mm`;
+  $("now").textContent = `frame ${numbers[row]}   ${seconds.toFixed(2)} s   mean ${millimetres(errors.mean[row])}   max ${millimetres(errors.max[row])}`;
   document.body.dataset.frame = numbers[row];
   const between = part > 0.001 && part < 0.999;
   $("badge").textContent = [...errors.flags[row].map((flag) => flag.replaceAll("_", " ")), between ? "mesh between kept frames" : ""]
@@ -143,11 +143,25 @@ function button(parent, className, act) {
   parent.append(item);
   return item;
 }
+function millimetres(value) { return value > 0 && value < 0.001 ? "<0.001 mm" : `${value} mm`; }
+
 function put(parent, tag, className, text) {
   const item = document.createElement(tag);
   item.className = className; item.textContent = text;
   parent.append(item);
   return item;
+}
+
+function listClip() { // what was read: a line under the title, and all of it in a table
+  if (!facts.clip) return;
+  const { line, rows, warnings, notes } = facts.clip;
+  $("clip-line").hidden = $("tab-clip").hidden = false;
+  $("clip-line").textContent = line; $("clip-line").title = [line, ...warnings].join("\n");
+  $("clip-line").classList.toggle("doubted", warnings.length > 0);
+  for (const warning of warnings) put($("clip"), "p", "doubted", warning);
+  const table = put($("clip"), "dl", "", "");
+  for (const [name, value] of rows) { put(table, "dt", "", name); put(table, "dd", "", value); }
+  for (const note of notes) put($("clip"), "p", "", note);
 }
 
 function listFrames() {
@@ -160,9 +174,9 @@ function listFrames() {
       item.dataset.row = row;
       put(item, "b", "", numbers[row]);
       put(put(item, "span", "meter", ""), "i", "", "").style.width = `${100 * Math.min(1, errors.mean[row] / most)}%`;
-      put(item, "span", "mm", `${errors.mean[row]} mm`);
-      const region = errors.region[row] ? `${errors.region[row]}, ` : "";
-      put(item, "small", "", `max ${errors.max[row]} mm at ${region}vertex ${errors.vertex[row]}`);
+      put(item, "span", "mm", millimetres(errors.mean[row]));
+      const region = errors.region[row] ? `, ${errors.region[row] === "still" ? "where no shape moves it" : errors.region[row]}` : "";
+      put(item, "small", "", `max ${millimetres(errors.max[row])} at vertex ${errors.vertex[row]}${region}`);
       if (errors.flags[row].length) put(item, "em", "", errors.flags[row].join(", ").replaceAll("_", " "));
     }
   }
@@ -213,7 +227,7 @@ function nextWorst() {
   pause(); goTo(errors.worst[(errors.worst.indexOf(here()) + 1) % errors.worst.length]);
 }
 function tab(name) {
-  for (const other of ["frames", "curves"]) { $(other).hidden = other !== name; $(`tab-${other}`).setAttribute("aria-selected", other === name); }
+  for (const other of ["frames", "curves", "clip"]) { $(other).hidden = other !== name; $(`tab-${other}`).setAttribute("aria-selected", other === name); }
   dirty = true;
 }
 
@@ -229,7 +243,8 @@ addEventListener("keydown", (event) => {
 for (const name of ["target", "recovered", "both"]) $(`show-${name}`).onclick = () => set({ show: name });
 $("heat").onclick = keys.h; $("wires").onclick = keys.e; $("reset").onclick = keys.r; $("play").onclick = play;
 $("next-flag").onclick = () => nextFlag(1); $("previous-flag").onclick = () => nextFlag(-1);
-$("tab-frames").onclick = () => tab("frames"); $("tab-curves").onclick = () => tab("curves");
+for (const name of ["frames", "curves", "clip"]) $(`tab-${name}`).onclick = () => tab(name);
+$("clip-line").onclick = () => tab("clip");
 $("filter").oninput = listControls;
 $("heat-top").oninput = () => set({ top: facts.top_mm * 10 ** (($("heat-top").value - 50) / 50) });
 for (const canvas of [$("plot"), $("timeline")]) {
@@ -245,7 +260,7 @@ document.title = `${facts.source} - riginv`;
 $("source").textContent = facts.source; $("about").textContent = facts.about; $("note").textContent = facts.note;
 for (const [name, value] of facts.figures) { const item = put($("figures"), "div", "", ""); put(item, "b", "", value); put(item, "span", "", name); }
 $("ramp").style.background = `linear-gradient(90deg, ${facts.heat.map(([r, g, b]) => `rgb(${r} ${g} ${b})`).join(", ")})`;
-listFrames(); listControls(); tab("frames"); pressed();
+listFrames(); listControls(); listClip(); tab("frames"); pressed();
 let before = performance.now();
 function tick(now) {
   if (state.playing) { // in the time of the frames' numbers, which may leave some out

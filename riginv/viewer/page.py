@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -31,6 +31,22 @@ STEP_MM = 0.02  # positions are kept in whole steps, finer where the mesh is sma
 LARGEST = 32_000  # of the whole numbers
 UNKNOWN = -32_768
 PIECE = 64  # meshes at a time
+
+
+class ClipSource(NamedTuple):
+    """What was read of the clip, in words.
+
+    Attributes:
+        line: all of it in short.
+        rows: all of it in full: what it is, and the value.
+        warnings: whole sentences about what can hardly be meant.
+        notes: whole sentences about what was guessed or mended.
+    """
+
+    line: str
+    rows: Sequence[tuple[str, str]]
+    warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -56,12 +72,14 @@ def write_viewer(
     errors: FrameErrors,
     targets: Targets,
     advance: Callable[[int], None] | None = None,
+    clip: ClipSource | None = None,
 ) -> Shown:
     """Write the page.
 
     Args:
         targets: the meshes that were asked for, by the rows of the animation, in the rig's space (rigid motion removed).
         advance: told how many meshes of `Shown.frames` were added.
+        clip: what was read of the clip.
 
     Returns:
         what it holds; a long clip is shown in fewer meshes, a large mesh in fewer vertices.
@@ -90,6 +108,7 @@ def write_viewer(
         "heat": (HEAT_STOPS * 255).round().astype(int).tolist(),
         "colored": colors is not None,
         "note": note,
+        "clip": clip._asdict() if clip else None,
     }
     parts = {
         "TITLE": html.escape(facts["source"]),
@@ -198,6 +217,11 @@ def _frame_facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
         "flags": [errors.flags[row] for row in nearest],
         "worst": [back[row] for row in errors.worst(WORST) if row in back],
     }
+
+
+def in_mm(value: float) -> str:
+    """An error as people read it, without its unit."""
+    return "<0.001" if 0 < value < 0.001 else f"{value:.3g}"
 
 
 def _rounded(value: float) -> float:

@@ -8,7 +8,7 @@ import torch
 from riginv.curves.animation import Animation, FrameErrors
 from riginv.files import written_beside
 from riginv.render import Camera, grid, heat_colors
-from riginv.viewer.page import Targets, judged_rows
+from riginv.viewer.page import Targets, in_mm, judged_rows
 
 WORST, SPREAD = 3, 3  # frames
 
@@ -34,8 +34,9 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
         view = camera.following(target, mesh)
         pictures += [view.picture(target, faces, colors), view.picture(mesh, faces, colors)]
         pictures.append(view.picture(mesh, faces, heat_colors(distance, top)))
-        labels += [f"frame {int(animation.frame_numbers[row])}: {name}", "result"]
-        labels.append(f"error: mean {float(distance.mean()):.2g}, max {float(distance.max()):.2g}, red {top:.2g} mm")
+        labels += [f"frame {int(animation.frame_numbers[row])}, {name}: clip", "recovered"]
+        mean, largest = (in_mm(float(value)) for value in (distance.mean(), distance.max()))
+        labels.append(f"error: mean {mean} mm, largest {largest} mm; red is {top:.2g} mm")
     with written_beside(path) as beside:
         grid(pictures, labels, columns=3).save(beside, format="PNG", optimize=True)
 
@@ -51,5 +52,5 @@ def sheet_rows(animation: Animation, errors: FrameErrors) -> dict[int, str]:
         if len(chosen) == WORST:
             break
     for row in np.linspace(0, len(animation) - 1, SPREAD).round().astype(int).tolist():
-        chosen.setdefault(row, "of the clip")
+        chosen.setdefault(row, "evenly spread")
     return chosen

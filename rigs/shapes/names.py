@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from riginv.errors import InputError
 
+MOST_NOTES = 5
 INBETWEEN = re.compile(r"(.*\D)(\d\d)")  # two digits: percent
 
 
@@ -35,6 +36,18 @@ class Convention:
     def names(self) -> list[str]:
         """All shapes, those that correct others last."""
         return [*self.primaries, *self.inbetweens, *self.combinations, *self.combination_inbetweens]
+
+    def counts(self) -> str:
+        """How many there are of each kind, in words."""
+        kinds = {
+            "primary shape{}": self.primaries,
+            "in-between{}": self.inbetweens,
+            "combination{}": self.combinations,
+            "in-between{} of combinations": self.combination_inbetweens,
+        }
+        return ", ".join(
+            f"{len(shapes)} {kind.format('s' if len(shapes) > 1 else '')}" for kind, shapes in kinds.items() if shapes
+        )
 
     def pose(self, name: str) -> Mapping[str, float]:
         """The weights of the primary shapes at which a shape was sculpted; the others are 0."""
@@ -76,6 +89,16 @@ def read_names(names: Iterable[str]) -> Convention:
             found.primaries.append(name)
     found.primaries.sort()
     return found
+
+
+def misspelt_notes(found: Convention) -> list[str]:
+    """Sentences about primary shapes that look like combinations with a misspelt part; of many only the first are named."""
+    notes = [
+        f"{name} is a shape of its own, for there is no '{part}'; if '{near}' is meant, rename the file"
+        for name, (part, near) in misspelt_parts(found).items()
+    ]
+    more = len(notes) - MOST_NOTES
+    return [*notes[:MOST_NOTES], *([f"{more} more shapes look like combinations with a misspelt part"] if more > 0 else [])]
 
 
 def misspelt_parts(found: Convention) -> dict[str, tuple[str, str]]:

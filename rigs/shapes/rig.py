@@ -12,10 +12,9 @@ from riginv.rig import Control, LinearRig
 from rigs.shapes.build import notes_of, shape_geometry
 from rigs.shapes.folder import find_shapes
 from rigs.shapes.logic import Combination, ShapeLogic
-from rigs.shapes.names import Convention, misspelt_parts, read_names
+from rigs.shapes.names import Convention, misspelt_notes, read_names
 
 LOG = logging.getLogger(__name__)
-PICTURED = 24  # shapes that a contact sheet shows, at most
 
 
 class ShapesRig(LinearRig):
@@ -62,8 +61,8 @@ class ShapesRig(LinearRig):
         name = neutral_path.resolve().parent.name
         super().__init__(name, controls, rest, faces, basis, shapes.names, primary_count=len(shapes.primaries))
         self.shapes, self.logic = shapes, logic
-        self.notes = notes_of(geometry)
-        LOG.info(self.describe())
+        self.contents, self.notes = shapes.counts(), (*misspelt_notes(shapes), *notes_of(geometry))
+        LOG.debug(self.describe())
 
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)`, the weights of the primary shapes, to the weights `(batch, shape)` of all shapes."""
@@ -76,24 +75,16 @@ class ShapesRig(LinearRig):
         return arkit_deltas(self.arkit_parts(), dict(zip(self.shapes.primaries, self.basis)))
 
     def expressions(self) -> dict[str, dict[str, float]]:
-        """Each shape as it was sculpted, those that correct others first."""
-        corrective_first = [*self.shapes.names[self.primary_count :], *self.shapes.primaries]
-        return {name: dict(self.shapes.pose(name)) for name in corrective_first[:PICTURED]}
+        """Each shape as it was sculpted, primary shapes before those that correct them."""
+        return {name: dict(self.shapes.pose(name)) for name in self.shapes.names}
 
     def describe(self) -> str:
-        """What was found, and what each name was taken as; one line for each shape that corrects others."""
+        """What each name was taken as: one line for each shape that corrects others."""
         shapes = self.shapes
-        size = (self.rest_vertices.amax(dim=0) - self.rest_vertices.amin(dim=0)).tolist()
-        lines = [
-            f"{self.name}: {len(shapes.primaries)} primary shapes, {len(shapes.inbetweens)} in-betweens, "
-            f"{len(shapes.combinations)} combinations, {len(shapes.combination_inbetweens)} in-betweens of combinations; "
-            f"{len(self.rest_vertices)} vertices, {' x '.join(f'{length:.3g}' for length in size)} mm"
-        ]
+        lines = [f"{self.name}: {self.contents}"]
         lines += [f"  {name}: in-between of {shape} at {place:g}" for name, (shape, place) in shapes.inbetweens.items()]
         lines += [f"  {name}: combination of {' and '.join(parts)}" for name, parts in shapes.combinations.items()]
         lines += [f"  {name}: in-between of {of} at {place:g}" for name, (of, place) in shapes.combination_inbetweens.items()]
-        for name, (found, near) in misspelt_parts(shapes).items():
-            lines.append(f"  {name}: a shape of its own, for there is no '{found}'; if '{near}' is meant, rename the file")
         return "\n".join(lines)
 
 

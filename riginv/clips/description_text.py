@@ -1,0 +1,152 @@
+"""What was read of a clip in words: one line for the terminal, rows of a table for a page."""
+
+from collections.abc import Sequence
+
+from riginv.cli.first_lines import show_lines
+from riginv.clips.clip import Clip
+from riginv.clips.description import ClipDescription, describe
+from riginv.clips.units import AS_THE_FILE_SAYS, UNITS
+from riginv.data.mesh_sets import MeshSet
+from riginv.errors import printable
+from riginv.rig_size import extent
+
+LONGEST_LINE = 200  # characters
+LONGEST_NAME = 40
+NAMES = 12  # of meshes or animations in a row of a table
+FULL, NO_FILE, NO_NAMES, NO_SOURCES = range(4)  # what a line goes without: that the file says a unit, names, sources
+
+
+def line(clip: ClipDescription) -> str:
+    """What was read, in one line of at most `LONGEST_LINE` characters, the file's name first."""
+    start = f"clip {_short(clip.file)}: "
+    return start + in_short(clip, LONGEST_LINE - len(start))
+
+
+def in_short(clip: ClipDescription, most: int = LONGEST_LINE) -> str:
+    """What was read, in so many characters at most."""
+    for detail in (FULL, NO_FILE, NO_NAMES, NO_SOURCES):
+        parts = [clip.facts.format, *_contents(clip, detail), _frames(clip, detail), _rate(clip, detail)]
+        parts += [_length(clip), _size(clip), _unit(clip, detail), _up(clip, detail)]
+        text = printable(", ".join(filter(None, parts)))
+        if len(text) <= most:
+            return text
+    return text[: most - 3] + "..."
+
+
+def show_clip(meshes: MeshSet | None) -> ClipDescription | None:
+    """Say what was read, where a set of meshes is a clip or was made from one (`meshes.clip`), and return it; else None.
+
+    The notes of the set follow, whatever it is.
+    """
+    clip = meshes if isinstance(meshes, Clip) else getattr(meshes, "clip", None)
+    found = describe(clip) if clip is not None else None
+    show_lines([line(found)] if found else [], meshes.notes if meshes else (), found.warnings if found else ())
+    return found
+
+
+def rows(clip: ClipDescription, names: int | None = NAMES) -> list[tuple[str, str]]:
+    """What was read, as rows of a table: what it is, and the value.
+
+    Args:
+        names: how many meshes or animations are named in a row, at most; None: all.
+    """
+    facts = clip.facts
+    found = [
+        ("format", facts.format),
+        ("meshes", named(facts.meshes, names)),
+        ("meshes left out", named(facts.other_meshes, names)),
+        ("animation", facts.animation),
+        ("animations passed over", named(facts.other_animations, names)),
+        ("vertices", f"{clip.vertices:,}" + (f", {clip.faces:,} faces" if clip.faces else "")),
+        ("frames", _frames(clip)),
+        ("rate", f"{clip.fps:g} frames a second ({clip.rate_source})"),
+        ("length", _length(clip)),
+        ("size", _size(clip)),
+        ("unit", _unit(clip).removeprefix("unit ")),
+        ("up", f"{clip.up} ({clip.up_source})"),
+        ("motion", _motion(clip)),
+    ]
+    return [(name, printable(text)) for name, text in found if text]
+
+
+def named(names: Sequence[str], most: int | None = NAMES) -> str:
+    """Names in a row, and how many more there are than `most`; None: all."""
+    more = 0 if most is None else len(names) - most
+    return ", ".join(names[:most]) + (f" and {more:,} more (verbose=true names all)" if more > 0 else "")
+
+
+def _contents(clip: ClipDescription, detail: int) -> list[str]:
+    """Meshes and animation."""
+    facts, parts = clip.facts, []
+    meshes, others = len(facts.meshes), len(facts.other_meshes)
+    if meshes or others:
+        named = f"mesh {_short(facts.meshes[0])}" if meshes == 1 and detail < NO_NAMES else _count(meshes, "mesh", "meshes")
+        parts.append(named + (f" ({others:,} left out)" if others else ""))
+    if facts.animation:
+        passed = len(facts.other_animations)
+        parts.append(f"animation {_short(facts.animation)}" + (f" ({passed:,} passed over)" if passed else ""))
+    return parts
+
+
+def _frames(clip: ClipDescription, detail: int = FULL) -> str:
+    first, last, count = clip.frames
+    text = f"1 frame, {first}" if count == 1 else f"{count:,} frames {first} to {last}"
+    if count < clip.all_frames.count:
+        text += f" of {clip.all_frames.first} to {clip.all_frames.last}"
+    said = []
+    if clip.missing:
+        names = ", ".join(map(str, clip.missing_first)) + (", ..." if clip.missing > len(clip.missing_first) else "")
+        said.append(f"{clip.missing:,} missing" + (f": {names}" if detail < NO_NAMES else ""))
+    if clip.excluded:
+        said.append(f"{clip.excluded:,} excluded")
+    if unknown := max(0, clip.motion.unknown - clip.excluded):
+        said.append(f"{unknown:,} not known")
+    return text + (f" ({'; '.join(said)})" if said else "")
+
+
+def _length(clip: ClipDescription) -> str:
+    return f"{clip.seconds:.4g} s"
+
+
+def _size(clip: ClipDescription) -> str:
+    return extent(clip.motion.size_mm, "" if clip.unit_mm else "units")
+
+
+def _unit(clip: ClipDescription, detail: int = FULL) -> str:
+    if not clip.unit_mm:
+        return "unit not known"
+    name = next((name for name, mm in UNITS.items() if abs(mm - clip.unit_mm) < 1e-6 * mm), f"{clip.unit_mm:g} mm")
+    return f"unit {name}{_source(clip.unit_source, detail)}"
+
+
+def _up(clip: ClipDescription, detail: int) -> str:
+    return f"{clip.up} up{_source(clip.up_source, detail)}"
+
+
+def _rate(clip: ClipDescription, detail: int) -> str:
+    return f"{clip.fps:g} fps" + (f" ({_short(clip.rate_source)})" if detail < NO_SOURCES else "")
+
+
+def _source(source: str, detail: int) -> str:
+    """Where a unit or an axis comes from; in a short line the file goes without saying."""
+    says = detail == FULL or (detail < NO_SOURCES and source != AS_THE_FILE_SAYS)
+    return f" ({source})" if says else ""
+
+
+def _motion(clip: ClipDescription) -> str:
+    motion = clip.motion
+    if clip.frames.count == 1:
+        return "none: it has one frame"
+    text = f"up to {motion.farthest_mm:.3g} {'mm' if clip.unit_mm else 'units'} from the first frame"
+    text += f", at up to {motion.fastest_m_s:.3g} m/s" if clip.unit_mm else ""
+    return text + (f" ({motion.frames:,} frames looked at)" if motion.frames < motion.all_frames else "")
+
+
+def _count(count: int, one: str, many: str) -> str:
+    return f"{count:,} {one if count == 1 else many}"
+
+
+def _short(text: str) -> str:
+    """A text no longer than a name should be."""
+    text = printable(text)
+    return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 15]}...{text[-12:]}"

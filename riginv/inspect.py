@@ -1,0 +1,147 @@
+"""python -m riginv.inspect PATH: what a clip, a bundle or a store of poses holds, and whether a clip fits a rig."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.text import Text
+
+from riginv.build import build
+from riginv.bundle import DESCRIPTION, read_bundle
+from riginv.cli.command import command
+from riginv.cli.first_lines import show_lines, show_rig
+from riginv.cli.run_folder import BUNDLE, plain_config
+from riginv.cli.validation import validate
+from riginv.clips.clip import Clip
+from riginv.clips.description import describe
+from riginv.clips.description_text import NAMES, named, rows
+from riginv.clips.live_link import Recording, read_live_link
+from riginv.clips.open import open_alone, open_clip
+from riginv.clips.options import FrameOptions, ReadingOptions, clip_options
+from riginv.clips.units import meaning_alone
+from riginv.errors import InputError, printable
+from riginv.files import is_file
+from riginv.inverse import load_inverse
+from riginv.rig import RigBackend
+from riginv.store.place import Place
+from riginv.store.store import PoseStore
+from riginv.store.summary import show as show_store
+
+STORE = "zarr.json"
+Row = tuple[str, str]
+
+
+def inspect(config: DictConfig) -> None:
+    """Print what `config.clip` holds; of a clip also whether it fits the rig, where one is named."""
+    plain = plain_config(config)
+    validate(plain)
+    path = Path(str(plain["clip"]))
+    names = None if config.get("verbose") else NAMES
+    if is_file(path / STORE):
+        show_store(PoseStore.find(Place(str(path))), {})
+    elif any(is_file(folder / DESCRIPTION) for folder in (path, path / BUNDLE)):
+        show_rows(path.name, bundle_rows(path, names))
+    else:
+        show_clip_file(plain, names)
+
+
+def show_clip_file(config: dict[str, Any], names: int | None) -> None:
+    """Print what the file of a clip holds, and then whether it fits the rig.
+
+    Args:
+        names: how many are named in a row, at most; None: all.
+
+    Raises:
+        InputError: it cannot be read, or does not fit.
+    """
+    path, rig = str(config["clip"]), named_rig(config)
+    reading, frames = clip_options(config)
+    if rig is None and path.lower().endswith(".csv"):
+        show_rows(Path(path).name, recording_rows(read_live_link(path), names))
+        return
+    try:
+        clip, notes = open_clip(path, rig, reading, frames) if rig else open_without_rig(path, reading, frames)
+    except InputError as misfit:
+        if rig is None or path.lower().endswith(".csv"):
+            raise
+        show_sequence(*open_without_rig(path, reading, frames), names)  # what it holds helps to see why
+        show_rig(rig, config["rig"], Console())
+        raise misfit from None
+    show_sequence(clip, notes, names)
+    if rig is not None:
+        show_rig(rig, config["rig"], Console())
+        show_lines([f"the clip fits rig '{rig.name}'"], console=Console())
+
+
+def named_rig(config: dict[str, Any]) -> RigBackend | None:
+    """The rig that the clip should be a mesh of, or None where none is named."""
+    rig = build(config["rig"], kind=RigBackend) if config["rig"].get("_target_") else None
+    return load_inverse(config["bundle"], rig).rig if config["bundle"] else rig
+
+
+def open_without_rig(path: str, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
+    """A clip in its own unit, where the file says none, and notes about what was guessed.
+
+    Raises:
+        InputError: as `open_alone` and `meaning_alone`.
+    """
+    sequence = open_alone(path, reading)
+    meaning = meaning_alone(sequence, reading.unit, reading.scale, reading.up, reading.fps)
+    clip = Clip(sequence, meaning, frames.first, frames.last, frames.exclude)
+    return clip, [*sequence.facts.notes, *meaning.notes]
+
+
+def show_sequence(clip: Clip, notes: Sequence[str], names: int | None) -> None:
+    """Print what was read of a clip."""
+    found = describe(clip)
+    show_rows(found.file, rows(found, names))
+    show_lines([], notes, found.warnings, Console())
+
+
+def recording_rows(recording: Recording, names: int | None) -> list[Row]:
+    """What a Live Link Face recording holds."""
+    least, most = recording.weights.amin(dim=0), recording.weights.amax(dim=0)
+    span = most - least
+    order = span.argsort(descending=True).tolist()
+    moving = [f"{recording.names[row]} ({least[row]:.2g} to {most[row]:.2g})" for row in order if span[row] > 0]
+    still = [recording.names[row] for row in order if span[row] == 0]
+    count = len(recording.weights)
+    return [
+        ("format", "Live Link Face CSV"),
+        ("rows", f"{count:,}"),
+        ("columns", f"{len(recording.names):,} shapes"),
+        ("rate", f"{recording.fps:g} frames a second"),
+        ("length", f"{(count - 1) / recording.fps:.4g} s"),
+        ("shapes that move", f"{len(moving):,}: {named(moving, names)}" if moving else "none: it never moves"),
+        ("shapes that do not", f"{len(still):,}: {named(still, names)}" if still else "none"),
+    ]
+
+
+def bundle_rows(path: Path, names: int | None) -> list[Row]:
+    """What a bundle, or the run that holds it, was trained on."""
+    bundle = read_bundle(path)
+    rig, training = bundle.description["rig"], bundle.description["training"]
+    controls = [control.name for control in bundle.controls]
+    kind = {"inverse": "inverse: meshes to controls", "forward": "surrogate: controls to meshes"}[bundle.description["kind"]]
+    return [
+        ("bundle", kind),
+        ("rig", f"{rig['name']}, {len(bundle.space['rest_vertices']):,} vertices ({rig['config'].get('_target_', '')})"),
+        ("controls", f"{len(controls):,}: {named(controls, names)}"),
+        ("network", str(bundle.description["network"].get("_target_", ""))),
+        ("mesh space", f"{len(bundle.space['frame']):,} coordinates"),
+        ("training", ", ".join(f"{key} {value}" for key, value in training.items())),
+    ]
+
+
+def show_rows(title: str, found: Sequence[Row]) -> None:
+    """Print a table of two columns, whose values are never cut."""
+    console, width = Console(), max(len(name) for name, _ in found)
+    console.print(Text(printable(title), "bold"), soft_wrap=True)
+    for name, value in found:
+        console.print(Text(f"  {name:<{width}}  {printable(value)}"), highlight=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    command("inspect")(inspect)()

@@ -1,0 +1,63 @@
+"""A command whose reader goes away, as `| head` does, ends without a traceback; and --help explains what it is asked about."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from riginv.cli.closed_output import ends_with_its_reader
+from riginv.cli.help import explained_keys
+from tests.conftest import ROOT
+
+TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
+
+
+def with_closed_output(command: str, *arguments: str, stderr_too: bool = False) -> tuple[int, str]:
+    """The exit status of a command whose standard output nobody reads, and what it says on standard error."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-m", f"riginv.{command}", *arguments],
+        stdout=writing,
+        stderr=writing if stderr_too else subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    os.close(writing)
+    return done.returncode, done.stderr or ""
+
+
+@pytest.mark.parametrize("arguments", [("train", "--help"), ("check", *TOY), ("compare", "--cfg", "job")], ids=str)
+def test_nothing_is_said_of_a_closed_pipe(arguments):
+    assert with_closed_output(*arguments) == (1, "")
+
+
+def test_a_mistake_is_told_where_someone_reads():
+    code, said = with_closed_output("check", "rig=fase")
+    assert code == 1 and said.startswith("error: rig=fase: there is no such rig") and said.count("\n") == 1
+    assert with_closed_output("check", "rig=fase", stderr_too=True) == (1, "")
+
+
+def test_faults_of_ours_keep_their_traceback():
+    with pytest.raises(ZeroDivisionError), ends_with_its_reader():
+        _ = 1 / 0
+    with pytest.raises(BrokenPipeError), ends_with_its_reader():  # of a worker: the output is read as before
+        raise BrokenPipeError
+
+
+def test_a_reader_that_stays_gets_everything():
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    shell = f"{sys.executable} -m riginv.train --help | head -3"
+    done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, env=environment)
+    assert done.stdout.startswith("riginv trains networks on rigs.") and done.stderr == ""
+
+
+@pytest.mark.parametrize("command", ["contact_sheet", "check", "inspect", "export_onnx"])
+def test_help_explains_every_key(command, run):
+    said = run(command, "--help").text
+    keys = explained_keys(command).splitlines()
+    assert len(keys) >= 2 and all(key in said for key in keys)
+    assert all("  # " in key for key in keys), keys  # each with a word of explanation
+    assert "blender, blender_if_here, body, face" in said and "verbose: false" in said
