@@ -172,6 +172,16 @@ def test_gaps_are_named_as_spans_and_long_ones_refused(tmp_path):
         numbers(folder)
 
 
+def test_a_link_to_nothing_is_a_frame_that_is_missed(tmp_path):
+    folder = touch(tmp_path / "shot", "f.1.obj", "f.3.obj")
+    (folder / "f.2.obj").symlink_to(tmp_path / "nowhere.obj")
+    rig = ToyRig()
+    for number in (1, 3):
+        write_obj(folder / f"f.{number}.obj", performance(rig, 1)[0], rig.faces.numpy())
+    with pytest.raises(InputError, match="f.2.obj: no such file"):
+        open_sequence(str(folder), rig, ReadingOptions()).read(0, 3)
+
+
 def test_one_file_of_a_sequence_says_so(tmp_path):
     folder = touch(tmp_path / "shot", *(f"head.{number}.lod0.obj" for number in (1001, 1002, 1003)), "neutral.obj")
     found = find_frames(str(folder / "head.1002.lod0.obj"), ".obj")

@@ -141,7 +141,7 @@ def _folder_missing(given: Path) -> str:
 
 def _files(folder: Path) -> list[Path]:
     try:
-        return sorted(path for path in folder.iterdir() if path.is_file()) if folder.is_dir() else []
+        return sorted(path for path in folder.iterdir() if not path.is_dir()) if folder.is_dir() else []
     except OSError as error:
         raise InputError(f"{folder}: cannot be looked into: {error}") from None
 
