@@ -1,0 +1,109 @@
+"""Joints: their neutral pose, and forward kinematics from what they change by to skinning matrices."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.geometry.kinematics import compose, forward_kinematics, invert, transform_from, tree_levels
+from rigs.dna.format import DnaFile
+from rigs.dna.format.layers import Definition, Vectors
+from rigs.dna.geometry.space import Space
+from rigs.dna.logic.joint_stage import JointStage
+from rigs.dna.logic.joints import JointChanges
+from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.rotations import Angles
+from rigs.dna.logic.stage import Stage
+
+TRANSLATION, SCALE = slice(0, 3), slice(6, 9)  # of a joint's nine attributes
+
+
+def stacked(vectors: Vectors, layout: Layout, what: str, count: int | None = None) -> np.ndarray:
+    """Vectors as `(vector, 3)` float64.
+
+    Raises:
+        InputError: their coordinates differ in number, or are not as many as expected, or are NaN or infinite.
+    """
+    layout.check_lengths(what, x=len(vectors.xs), y=len(vectors.ys), z=len(vectors.zs))
+    if count is not None and len(vectors.xs) != count:
+        raise layout.wrong(f"{what}: {len(vectors.xs)} vectors, expected {count}")
+    result = np.stack([vectors.xs, vectors.ys, vectors.zs], axis=1).astype(np.float64)
+    layout.check_finite(what, result)
+    return result
+
+
+def joint_parents(file: DnaFile) -> list[int]:
+    """The parent of each joint, -1 for a root.
+
+    Raises:
+        InputError: a parent is not there, or joints form a cycle.
+    """
+    definition = file.need(Definition)
+    if len(definition.parents) != len(definition.joints):
+        raise InputError(
+            f"{file.path}: {len(definition.parents)} joints have parents, {len(definition.joints)} have names: the file is "
+            f"damaged; export it again"
+        )
+    parents = [-1 if parent == joint else int(parent) for joint, parent in enumerate(definition.parents)]
+    try:
+        if parents:
+            tree_levels(parents, definition.joints)
+    except InputError as error:
+        raise InputError(f"{file.path}: {error}") from None
+    return parents
+
+
+def with_ancestors(parents: list[int], joints: np.ndarray) -> np.ndarray:
+    """Joints and all that carry them, in ascending order."""
+    kept: set[int] = set()
+    for joint in joints.tolist():
+        while joint >= 0 and joint not in kept:
+            kept.add(joint)
+            joint = parents[joint]
+    return np.array(sorted(kept), dtype=np.int64)
+
+
+class Skeleton(Stage):
+    """The joints of a file in riginv's space, moved so that a given point is the origin.
+
+    Args:
+        joints: those that matter, with all that carry them, `(joint,)`.
+        centre: `(3,)`, mm: the point; numbers are smaller around it, and so are their rounding errors.
+
+    Attributes:
+        neutral: world transforms at rest, `(joint, 3, 4)`, mm.
+    """
+
+    def __init__(self, file: DnaFile, layout: Layout, space: Space, joints: np.ndarray, centre: np.ndarray) -> None:
+        super().__init__()
+        definition = file.need(Definition)
+        count, parents = len(definition.joints), joint_parents(file)
+        places = stacked(definition.neutral_translations, layout, "the neutral translations of joints", count)[joints]
+        turns = stacked(definition.neutral_rotations, layout, "the neutral rotations of joints", count)[joints]
+        number = {int(joint): place for place, joint in enumerate(joints)}
+        self.parents = [number.get(parents[joint], -1) for joint in joints.tolist()]
+        self.levels = tree_levels(self.parents) if len(joints) else []
+        rotations = Angles.of(file, layout).matrices(torch.tensor(turns)).reshape(-1, 3, 3)
+        axes = torch.tensor(space.axes)
+        root = transform_from(axes, -torch.tensor(centre))
+        self.unit_mm = space.unit_mm
+        self.keep(rotations=rotations, places=torch.tensor(places * space.unit_mm), root=root)
+        neutral = self._worlds(transform_from(rotations, self.places)[None])[0] if len(joints) else root.new_zeros(0, 3, 4)
+        self.keep(neutral=neutral, back=invert(neutral))
+
+    def worlds(self, stage: JointStage, changes: JointChanges) -> Tensor:
+        """The world transforms `(batch, joint, 3, 4)` of the joints, mm, for what they change by."""
+        attributes = changes.attributes
+        rotations = self.rotations.to(attributes) @ stage.rotations(changes)
+        linear = rotations * (1 + attributes[..., None, SCALE])
+        places = self.places.to(attributes) + self.unit_mm * attributes[..., TRANSLATION]
+        return self._worlds(transform_from(linear, places))
+
+    def skinning(self, worlds: Tensor) -> Tensor:
+        """The skinning matrices `(batch, joint, 3, 4)` of world transforms."""
+        return compose(worlds, self.back.to(worlds))
+
+    def _worlds(self, local: Tensor) -> Tensor:
+        root = self.root.to(local)
+        is_root = torch.tensor([parent < 0 for parent in self.parents], device=local.device)[:, None, None]
+        return forward_kinematics(torch.where(is_root, compose(root, local), local), self.parents, self.levels)
