@@ -1,6 +1,8 @@
 """Radial basis functions: poses of some controls, each with a weight that falls with the distance from it.
 
-Computed in float64 throughout: the arc between two quaternions that are nearly equal has no digits left in float32.
+Computed in float64 throughout, but for one step. The reference takes arcs between quaternions in float32, where those between
+nearly equal ones keep four digits; for float32 controls the same rounding is made, so that meshes agree with engines that
+compute so, while derivatives are those of the function without it. For float64 controls nothing is rounded.
 """
 
 from collections.abc import Sequence
@@ -17,6 +19,7 @@ from rigs.dna.logic.stage import Stage, put
 
 INTERPOLATIVE, GIVEN_RADIUS, ALWAYS = 1, 1, 1
 EUCLIDEAN, SWING, TWIST = 0, 2, 3
+MOST_CONDITION = 1e12  # of the kernel between poses
 LIMITS = {"kind": 2, "automatic_radius": 2, "distance": 4, "normalise": 2, "function": 5, "axis": 3}
 
 
@@ -39,21 +42,26 @@ class RadialSolver(Stage):
             raise layout.wrong(f"{what} measures quaternions, four controls each, and has {width} controls")
         layout.check_controls(what, solver.controls)
         layout.check_finite(what, np.concatenate([solver.values, [solver.radius, solver.threshold], scales]))
-        self.solver = solver
+        self.solver, self.rounds = solver, False
         values = solver.values.reshape(poses, width).astype(np.float64)
         self.keep(controls=solver.controls.astype(int), values=values, scales=scales.astype(np.float64))
         self._keep_outputs(layout, what, outputs)
-        among = self._distances(self.values)
-        pairs = among[torch.triu(torch.ones(poses, poses, dtype=torch.bool), diagonal=1)]
-        automatic = float(pairs.mean()) if poses > 1 else 0.0
-        self.radius = float(np.deg2rad(solver.radius)) if solver.automatic_radius == GIVEN_RADIUS else automatic
-        if not self.radius > 0:
-            raise layout.wrong(f"{what} has a radius of {self.radius:g}, expected more than 0")
+        self.radii = tuple(self._radius(rounds) for rounds in (False, True))
+        if not min(self.radii) > 0:
+            raise layout.wrong(f"{what} has a radius of {min(self.radii):g}, expected more than 0")
         if solver.kind == INTERPOLATIVE:
-            kernel = self._kernel(among)
-            if float(torch.linalg.cond(kernel)) > 1e12:
+            kernels = [self._kernel(self._distances(self.values, rounds), rounds) for rounds in (False, True)]
+            if max(float(torch.linalg.cond(kernel)) for kernel in kernels) > MOST_CONDITION:
                 raise layout.wrong(f"{what} has poses that cannot be told apart")
-            self.keep(inverse=torch.linalg.inv(kernel))
+            self.keep(inverse=torch.linalg.inv(kernels[0]), rounded_inverse=torch.linalg.inv(kernels[1]))
+
+    def _radius(self, rounds: bool) -> float:
+        """What distances are measured by; where the file gives none, the mean distance between two poses."""
+        if self.solver.automatic_radius == GIVEN_RADIUS:
+            return float(np.deg2rad(self.solver.radius))
+        poses = len(self.values)
+        pairs = torch.triu(torch.ones(poses, poses, dtype=torch.bool), diagonal=1)
+        return float(self._distances(self.values, rounds)[pairs].mean()) if poses > 1 else 0.0
 
     def _keep_outputs(self, layout: Layout, what: str, outputs: Sequence[PoseOutput]) -> None:
         """Which controls multiply each pose's weight, and the matrix from poses to the controls that are written."""
@@ -74,29 +82,33 @@ class RadialSolver(Stage):
         """All controls `(batch, control)`, with what the poses write in place of what stood there."""
         controls = controls.index_fill(1, self.written, 0.0)
         precise = controls.double()
-        weights = self._weights(precise.index_select(1, self.controls))
+        rounds = self.rounds or controls.dtype == torch.float32
+        weights = self._weights(precise.index_select(1, self.controls), rounds)
         padded = torch.cat([precise, precise.new_ones(len(precise), 1)], dim=1)
         for slot in self.factors.T:
             weights = weights * padded.index_select(1, slot)
         return put(controls, self.written, (weights @ self.matrix.double()).to(controls))
 
-    def _weights(self, inputs: Tensor) -> Tensor:
+    def _weights(self, inputs: Tensor, rounds: bool) -> Tensor:
         """Of each pose, `(batch, pose)`."""
-        weights = self._kernel(self._distances(inputs))
+        weights = self._kernel(self._distances(inputs, rounds), rounds)
         if self.solver.kind == INTERPOLATIVE:
-            weights = (weights @ self.inverse.double()).clamp(0, 1)
+            inverse = self.rounded_inverse if rounds else self.inverse
+            weights = (weights @ inverse.double()).clamp(0, 1)
         total = weights.sum(dim=1, keepdim=True)
         divided = torch.ones_like(total, dtype=torch.bool) if self.solver.normalise == ALWAYS else total > 1
         weights = weights / torch.where(divided & (total != 0), total, 1.0) * self.scales.double()
         return torch.where(weights > float(self.solver.threshold), weights, 0.0)
 
-    def _distances(self, inputs: Tensor) -> Tensor:
-        """From inputs `(batch, control)` to each pose, `(batch, pose)`."""
+    def _distances(self, inputs: Tensor, rounds: bool) -> Tensor:
+        """From inputs `(batch, control)` to each pose, `(batch, pose)`; `rounds`: arcs as the reference rounds them."""
         values = self.values.double()
         if self.solver.distance == EUCLIDEAN:
             return _root((inputs[:, None] - values).square().sum(dim=2))
         one, other = (self._part(given.unflatten(1, (-1, 4))) for given in (inputs, values))
         arcs = _squared_arcs(torch.einsum("bgc,pgc->bpg", one, other))
+        if rounds:
+            arcs = arcs + (_rounded_arcs(one, other) - arcs).detach()
         return _root(arcs.sum(dim=2))
 
     def _part(self, quaternions: Tensor) -> Tensor:
@@ -106,10 +118,11 @@ class RadialSolver(Stage):
         twist = twist_of(quaternions, self.solver.axis)
         return twist if self.solver.distance == TWIST else multiply(quaternions, conjugate(twist))
 
-    def _kernel(self, distances: Tensor) -> Tensor:
-        relative, function = distances / self.radius, self.solver.function
+    def _kernel(self, distances: Tensor, rounds: bool) -> Tensor:
+        radius, function = self.radii[rounds], self.solver.function
+        relative = distances / radius
         if function == 0:
-            return torch.exp(-distances / self.radius**2)
+            return torch.exp(-distances / radius**2)
         if function == 1:
             return torch.exp(-2 * relative)
         return (1 - relative ** (1, 3, 5)[function - 2]).clamp_min(0)
@@ -121,6 +134,15 @@ def _squared_arcs(cosines: Tensor) -> Tensor:
     sizes = torch.where(inside, cosines, 0.0).abs()
     sines = (1 - sizes.square()).sqrt()
     return torch.where(inside, (2 * torch.atan2(sines, sizes)).square(), 0.0)
+
+
+@torch.no_grad()
+def _rounded_arcs(one: Tensor, other: Tensor) -> Tensor:
+    """What float32 makes of the squared arcs `(batch, pose, group)` of quaternions, step by step as the reference does."""
+    one, other = one.float()[:, None], other.float()
+    cosines = sum(one[..., part] * other[..., part] for part in range(4))
+    squares = cosines.square()
+    return torch.where(squares > 1, 0.0, torch.arccos(2 * squares - 1).square()).double()
 
 
 def _root(squares: Tensor) -> Tensor:
@@ -139,7 +161,7 @@ class RadialSolvers(Stage):
     def __init__(self, layout: Layout, radial: RadialBasis, outputs: RadialBasisOutputs | None, lod: int) -> None:
         super().__init__()
         chosen = layout.rows_of_lod("the solvers", radial.lod_solvers, lod, len(radial.solvers), "solvers")
-        self.solvers = torch.nn.ModuleList()
+        self.solvers: torch.nn.ModuleList = torch.nn.ModuleList()
         for solver in (radial.solvers[number] for number in chosen.tolist()):
             what = f"solver {solver.name[:60]!r}"
             layout.check(what, solver.poses, len(radial.poses), "poses")
@@ -149,6 +171,11 @@ class RadialSolvers(Stage):
             scales = np.array([radial.poses[number].scale for number in numbers], dtype=np.float64)
             written = [outputs.poses[number] if outputs is not None else _own(layout, number) for number in numbers]
             self.solvers.append(RadialSolver(layout, what, solver, scales, written))
+
+    def round_as_reference(self) -> None:
+        """Round arcs for float64 controls, too."""
+        for solver in self.solvers:
+            solver.rounds = True
 
     def forward(self, controls: Tensor) -> Tensor:
         """All controls `(batch, control)`, with what all solvers write."""
