@@ -37,8 +37,10 @@ class Model(Stage):
         lod: the level of detail.
         meshes: globs of the meshes; none: all of the level.
         unit_mm: millimetres to a unit of length, in place of what the file states.
+        all_joints: whether joints that carry no vertex are posed, too.
 
     Attributes:
+        space: how the file's coordinates are converted.
         surface: the meshes at rest.
         joints: the joints that carry vertices and those above them, `(joint,)`.
         channels: the blendshape channels that move vertices, `(channel,)`.
@@ -52,7 +54,8 @@ class Model(Stage):
     ) -> None:
         super().__init__()
         self.layout = layout = Layout.of(file)
-        space, parents = Space.of(file, unit_mm), joint_parents(file)
+        self.space, parents = Space.of(file, unit_mm), joint_parents(file)
+        space = self.space
         self.surface: Surface = read_surface(file, layout, space, chosen_meshes(file, layout, lod, meshes))
         weights, deltas = self.surface.weights, self.surface.deltas
         carrying = np.unique(weights.indices[weights.data > 0])

@@ -103,6 +103,18 @@ class Skeleton(Stage):
         """The skinning matrices `(batch, joint, 3, 4)` of world transforms."""
         return compose(worlds, self.back.to(worlds))
 
+    def neutral_values(self, file: DnaFile, angles: Angles) -> dict[str, np.ndarray]:
+        """The neutral pose as the file states it: translation, rotation and scale `(joint, 9)`, and with quaternions."""
+        definition = file.need(Definition)
+        parts = [definition.neutral_translations, definition.neutral_rotations]
+        places, turns = (np.stack([part.xs, part.ys, part.zs], axis=1).astype(np.float64) for part in parts)
+        ones = np.ones_like(places)
+        quaternions = angles.quaternions(torch.tensor(turns)).numpy()
+        return {
+            "": np.concatenate([places, turns, ones], axis=1),
+            "_quaternion": np.concatenate([places, quaternions, ones], axis=1),
+        }
+
     def _worlds(self, local: Tensor) -> Tensor:
         root = self.root.to(local)
         is_root = torch.tensor([parent < 0 for parent in self.parents], device=local.device)[:, None, None]

@@ -65,6 +65,20 @@ class Space:
         """Vectors `(..., 3)` of the file, mm along riginv's axes."""
         return values.astype(np.float64) @ (self.unit_mm * self.axes).T
 
+    def points_in_file(self, points: np.ndarray) -> np.ndarray:
+        """Points `(..., 3)` of riginv as the file has them."""
+        return points @ self.axes / self.unit_mm
+
+    def transforms_in_file(self, transforms: np.ndarray, centre: np.ndarray) -> np.ndarray:
+        """Transforms of joints `(..., 3, 4)` as the file has them.
+
+        Args:
+            centre: `(3,)`, mm: the point that the translations are counted from.
+        """
+        linear = self.axes.T @ transforms[..., :3]
+        places = self.points_in_file(transforms[..., 3] + centre)
+        return np.concatenate([linear, places[..., None]], axis=-1)
+
     def check_size(self, file: DnaFile, rest: np.ndarray) -> None:
         """Raises InputError where a rest mesh `(vertex, 3)`, mm, cannot be of the unit that the file states."""
         size = float((rest.max(axis=0) - rest.min(axis=0)).max()) if len(rest) else 0.0

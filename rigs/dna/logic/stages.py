@@ -108,10 +108,15 @@ class Logic(Stage):
         """GUI controls `(batch, gui)` to raw controls `(batch, raw)`; those that no row writes are 0, quaternions too."""
         return self.table(gui)
 
-    def all_controls(self, raw: Tensor) -> Tensor:
-        """Raw controls `(batch, raw)` to all controls `(batch, control)`."""
+    def all_controls(self, raw: Tensor, psds_before: Tensor | None = None) -> Tensor:
+        """Raw controls `(batch, raw)` to all controls `(batch, control)`.
+
+        Args:
+            psds_before: the PSDs of an evaluation before, `(batch, psd)`, which PSDs that depend on PSDs see; None: all 0.
+        """
         layout = self.layout
-        controls = torch.cat([raw, raw.new_zeros(len(raw), layout.total - layout.raw)], dim=1)
+        psds = raw.new_zeros(len(raw), layout.psd) if psds_before is None else psds_before
+        controls = torch.cat([raw, psds, raw.new_zeros(len(raw), layout.ml + layout.rbf)], dim=1)
         if self.learned is not None:
             controls = self.learned(controls)
         if self.radial is not None:
