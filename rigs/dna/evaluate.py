@@ -147,7 +147,7 @@ def _vertices(file: DnaFile, lod: int, key: str, raw: Tensor, given: Arrays, cou
     skeleton, stage, space = model.skeleton, model.logic.joints, model.space
     if len(model.joints):
         worlds = skeleton.worlds(stage, stage(model.logic.all_controls(raw)))
-        found[f"{key}_world"] = space.transforms_in_file(worlds.numpy(), model.centre.numpy())
+        found[f"{key}_world"] = space.transforms_in_file(worlds.movedim(-1, 0).numpy(), model.centre.numpy())
         if lod == 0:
             found["neutral_world"] = space.transforms_in_file(skeleton.neutral.numpy(), model.centre.numpy())
             found |= {f"neutral{ending}": values for ending, values in skeleton.neutral_values(file, stage.angles).items()}

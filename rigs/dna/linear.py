@@ -57,7 +57,7 @@ class Coefficients(Stage):
         weights = pose.channels
         if not len(self.moving):
             return weights
-        matrices = pose.matrices.index_select(1, self.moving)
+        matrices = pose.matrices.index_select(0, self.moving).movedim(-1, 0)
         linear = matrices[..., :3] - torch.eye(3, dtype=matrices.dtype, device=matrices.device)
         gone = linear @ self.centres.to(linear)[..., None] + matrices[..., 3:]
         alone = torch.cat([linear, gone], dim=-1).flatten(1)
@@ -69,7 +69,7 @@ def moving_joints(model: Model) -> np.ndarray:
     """The joints of a model, as numbers of its order, that move in some pose and carry vertices."""
     groups, stage = model.logic.joints.groups, model.logic.joints
     count = len(model.joints)
-    rows = sum(groups.get_buffer(f"values{number}").shape[1] for number in range(len(groups.widths)))
+    rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
     moves = (groups.rows_of_attributes.view(count, -1) < rows).any(dim=1).numpy() if count else np.zeros(0, bool)
     moves[stage.turned.numpy()] = True
     for joint, parent in sorted(enumerate(model.skeleton.parents), key=lambda pair: _depth(model.skeleton.parents, pair[0])):

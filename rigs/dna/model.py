@@ -23,7 +23,7 @@ class Pose:
 
     Attributes:
         channels: weights of the blendshape channels that move the meshes, `(batch, channel)`.
-        matrices: skinning matrices of the joints that carry them and of those above these, `(batch, joint, 3, 4)`.
+        matrices: skinning matrices of the joints that carry them and of those above these, `(joint, 3, 4, batch)`.
     """
 
     channels: Tensor
@@ -76,7 +76,7 @@ class Model(Stage):
         controls = self.logic.all_controls(raw)
         channels = self.logic.channels_of(controls).index_select(1, self.used_channels)
         if not len(self.joints):
-            return Pose(channels, controls.new_zeros(len(controls), 0, 3, 4))
+            return Pose(channels, controls.new_zeros(0, 3, 4, len(controls)))
         worlds = self.skeleton.worlds(self.logic.joints, self.logic.joints(controls))
         return Pose(channels, self.skeleton.skinning(worlds))
 

@@ -5,10 +5,11 @@ import torch
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.geometry.kinematics import compose, forward_kinematics, invert, transform_from, tree_levels
+from riginv.geometry.kinematics import invert, transform_from, tree_levels
 from rigs.dna.format import DnaFile
 from rigs.dna.format.layers import Definition, Vectors
 from rigs.dna.geometry.space import Space
+from rigs.dna.geometry.transforms import apply, follow
 from rigs.dna.logic.joint_stage import JointStage
 from rigs.dna.logic.joints import JointChanges
 from rigs.dna.logic.layout import Layout
@@ -83,25 +84,37 @@ class Skeleton(Stage):
         number = {int(joint): place for place, joint in enumerate(joints)}
         self.parents = [number.get(parents[joint], -1) for joint in joints.tolist()]
         self.levels = tree_levels(self.parents) if len(joints) else []
-        rotations = Angles.of(file, layout).matrices(torch.tensor(turns)).reshape(-1, 3, 3)
+        rotations = Angles.of(file, layout).matrices(torch.tensor(turns)).reshape(-1, 3, 3, 1)
         axes = torch.tensor(space.axes)
-        root = transform_from(axes, -torch.tensor(centre))
+        root = transform_from(axes, -torch.tensor(centre))[None, :, :, None]
         self.unit_mm = space.unit_mm
-        self.keep(rotations=rotations, places=torch.tensor(places * space.unit_mm), root=root)
-        neutral = self._worlds(transform_from(rotations, self.places)[None])[0] if len(joints) else root.new_zeros(0, 3, 4)
-        self.keep(neutral=neutral, back=invert(neutral))
+        self.keep(rotations=rotations, places=torch.tensor(places * space.unit_mm)[..., None], root=root)
+        self._keep_order()
+        neutral = self._worlds(self.rotations, self.places) if len(joints) else root.new_zeros(0, 3, 4, 1)
+        back = invert(neutral[..., 0])[..., None]
+        self.keep(neutral=neutral[..., 0], back=back)
+
+    def _keep_order(self) -> None:
+        """For each depth of the tree where the parents of its joints stand in the depth above, and the way back."""
+        place = torch.zeros(len(self.parents), dtype=torch.long)
+        of_joint = torch.tensor(self.parents, dtype=torch.long)
+        for depth, level in enumerate(self.levels):
+            above = place[of_joint[level]] if depth else level
+            self.keep(**{f"level{depth}": level, f"above{depth}": above})
+            place[level] = torch.arange(len(level))
+        if self.levels:
+            self.keep(order=torch.cat(self.levels).argsort())
 
     def worlds(self, stage: JointStage, changes: JointChanges) -> Tensor:
-        """The world transforms `(batch, joint, 3, 4)` of the joints, mm, for what they change by."""
+        """The world transforms `(joint, 3, 4, batch)` of the joints, mm, for what they change by."""
         attributes = changes.attributes
-        rotations = self.rotations.to(attributes) @ stage.rotations(changes)
-        linear = rotations * (1 + attributes[..., None, SCALE])
-        places = self.places.to(attributes) + self.unit_mm * attributes[..., TRANSLATION]
-        return self._worlds(transform_from(linear, places))
+        linear = apply(self.rotations.to(attributes), stage.rotations(changes)) * (1 + attributes[:, None, SCALE])
+        places = self.places.to(attributes) + self.unit_mm * attributes[:, TRANSLATION]
+        return self._worlds(linear, places)
 
     def skinning(self, worlds: Tensor) -> Tensor:
-        """The skinning matrices `(batch, joint, 3, 4)` of world transforms."""
-        return compose(worlds, self.back.to(worlds))
+        """The skinning matrices `(joint, 3, 4, batch)` of world transforms."""
+        return follow(worlds, self.back.to(worlds))
 
     def neutral_values(self, file: DnaFile, angles: Angles) -> dict[str, np.ndarray]:
         """The neutral pose as the file states it: translation, rotation and scale `(joint, 9)`, and with quaternions."""
@@ -115,7 +128,11 @@ class Skeleton(Stage):
             "_quaternion": np.concatenate([places, quaternions, ones], axis=1),
         }
 
-    def _worlds(self, local: Tensor) -> Tensor:
-        root = self.root.to(local)
-        is_root = torch.tensor([parent < 0 for parent in self.parents], device=local.device)[:, None, None]
-        return forward_kinematics(torch.where(is_root, compose(root, local), local), self.parents, self.levels)
+    def _worlds(self, linear: Tensor, places: Tensor) -> Tensor:
+        """World transforms `(joint, 3, 4, batch)` from local ones; the work is batched over the joints of one depth."""
+        local = torch.cat([linear, places[:, :, None].expand(*linear.shape[:2], 1, -1)], dim=2)
+        worlds = [follow(self.root.to(local), local.index_select(0, self.level0))]
+        for depth in range(1, len(self.levels)):
+            here = local.index_select(0, self.get_buffer(f"level{depth}"))
+            worlds.append(follow(worlds[-1].index_select(0, self.get_buffer(f"above{depth}")), here))
+        return torch.cat(worlds).index_select(0, self.order)

@@ -30,25 +30,25 @@ class Skin(Stage):
 
         Args:
             channels: weights of the blendshape channels, `(batch, channel)`.
-            matrices: skinning matrices `(batch, joint, 3, 4)`.
+            matrices: skinning matrices `(joint, 3, 4, batch)`.
         """
         if torch.is_grad_enabled() or len(channels) <= PIECE:
             return self._posed(channels, matrices)
-        pieces = zip(channels.split(PIECE), matrices.split(PIECE))
+        pieces = zip(channels.split(PIECE), matrices.split(PIECE, dim=3))
         return torch.cat([self._posed(*piece) for piece in pieces])
 
     def _posed(self, channels: Tensor, matrices: Tensor) -> Tensor:
-        batch, joints = matrices.shape[:2]
+        joints, batch = len(matrices), len(channels)
         points = self.rest.to(channels)[..., None]
         if self.deltas.matrix.nnz:
             points = points + self.deltas(channels.T).unflatten(0, (-1, 3))  # (vertex, 3, batch)
-        identity = torch.eye(3, 4, dtype=matrices.dtype, device=matrices.device)
-        together = torch.cat([matrices, identity.expand(batch, 1, 3, 4)], dim=1)
-        columns = together.permute(1, 3, 2, 0).reshape(joints + 1, -1)
+        identity = torch.eye(4, 3, dtype=matrices.dtype, device=matrices.device)[None, ..., None]
+        together = torch.cat([matrices.transpose(1, 2), identity.expand(1, 4, 3, batch)])
+        columns = together.reshape(joints + 1, -1)
         blended = self.weights(columns).unflatten(1, (4, 3, batch))  # (vertex, column, row, batch)
         moved = blended[:, 3]
         for axis in range(3):
-            moved = moved + blended[:, axis] * points[:, axis, None]
+            moved = torch.addcmul(moved, blended[:, axis], points[:, axis, None])
         return moved.permute(2, 0, 1)
 
     def some(self, rows: np.ndarray) -> "Skin":

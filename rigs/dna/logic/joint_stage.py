@@ -48,7 +48,7 @@ class JointStage(Stage):
         attributes, quaternions, _ = self.groups(controls)
         if not len(self.turned):
             return JointChanges(attributes, quaternions, self.turned)
-        turns = self.angles.quaternions(attributes[:, self.turned, ROTATION])
+        turns = self.angles.quaternions(attributes[self.turned, ROTATION].movedim(-1, 0))
         turns = turns.index_copy(1, self.of_quaternions, quaternions)
         if self.twisted is not None:
             turns = turns.index_copy(1, self.of_twisted, self.twisted(controls))
@@ -58,22 +58,23 @@ class JointStage(Stage):
         return JointChanges(attributes, turns, self.turned)
 
     def rotations(self, changes: JointChanges) -> Tensor:
-        """The rotation `(batch, joint, 3, 3)` of each joint against its neutral pose."""
-        matrices = self.angles.matrices(changes.attributes[..., ROTATION])
+        """The rotation `(joint, 3, 3, batch)` of each joint against its neutral pose."""
+        matrices = self.angles.matrices(changes.attributes[:, ROTATION], dim=1)
         if not len(changes.turned):
             return matrices
-        return matrices.index_copy(1, changes.turned, quaternion_matrices(changes.quaternions))
+        return matrices.index_copy(0, changes.turned, quaternion_matrices(changes.quaternions).movedim(0, -1))
 
     def as_euler(self, changes: JointChanges) -> Tensor:
         """Translations, Euler angles and scales `(batch, joint, 9)`, in the file's units."""
         matrices = quaternion_matrices(changes.quaternions)
         angles = self.angles.in_file(matrix_angles(matrices, self.angles.sequence))
-        result = changes.attributes.clone()
+        result = changes.attributes.movedim(-1, 0).clone()
         result[:, changes.turned, ROTATION] = angles
         return result
 
     def as_quaternions(self, changes: JointChanges) -> Tensor:
         """Translations, quaternions x y z w and scales `(batch, joint, 10)`."""
-        turns = self.angles.quaternions(changes.attributes[..., ROTATION])
+        attributes = changes.attributes.movedim(-1, 0)
+        turns = self.angles.quaternions(attributes[..., ROTATION])
         turns = turns.index_copy(1, changes.turned, changes.quaternions)
-        return torch.cat([changes.attributes[..., :3], turns, changes.attributes[..., 6:]], dim=-1)
+        return torch.cat([attributes[..., :3], turns, attributes[..., 6:]], dim=-1)

@@ -46,10 +46,10 @@ class LearnedJoints(Stage):
         self.keep(places=np.array([place[joint] for joint in moved], dtype=np.int64), inputs=inputs)
 
     def forward(self, controls: Tensor, attributes: Tensor, quaternions: Tensor) -> tuple[Tensor, Tensor]:
-        """The attributes `(batch, joint, 9)` and the quaternions `(batch, moved, 4)` of the moved joints, changed."""
+        """The attributes `(joint, 9, batch)` and the quaternions `(batch, moved, 4)` of the moved joints, changed."""
         padded = torch.cat([controls, controls.new_zeros(len(controls), 1)], dim=1)
         found = padded.index_select(1, self.inputs.flatten()).unflatten(1, self.inputs.shape)
         turns = self.angles.quaternions(found[..., 3:6]) if self.euler else normalise(found[..., 3:7])
         zeros = torch.zeros_like(found[..., :3])
         added = torch.cat([found[..., :3], zeros, found[..., -3:]], dim=-1)
-        return attributes.index_add(1, self.places, added), multiply(turns, quaternions)
+        return attributes.index_add(0, self.places, added.movedim(0, -1)), multiply(turns, quaternions)

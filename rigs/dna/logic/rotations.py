@@ -56,22 +56,27 @@ class Angles:
         """The reverse of `radians`."""
         return radians / torch.tensor(self.factors, dtype=radians.dtype, device=radians.device)
 
-    def matrices(self, values: Tensor) -> Tensor:
-        """Angles `(..., 3)` as the file has them to rotation matrices `(..., 3, 3)`."""
-        return euler_matrices(self.radians(values), self.sequence)
+    def matrices(self, values: Tensor, dim: int = -1) -> Tensor:
+        """Angles as the file has them, x y z along `dim`, to rotation matrices, whose rows and columns take its place."""
+        factors = torch.tensor(self.factors, dtype=values.dtype, device=values.device)
+        shape = [1] * values.ndim
+        shape[dim] = 3
+        return euler_matrices(values * factors.view(shape), self.sequence, dim)
 
     def quaternions(self, values: Tensor) -> Tensor:
         """Angles `(..., 3)` as the file has them to quaternions `(..., 4)`."""
         return euler_quaternions(self.radians(values), self.sequence)
 
 
-def euler_matrices(radians: Tensor, sequence: tuple[int, int, int]) -> Tensor:
-    """Angles `(..., 3)` about x, y, z to rotation matrices `(..., 3, 3)` (Shoemake, Graphics Gems IV, static frames)."""
+def euler_matrices(radians: Tensor, sequence: tuple[int, int, int], dim: int = -1) -> Tensor:
+    """Angles about x, y, z, along `dim`, to rotation matrices, whose rows and columns take its place.
+
+    Source: Shoemake, "Euler Angle Conversion", Graphics Gems IV, for static frames.
+    """
     i, j, k = sequence
     parity = 1.0 if (j - i) % 3 == 1 else -1.0
-    sines, cosines = torch.sin(parity * radians), torch.cos(radians)
-    si, sj, sk = sines[..., i], sines[..., j], sines[..., k]
-    ci, cj, ck = cosines[..., i], cosines[..., j], cosines[..., k]
+    sines, cosines = torch.sin(parity * radians).unbind(dim), torch.cos(radians).unbind(dim)
+    si, sj, sk, ci, cj, ck = (values[axis] for values in (sines, cosines) for axis in (i, j, k))
     cc, cs, sc, ss = ci * ck, ci * sk, si * ck, si * sk
     entries = {
         **{(i, i): cj * ck, (i, j): sj * sc - cs, (i, k): sj * cc + ss},
@@ -79,7 +84,8 @@ def euler_matrices(radians: Tensor, sequence: tuple[int, int, int]) -> Tensor:
         **{(k, i): -sj, (k, j): cj * si, (k, k): cj * ci},
     }
     rows = [entries[row, column] for row in range(3) for column in range(3)]
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+    place = dim % radians.ndim
+    return torch.stack(rows, dim=place).unflatten(place, (3, 3))
 
 
 def euler_quaternions(radians: Tensor, sequence: tuple[int, int, int]) -> Tensor:
