@@ -74,7 +74,7 @@ def moving_joints(model: Model) -> np.ndarray:
     moves[stage.turned.numpy()] = True
     for joint, parent in sorted(enumerate(model.skeleton.parents), key=lambda pair: _depth(model.skeleton.parents, pair[0])):
         moves[joint] |= parent >= 0 and moves[parent]
-    weights = model.skin.weights.matrix
+    weights = model.skin.weights
     carries = np.bincount(weights.indices, weights.data, minlength=count + 1)[:count] > 0
     return np.flatnonzero(moves & carries)
 
@@ -90,10 +90,10 @@ def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:
     """The linear map that a model ends in; None where it would be too large."""
     moving, channels = moving_joints(model), len(model.channels)
     vertices = len(model.surface.rest)
-    weights = sparse.csc_array(model.skin.weights.matrix)[:, moving].toarray()  # (vertex, moving)
+    weights = sparse.csc_array(model.skin.weights)[:, moving].toarray()  # (vertex, moving)
     if not _fits((3 if len(moving) else 1) * channels + NUMBERS * len(moving), vertices):
         return None
-    deltas = model.skin.deltas.matrix.toarray().T.reshape(channels, vertices, 3).astype(np.float32)
+    deltas = model.skin.deltas.toarray().T.reshape(channels, vertices, 3).astype(np.float32)
     names = [channel_names[number] for number in model.channels]
     if not len(moving):
         stage = Coefficients(moving, np.zeros((0, 3)), np.zeros((0, 2), np.int64))
@@ -110,7 +110,7 @@ def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:
     if not _fits(3 * channels + NUMBERS * len(moving) + LINEAR * len(pairs), vertices):
         return None
     centres = model.skeleton.neutral[moving, :, 3].numpy()
-    offsets = model.skin.rest.numpy()[None] - centres[:, None]
+    offsets = model.skin.rest[None] - centres[:, None]
     points = np.concatenate([offsets, np.ones((*offsets.shape[:2], 1))], axis=2) * weights.T[..., None]
     turned = deltas[pairs[:, 1]] * weights.T[pairs[:, 0], :, None]
     basis = np.concatenate([_by_axis(deltas), _rows(points), _rows(turned)]).astype(np.float32)

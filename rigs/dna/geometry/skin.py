@@ -8,7 +8,7 @@ from torch import Tensor
 from rigs.dna.geometry.sparse import SparseMap
 from rigs.dna.logic.stage import Stage
 
-PIECE = 16  # poses at a time where no gradient is wanted: what a processor's cache holds
+POSES, VERTICES = 16, 2048  # at a time: what a processor's cache holds; poses only where no gradient is wanted
 
 
 class Skin(Stage):
@@ -22,8 +22,11 @@ class Skin(Stage):
 
     def __init__(self, rest: np.ndarray, weights: sparse.csr_array, deltas: sparse.csr_array) -> None:
         super().__init__()
-        self.weights, self.deltas = SparseMap(weights), SparseMap(deltas)
-        self.keep(rest=torch.tensor(rest))
+        self.rest, self.weights, self.deltas = rest, sparse.csr_array(weights), sparse.csr_array(deltas)
+        pieces = [np.arange(start, min(start + VERTICES, len(rest))) for start in range(0, len(rest), VERTICES)]
+        self.sections = torch.nn.ModuleList(
+            Section(rest[rows], self.weights[rows], self.deltas[coordinates_of(rows)]) for rows in pieces
+        )
 
     def forward(self, channels: Tensor, matrices: Tensor) -> Tensor:
         """Vertices `(batch, vertex, 3)`, mm, about the skeleton's origin.
@@ -32,26 +35,43 @@ class Skin(Stage):
             channels: weights of the blendshape channels, `(batch, channel)`.
             matrices: skinning matrices `(joint, 3, 4, batch)`.
         """
-        if torch.is_grad_enabled() or len(channels) <= PIECE:
-            return self._posed(channels, matrices)
-        pieces = zip(channels.split(PIECE), matrices.split(PIECE, dim=3))
+        batch = len(channels)
+        identity = torch.eye(4, 3, dtype=matrices.dtype, device=matrices.device)[None, ..., None]
+        columns = torch.cat([matrices.transpose(1, 2), identity.expand(1, 4, 3, batch)])
+        if torch.is_grad_enabled() or batch <= POSES:
+            return self._posed(channels.T, columns)
+        pieces = zip(channels.T.split(POSES, dim=1), columns.split(POSES, dim=3))
         return torch.cat([self._posed(*piece) for piece in pieces])
 
-    def _posed(self, channels: Tensor, matrices: Tensor) -> Tensor:
-        joints, batch = len(matrices), len(channels)
-        points = self.rest.to(channels)[..., None]
-        if self.deltas.matrix.nnz:
-            points = points + self.deltas(channels.T).unflatten(0, (-1, 3))  # (vertex, 3, batch)
-        identity = torch.eye(4, 3, dtype=matrices.dtype, device=matrices.device)[None, ..., None]
-        together = torch.cat([matrices.transpose(1, 2), identity.expand(1, 4, 3, batch)])
-        columns = together.reshape(joints + 1, -1)
-        blended = self.weights(columns).unflatten(1, (4, 3, batch))  # (vertex, column, row, batch)
-        moved = blended[:, 3]
-        for axis in range(3):
-            moved = torch.addcmul(moved, blended[:, axis], points[:, axis, None])
-        return moved.permute(2, 0, 1)
+    def _posed(self, channels: Tensor, columns: Tensor) -> Tensor:
+        return torch.cat([section(channels, columns) for section in self.sections]).permute(2, 0, 1)
 
     def some(self, rows: np.ndarray) -> "Skin":
         """The same for some of the vertices."""
-        coordinates = (3 * rows[:, None] + np.arange(3)).reshape(-1)
-        return Skin(self.rest.numpy(force=True)[rows], self.weights.matrix[rows], self.deltas.matrix[coordinates])
+        return Skin(self.rest[rows], self.weights[rows], self.deltas[coordinates_of(rows)])
+
+
+class Section(Stage):
+    """Some vertices that are posed together; arguments as those of `Skin`."""
+
+    def __init__(self, rest: np.ndarray, weights: sparse.csr_array, deltas: sparse.csr_array) -> None:
+        super().__init__()
+        self.carried = SparseMap(weights)
+        self.moved = SparseMap(deltas) if deltas.nnz else None
+        self.keep(points=torch.tensor(rest))
+
+    def forward(self, channels: Tensor, columns: Tensor) -> Tensor:
+        """Weights of channels `(channel, batch)` and columns of matrices `(joint, 4, 3, batch)` to `(vertex, 3, batch)`."""
+        points = self.points.to(columns)[..., None]
+        if self.moved is not None:
+            points = points + self.moved(channels).unflatten(0, (-1, 3))
+        blended = self.carried(columns.flatten(1)).unflatten(1, columns.shape[1:])
+        result = blended[:, 3]
+        for axis in range(3):
+            result = torch.addcmul(result, blended[:, axis], points[:, axis, None])
+        return result
+
+
+def coordinates_of(vertices: np.ndarray) -> np.ndarray:
+    """The numbers `(3 vertex,)` of the coordinates of vertices."""
+    return (3 * vertices[:, None] + np.arange(3)).reshape(-1)

@@ -47,10 +47,9 @@ class SparseMap(Stage):
 
     def __init__(self, matrix: sparse.spmatrix | sparse.sparray) -> None:
         super().__init__()
-        self.matrix = sparse.csr_array(matrix)
-        self.matrix.sum_duplicates()
-        self.shape = self.matrix.shape
-        for name, one in (("of", self.matrix), ("transposed", sparse.csr_array(self.matrix.T))):
+        matrix = sparse.csr_array(matrix)
+        matrix.sum_duplicates()
+        for name, one in (("of", matrix), ("transposed", sparse.csr_array(matrix.T))):
             for part, values in (("starts", one.indptr), ("columns", one.indices), ("values", one.data)):
                 tensor = torch.tensor(values.astype(np.int32 if part != "values" else np.float32))
                 self.register_buffer(f"{name}_{part}", tensor, persistent=False)
@@ -61,7 +60,3 @@ class SparseMap(Stage):
             tuple(self.get_buffer(f"{name}_{part}") for part in ("starts", "columns", "values")) for name in ("of", "transposed")
         )
         return _Product.apply(matrix, transpose, x.contiguous())
-
-    def rows(self, rows: np.ndarray) -> "SparseMap":
-        """Some rows of the matrix."""
-        return SparseMap(self.matrix[rows])
