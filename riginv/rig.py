@@ -60,12 +60,14 @@ class RigBackend(nn.Module, ABC):
         rest_vertices: `(vertex, 3)`, mm.
         faces: `(face, 3)` indices of vertices.
         differentiable: whether gradients pass from the vertices to the controls.
+        poses_some: whether it makes some of its vertices for less than all of them (`some_vertices`).
 
     Raises:
         InputError: the controls, the mesh or the faces do not make a rig.
     """
 
     differentiable: bool = True
+    poses_some: bool = False
     lower: Tensor
     upper: Tensor
     neutral_controls: Tensor
@@ -119,6 +121,13 @@ class RigBackend(nn.Module, ABC):
     def vertex_colors(self) -> Tensor | None:
         """Colours `(vertex, 3)` in [0, 1] for pictures, or None for plain clay."""
         return None
+
+    def some_vertices(self, rows: Tensor) -> nn.Module:
+        """Controls `(batch, control)` to the vertices `rows` alone, `(batch, row, 3)`, mm, where `poses_some` says so.
+
+        A large rig that does not end in a linear map is trained on by these alone (`riginv.fitted_rig`).
+        """
+        raise NotImplementedError(f"rig '{self.name}' poses all of its vertices at once")
 
     @abstractmethod
     def forward(self, controls: Tensor) -> Tensor:

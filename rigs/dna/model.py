@@ -85,18 +85,22 @@ class Model(Stage):
         pose = self.pose(raw)
         return self.skin(pose.channels, pose.matrices) + self.centre.to(raw)
 
-    def some(self, rows: np.ndarray) -> nn.Module:
-        """As `forward`, for some of the vertices."""
-        return _Some(self, rows)
 
+class SomeVertices(nn.Module):
+    """Some vertices of a rig.
 
-class _Some(nn.Module):
-    """Some vertices of a model."""
+    Args:
+        mapping: from controls to raw controls.
+        rows: the vertices, `(row,)`.
+    """
 
-    def __init__(self, model: Model, rows: np.ndarray) -> None:
+    def __init__(self, model: Model, mapping: nn.Module, rows: Tensor) -> None:
         super().__init__()
-        self.model, self.skin = [model], model.skin.some(rows)  # in a list: the model is no part of it
+        self.of_rig = [mapping, model]  # in a list: they are the rig's and not part of this
+        self.skin = model.skin.some(rows.cpu().numpy())
 
-    def forward(self, raw: Tensor) -> Tensor:
-        pose = self.model[0].pose(raw)
-        return self.skin(pose.channels, pose.matrices) + self.model[0].centre.to(raw)
+    def forward(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, control)` to vertices `(batch, row, 3)`, mm."""
+        mapping, model = self.of_rig
+        pose = model.pose(mapping(controls))
+        return self.skin(pose.channels, pose.matrices) + model.centre.to(controls)

@@ -1,12 +1,12 @@
 """DNA files as rigs."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from riginv.errors import InputError
 from riginv.rig import LinearRig, RigBackend
@@ -15,7 +15,7 @@ from rigs.dna.control_sets import Kind, control_set
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
 from rigs.dna.linear import LinearMap, linear_map
-from rigs.dna.model import Model
+from rigs.dna.model import Model, SomeVertices
 from rigs.dna.primaries import primaries_first
 
 LOG = logging.getLogger(__name__)
@@ -73,6 +73,8 @@ class DnaRig(RigBackend):
         self.parts = tuple(zip(model.surface.names, starts, starts[1:]))
         LOG.info("\n  ".join([self._describe(content, lod), *chosen.notes, *self._remarks(ends_in)]))
 
+    poses_some = True
+
     def forward(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to vertices `(batch, vertex, 3)`, mm."""
         return self.model(self.mapping(controls))
@@ -81,9 +83,8 @@ class DnaRig(RigBackend):
         """Controls `(batch, control)` of this rig to the file's raw controls `(batch, raw)`."""
         return self.mapping(controls)
 
-    def some_vertices(self, rows: Tensor) -> Callable[[Tensor], Tensor]:
-        some = self.model.some(rows.cpu().numpy())
-        return lambda controls: some(self.mapping(controls))
+    def some_vertices(self, rows: Tensor) -> nn.Module:
+        return SomeVertices(self.model, self.mapping, rows)
 
     def expressions(self) -> dict[str, dict[str, float]]:
         """Controls alone at their upper limits, evenly spread over the list."""
