@@ -16,8 +16,6 @@ from rigs.dna.logic.layout import Layout
 from rigs.dna.logic.rotations import Angles
 from rigs.dna.logic.stage import Stage
 
-TRANSLATION, SCALE = slice(0, 3), slice(6, 9)  # of a joint's nine attributes
-
 
 def stacked(vectors: Vectors, layout: Layout, what: str, count: int | None = None) -> np.ndarray:
     """Vectors as `(vector, 3)` float64.
@@ -107,10 +105,10 @@ class Skeleton(Stage):
 
     def worlds(self, stage: JointStage, changes: JointChanges) -> Tensor:
         """The world transforms `(joint, 3, 4, batch)` of the joints, mm, for what they change by."""
-        attributes = changes.attributes
-        linear = apply(self.rotations.to(attributes), stage.rotations(changes)) * (1 + attributes[:, None, SCALE])
-        places = self.places.to(attributes) + self.unit_mm * attributes[:, TRANSLATION]
-        return self._worlds(linear, places)
+        moves, angles, scales = changes.attributes.split(3, dim=1)
+        turns = stage.rotations(angles, changes)
+        linear = apply(self.rotations.to(turns), turns) * (1 + scales[:, None])
+        return self._worlds(linear, self.places.to(turns) + self.unit_mm * moves)
 
     def skinning(self, worlds: Tensor) -> Tensor:
         """The skinning matrices `(joint, 3, 4, batch)` of world transforms."""

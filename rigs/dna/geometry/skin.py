@@ -62,13 +62,12 @@ class Section(Stage):
 
     def forward(self, channels: Tensor, columns: Tensor) -> Tensor:
         """Weights of channels `(channel, batch)` and columns of matrices `(joint, 4, 3, batch)` to `(vertex, 3, batch)`."""
-        points = self.points.to(columns)[..., None]
+        points = self.points.to(columns)[..., None].expand(-1, -1, columns.shape[-1])
         if self.moved is not None:
             points = points + self.moved(channels).unflatten(0, (-1, 3))
-        blended = self.carried(columns.flatten(1)).unflatten(1, columns.shape[1:])
-        result = blended[:, 3]
-        for axis in range(3):
-            result = torch.addcmul(result, blended[:, axis], points[:, axis, None])
+        *linear, result = self.carried(columns.flatten(1)).unflatten(1, columns.shape[1:]).unbind(1)
+        for column, point in zip(linear, points.unbind(1)):
+            result = torch.addcmul(result, column, point[:, None])
         return result
 
 

@@ -10,13 +10,15 @@ from torch import Tensor
 
 def apply(outer: Tensor, inner: Tensor) -> Tensor:
     """The products `(joint, 3, column, batch)` of matrices `(joint, 3, 3, batch)` with `(joint, 3, column, batch)`."""
-    product = outer[:, :, 0, None] * inner[:, None, 0]
-    for column in (1, 2):
-        product = torch.addcmul(product, outer[:, :, column, None], inner[:, None, column])
+    columns, rows = outer.unbind(2), inner.unbind(1)  # one step in the gradient, where indexing has one for each index
+    product = columns[0][:, :, None] * rows[0][:, None]
+    for column, row in zip(columns[1:], rows[1:]):
+        product = torch.addcmul(product, column[:, :, None], row[:, None])
     return product
 
 
 def follow(outer: Tensor, inner: Tensor) -> Tensor:
     """The transforms `(joint, 3, 4, batch)` that apply `inner` first, then `outer`."""
-    product = apply(outer, inner)
-    return torch.cat([product[:, :, :3], product[:, :, 3:] + outer[:, :, 3:]], dim=2)
+    linear, places = outer.split((3, 1), dim=2)
+    first, last = apply(linear, inner).split((3, 1), dim=2)
+    return torch.cat([first, last + places], dim=2)

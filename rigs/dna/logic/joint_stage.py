@@ -57,9 +57,13 @@ class JointStage(Stage):
             turns = turns.index_copy(1, self.of_learned, moved)
         return JointChanges(attributes, turns, self.turned)
 
-    def rotations(self, changes: JointChanges) -> Tensor:
-        """The rotation `(joint, 3, 3, batch)` of each joint against its neutral pose."""
-        matrices = self.angles.matrices(changes.attributes[:, ROTATION], dim=1)
+    def rotations(self, angles: Tensor, changes: JointChanges) -> Tensor:
+        """The rotation `(joint, 3, 3, batch)` of each joint against its neutral pose.
+
+        Args:
+            angles: the Euler angles among the changes, `(joint, 3, batch)`.
+        """
+        matrices = self.angles.matrices(angles, dim=1)
         if not len(changes.turned):
             return matrices
         return matrices.index_copy(0, changes.turned, quaternion_matrices(changes.quaternions).movedim(0, -1))
