@@ -21,7 +21,9 @@ def copy(config: DictConfig) -> None:
     write_dna(out, file)
     layers = " ".join(f"{layer.name}@{layer.version[0]}.{layer.version[1]}" for layer in file.layers)
     equal = out.read_bytes() == source.read_bytes() if out.resolve() != source.resolve() else True
-    said = "equal to" if equal else f"not equal to ({file.unused_bytes:,} bytes of it belong to no layer, or its layers lie apart)"
+    said = (
+        "equal to" if equal else f"not equal to ({file.unused_bytes:,} bytes of it belong to no layer, or its layers lie apart)"
+    )
     Console().print(
         f"{out}: DNA 2.{file.version}, {out.stat().st_size:,} bytes, {said} {source}; layers {layers}",
         highlight=False,

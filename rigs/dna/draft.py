@@ -11,6 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from rigs.dna.format import DnaFile, Layer
+from rigs.dna.format.later_layers import Conventions
 from rigs.dna.format.layers import (
     AnimatedMaps,
     Axes,
@@ -32,7 +33,6 @@ from rigs.dna.format.layers import (
     TextureCoordinates,
     Vectors,
 )
-from rigs.dna.format.later_layers import Conventions
 from rigs.dna.format.ragged import Ragged
 from rigs.dna.logic.rotations import SEQUENCES
 
@@ -168,7 +168,9 @@ class Draft:
             cuts=_floats([row.cut for row in self.rows]),
         )
         members = [(len(self.raw) + row, column) for row, columns in enumerate(self.psds) for column in columns]
-        psds = Psds(_shorts([row for row, _ in members]), _shorts([column for _, column in members]), _floats(np.ones(len(members))))
+        psds = Psds(
+            _shorts([row for row, _ in members]), _shorts([column for _, column in members]), _floats(np.ones(len(members)))
+        )
         channels = [control for _, control in self.channels]
         return Behavior(
             controls=Controls(len(self.psds), table, psds),
@@ -185,7 +187,9 @@ def _group(group: Group) -> JointGroup:
     attributes = np.asarray(group.attributes)
     values = np.where((attributes % 9 < 3)[:, None], np.asarray(group.values) / MM, group.values)
     rows = _shorts([len(attributes)])
-    return JointGroup(rows, _shorts(group.controls), _shorts(attributes), _floats(values.reshape(-1)), _shorts(np.unique(attributes // 9)))
+    return JointGroup(
+        rows, _shorts(group.controls), _shorts(attributes), _floats(values.reshape(-1)), _shorts(np.unique(attributes // 9))
+    )
 
 
 def _mesh(mesh: MeshDraft) -> Mesh:
@@ -197,7 +201,10 @@ def _mesh(mesh: MeshDraft) -> Mesh:
         weights = sparse.csr_array(mesh.weights)
         weights.eliminate_zeros()
         sizes = np.diff(weights.indptr).astype(np.int64)
-        influences, most = (Ragged(_floats(weights.data), sizes), Ragged(_shorts(weights.indices), sizes)), int(sizes.max(initial=0))
+        influences, most = (
+            (Ragged(_floats(weights.data), sizes), Ragged(_shorts(weights.indices), sizes)),
+            int(sizes.max(initial=0)),
+        )
     targets = []
     for channel, deltas in mesh.deltas.items():
         moved = np.flatnonzero(np.abs(deltas).max(axis=1) > TOO_FAINT_MM)

@@ -94,9 +94,7 @@ def all_stages(file: DnaFile, given: Arrays, plain: Mapping[str, Any]) -> Arrays
                 found |= _vertices(file, lod, key, rows, given, plain["vertex_rows"][lod])
             except InputError as error:
                 Console(stderr=True).print(f"no vertices at level of detail {lod}: {error}", highlight=False, markup=False)
-    return {
-        name: value.astype(np.float32) if value.dtype.kind == "f" else value for name, value in found.items() if value.size
-    }
+    return {name: value.astype(np.float32) if value.dtype.kind == "f" else value for name, value in found.items() if value.size}
 
 
 def _reference(logic: Logic) -> Logic:

@@ -63,8 +63,8 @@ def write_rig(rig: RigBackend, draft: Draft, out: Path) -> float:
         apart = largest_difference(rig, DnaRig(str(tried), controls="gui", unit_mm=10.0))
     if not apart <= AGREES_MM:
         raise InputError(
-            f"rig '{rig.name}': as a DNA file it differs by {apart:.3g} mm, expected {AGREES_MM:g} at most: its logic is not what "
-            f"its draft says"
+            f"rig '{rig.name}': as a DNA file it differs by {apart:.3g} mm, expected {AGREES_MM:g} at most: its logic is not "
+            f"what its draft says"
         )
     write_dna(out, file)
     return apart

@@ -1,5 +1,6 @@
 """Blendshape rigs in the terms of the format: lines and hats as rows of the table, products as PSDs."""
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -93,7 +94,7 @@ def _rows(drive: Drive, factor: Factor) -> list[Row]:
         left, middle, right = factor.hat
         knots = [(left, 0.0), (middle, 1.0), (right, 0.0)]
     points = sorted((drive.at(weight), value) for weight, value in knots)
-    return [Row.between(drive.gui, factor.name, *ends) for ends in zip(points, points[1:])]
+    return [Row.between(drive.gui, factor.name, *ends) for ends in itertools.pairwise(points)]
 
 
 def triangles(faces: np.ndarray) -> Ragged:

@@ -45,9 +45,7 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     _check_binding(rig, points, weights, frames, rest)
     names = [name.rpartition(".")[0] for name in rig.control_names[count :: len(ANGLES)]]
     turns = [
-        Turn(f"{name}.{angle}", number, 3 + axis, 1.0)
-        for number, name in enumerate(names)
-        for axis, angle in enumerate(ANGLES)
+        Turn(f"{name}.{angle}", number, 3 + axis, 1.0) for number, name in enumerate(names) for axis, angle in enumerate(ANGLES)
     ]
     world = np.concatenate([frames, np.eye(3, 4)[None]])  # the static joint last, so that the numbers of the others stay
     add_joints(draft, rig.controls[count:], turns, [*names, STATIC], [*motion.parents, -1], world)

@@ -28,7 +28,12 @@ class Turn(NamedTuple):
 
 
 def add_joints(
-    draft: Draft, controls: Sequence[Control], turns: Sequence[Turn], names: Sequence[str], parents: Sequence[int], rest: np.ndarray
+    draft: Draft,
+    controls: Sequence[Control],
+    turns: Sequence[Turn],
+    names: Sequence[str],
+    parents: Sequence[int],
+    rest: np.ndarray,
 ) -> None:
     """Add joints and the controls that turn them to a draft.
 

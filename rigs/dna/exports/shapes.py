@@ -17,7 +17,9 @@ def draft_of_shapes(rig: ShapesRig) -> Draft:
     """
     shapes = rig.shapes
     if shapes.combinations and rig.logic.combine.__name__ != "combination_weights":
-        raise InputError(f"rig '{rig.name}': rig.combination=min, where a DNA file holds products alone: use rig.combination=product")
+        raise InputError(
+            f"rig '{rig.name}': rig.combination=min, where a DNA file holds products alone: use rig.combination=product"
+        )
     if shapes.combination_inbetweens:
         names = list(shapes.combination_inbetweens)
         raise InputError(

@@ -9,7 +9,6 @@ from riginv.errors import InputError, in_short
 from riginv.files import check_regular, written_beside
 from rigs.dna.format.codecs import Record
 from rigs.dna.format.cursor import Cursor, Writer
-from rigs.dna.format.layers import AnimatedMaps, Behavior, Channels, Controls, Definition, Descriptor, Geometry, Joints
 from rigs.dna.format.later_layers import (
     Conventions,
     JointRepresentations,
@@ -19,6 +18,7 @@ from rigs.dna.format.later_layers import (
     RadialBasisOutputs,
     TwistsAndSwings,
 )
+from rigs.dna.format.layers import AnimatedMaps, Behavior, Channels, Controls, Definition, Descriptor, Geometry, Joints
 
 MAGIC, FOOTER = b"DNA", b"AND"
 GENERATION = 2

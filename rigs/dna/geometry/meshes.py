@@ -91,7 +91,9 @@ def read_surface(file: DnaFile, layout: Layout, space: Space, numbers: Sequence[
         deltas=sparse.csr_array(sparse.vstack(deltas)),
     )
     if not len(surface.rest):
-        raise InputError(f"{file.path}: the meshes {', '.join(surface.names)[:200]} have no vertices: choose others by rig.meshes")
+        raise InputError(
+            f"{file.path}: the meshes {', '.join(surface.names)[:200]} have no vertices: choose others by rig.meshes"
+        )
     space.check_size(file, surface.rest)
     return surface
 

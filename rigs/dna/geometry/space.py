@@ -6,8 +6,8 @@ import numpy as np
 
 from riginv.errors import InputError
 from rigs.dna.format import DnaFile
-from rigs.dna.format.layers import Descriptor
 from rigs.dna.format.later_layers import Conventions
+from rigs.dna.format.layers import Descriptor
 
 UNITS_MM = {0: 10.0, 1: 1000.0}  # cm, m
 UNIT_NAMES = {0: "centimetres", 1: "metres"}

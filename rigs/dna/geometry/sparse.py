@@ -57,6 +57,7 @@ class SparseMap(Stage):
     def forward(self, x: Tensor) -> Tensor:
         """The matrix times `(column, number)`: `(row, number)`."""
         matrix, transpose = (
-            tuple(self.get_buffer(f"{name}_{part}") for part in ("starts", "columns", "values")) for name in ("of", "transposed")
+            tuple(self.get_buffer(f"{name}_{part}") for part in ("starts", "columns", "values"))
+            for name in ("of", "transposed")
         )
         return _Product.apply(matrix, transpose, x.contiguous())

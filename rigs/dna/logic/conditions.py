@@ -86,5 +86,3 @@ def input_ranges(table: Conditions, inputs: int) -> tuple[np.ndarray, np.ndarray
     np.fmin.at(lower, table.inputs, np.minimum(table.lower, table.upper))
     np.fmax.at(upper, table.inputs, np.maximum(table.lower, table.upper))
     return lower, upper
-
-

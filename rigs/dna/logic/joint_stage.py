@@ -5,8 +5,8 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format import DnaFile
-from rigs.dna.format.layers import Definition
 from rigs.dna.format.later_layers import MachineLearningOperations, TwistsAndSwings
+from rigs.dna.format.layers import Definition
 from rigs.dna.logic.joints import JointChanges, JointGroups
 from rigs.dna.logic.layout import Layout
 from rigs.dna.logic.learned_joints import LearnedJoints

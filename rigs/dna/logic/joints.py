@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format import DnaFile
-from rigs.dna.format.layers import Behavior, Definition, JointGroup
 from rigs.dna.format.later_layers import JointRepresentations
+from rigs.dna.format.layers import Behavior, Definition, JointGroup
 from rigs.dna.logic.layout import Layout
 from rigs.dna.logic.quaternion_joints import ROTATION, QuaternionJoints
 from rigs.dna.logic.rotations import Angles

@@ -7,8 +7,8 @@ import numpy as np
 
 from riginv.errors import InputError
 from rigs.dna.format import DnaFile
-from rigs.dna.format.layers import Behavior, Definition, Descriptor, Lods
 from rigs.dna.format.later_layers import MachineLearning, RadialBasis, RadialBasisOutputs
+from rigs.dna.format.layers import Behavior, Definition, Descriptor, Lods
 
 
 @dataclass(frozen=True)

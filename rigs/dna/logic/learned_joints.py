@@ -25,7 +25,9 @@ class LearnedJoints(Stage):
         InputError: it is damaged, or has a basis of its own, which is not evaluated here.
     """
 
-    def __init__(self, layout: Layout, entry: MachineLearningOperations, angles: Angles, joints: np.ndarray, count: int) -> None:
+    def __init__(
+        self, layout: Layout, entry: MachineLearningOperations, angles: Angles, joints: np.ndarray, count: int
+    ) -> None:
         super().__init__()
         what = "the block of joints that nets move"
         layout.check_lengths(what, keys=len(entry.keys), values=len(entry.values))

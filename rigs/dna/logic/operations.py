@@ -28,7 +28,9 @@ class Operations(Stage):
         InputError: an operation is damaged, or is of a kind that is not evaluated here: nets cut by level of detail.
     """
 
-    def __init__(self, layout: Layout, learned: MachineLearning | None, operations: MachineLearningOperations, lod: int) -> None:
+    def __init__(
+        self, layout: Layout, learned: MachineLearning | None, operations: MachineLearningOperations, lod: int
+    ) -> None:
         super().__init__()
         self.layout, self.learned = layout, learned
         self.steps = torch.nn.ModuleList()

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format import DnaFile
-from rigs.dna.format.layers import Descriptor
 from rigs.dna.format.later_layers import Conventions
+from rigs.dna.format.layers import Descriptor
 from rigs.dna.logic.layout import Layout
 
 SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")

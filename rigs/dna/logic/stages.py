@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format import DnaFile
-from rigs.dna.format.layers import Behavior, Channels, Definition
 from rigs.dna.format.later_layers import (
     MachineLearning,
     MachineLearningOperations,
@@ -18,6 +17,7 @@ from rigs.dna.format.later_layers import (
     RadialBasisOutputs,
     TwistsAndSwings,
 )
+from rigs.dna.format.layers import Behavior, Channels, Definition
 from rigs.dna.logic.conditions import ConditionTable
 from rigs.dna.logic.joint_stage import JointStage
 from rigs.dna.logic.joints import JointChanges, group_block, used_columns
