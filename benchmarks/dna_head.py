@@ -36,22 +36,22 @@ def head_shape(rows: int, columns: int) -> tuple[np.ndarray, Ragged]:
 
 
 def make_head(raws: int, psds: int, joints: int, channels: int, rows: int, columns: int, seed: int = 0) -> Draft:
-    """A head whose controls each move the joints and the skin around a place, and whose PSDs correct neighbours."""
+    """A head whose controls each move the joints and the skin around a centre, and whose PSDs correct neighbours."""
     random = np.random.default_rng(seed)
     vertices, quads = head_shape(rows, columns)
     front = np.flatnonzero(vertices[:, 2] > 0.2 * SIZE_MM[2])
     draft = Draft("production head", sequence="xyz", notes={"made by": "random numbers"})
-    places = vertices[random.choice(front, raws)]
+    centres = vertices[random.choice(front, raws)]
     draft.raw = [f"raw_{number:03d}" for number in range(raws)]
     _add_gui(draft, random)
-    pairs = cKDTree(places).query(places, k=min(12, raws))[1]
+    pairs = cKDTree(centres).query(centres, k=min(12, raws))[1]
     members: dict[tuple[int, ...], None] = {}
     while len(members) < psds:
         first = int(random.integers(raws))
         others = random.choice(pairs[first, 1:], size=int(random.integers(1, 3)), replace=False)
         members[tuple(sorted({first, *map(int, others)}))] = None
     draft.psds = list(members)
-    centres = np.concatenate([places, [places[list(group)].mean(axis=0) for group in draft.psds]])
+    centres = np.concatenate([centres, [centres[list(group)].mean(axis=0) for group in draft.psds]])
     _add_joints(draft, random, vertices, front, joints, centres)
     chosen = np.concatenate([np.arange(raws), raws + random.choice(psds, channels - raws, replace=False)])
     draft.channels = [(f"channel_{number:03d}", int(control)) for number, control in enumerate(chosen)]
@@ -59,14 +59,14 @@ def make_head(raws: int, psds: int, joints: int, channels: int, rows: int, colum
     for number, control in enumerate(chosen):
         near = np.exp(-0.5 * (np.linalg.norm(vertices - centres[control], axis=1) / (0.35 * REACH_MM)) ** 2)
         near[near < 0.02] = 0
-        way = random.normal(size=3) * (1.5 if control < raws else 0.6)
-        deltas[number] = near[:, None] * (way + random.normal(size=vertices.shape) * 0.05)
+        displacement = random.normal(size=3) * (1.5 if control < raws else 0.6)
+        deltas[number] = near[:, None] * (displacement + random.normal(size=vertices.shape) * 0.05)
     draft.meshes = [MeshDraft("head", vertices, quads, _skin(draft, vertices), deltas)]
     return draft
 
 
 def _add_gui(draft: Draft, random: np.random.Generator) -> None:
-    """GUI controls: two thirds of them move two raw controls, one on each side of 0; some raw controls bend on the way."""
+    """GUI controls: two thirds of them move two raw controls, one on each side of 0; some raw controls have a bend."""
     number = 0
     while number < len(draft.raw):
         gui = f"gui_{len(draft.gui):03d}"
@@ -92,23 +92,23 @@ def _add_joints(
         Joint(name, parent, np.subtract(heads[number], heads[parent]))
         for number, name, parent in ((1, "neck", 0), (2, "head", 1), (3, "jaw", 2))
     ]
-    places = vertices[random.choice(front, joints - len(heads), replace=False)] * 0.97 + CENTRE_MM * 0.03
-    for number, place in enumerate(places):
-        parent = 3 if place[1] < 1560 else 2
-        turn = random.normal(size=3) * 20
-        draft.joints.append(Joint(f"face_{number:03d}", parent, place - heads[parent], turn))
+    points = vertices[random.choice(front, joints - len(heads), replace=False)] * 0.97 + CENTRE_MM * 0.03
+    for number, point in enumerate(points):
+        parent = 3 if point[1] < 1560 else 2
+        rotation = random.normal(size=3) * 20
+        draft.joints.append(Joint(f"face_{number:03d}", parent, point - heads[parent], rotation))
     raws, size = len(draft.raw), 20
-    order = np.lexsort((places[:, 0], np.round(places[:, 1] / 25)))
+    order = np.lexsort((points[:, 0], np.round(points[:, 1] / 25)))
     for start in range(0, len(order), size):
         members = order[start : start + size]
-        away = np.linalg.norm(centres[None] - places[members, None], axis=2)
+        away = np.linalg.norm(centres[None] - points[members, None], axis=2)
         columns = np.flatnonzero(away.min(axis=0) < 1.6 * REACH_MM)
         strength = np.exp(-0.5 * (away[:, columns] / REACH_MM) ** 2) * np.where(columns < raws, 1.0, 0.3)
         strength[strength < 0.05] = 0
         attributes = (9 * (4 + members)[:, None] + np.arange(6)).reshape(-1)
         sizes = np.repeat([[3.0], [4.0]], 3, axis=0)  # mm, degrees
-        ways = random.normal(size=(6, len(columns))) * sizes
-        values = strength[:, None] * (ways + 0.3 * sizes * random.normal(size=(len(members), 6, len(columns))))
+        displacements = random.normal(size=(6, len(columns))) * sizes
+        values = strength[:, None] * (displacements + 0.3 * sizes * random.normal(size=(len(members), 6, len(columns))))
         draft.groups.append(Group(columns, attributes, values.reshape(len(attributes), -1)))
     jaw = np.zeros((6, 4))
     jaw[[0, 1, 3, 4]] = [[3, -3, 0, 0], [0, 0, -4, 0], [22, 0, 0, -3], [0, 0, 6, 4]]

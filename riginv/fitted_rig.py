@@ -88,9 +88,9 @@ class FittedRig(LinearRig):
             raise InputError(
                 f"rig '{rig.name}' gives NaN or infinite vertices in random poses: run python -m riginv.check on it"
             )
-        basis, left = fitted_basis(rig.rest_vertices, meshes, residual_mm)
+        basis, residual = fitted_basis(rig.rest_vertices, meshes, residual_mm)
         fitted = cls(rig, basis)
-        fitted._tell(left)
+        fitted._tell(residual)
         return fitted
 
     @torch.no_grad()
@@ -100,9 +100,8 @@ class FittedRig(LinearRig):
         controls = sparse_controls(*limits, len(self.controls), CHECKED, generator_at(SEED, "mesh space, checked"))
         away = torch.cat([(self(piece) - self.posed(piece)).norm(dim=2) for piece in controls.split(PIECE)])
         LOG.info(
-            f"{self.name}: a basis of {len(self.basis)} coefficients fitted to random poses, mean residual {residual_mm:.2g} mm; "
-            f"on {CHECKED} others {float(away.mean()):.2g} mm, {float(away.max()):.2g} mm at most (mesh_space.samples, "
-            f"mesh_space.residual_mm)"
+            f"{self.name}: a basis of {len(self.basis)} coefficients, fitted to poses to {residual_mm:.2g} mm on average; "
+            f"on {CHECKED} others {float(away.mean()):.2g} mm, at most {float(away.max()):.2g} mm (mesh_space in the config)"
         )
 
     def coefficients(self, controls: Tensor) -> Tensor:

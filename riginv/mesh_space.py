@@ -79,12 +79,12 @@ class MeshSpace(nn.Module):
             middle = (low + high) // 2
             low, high = (low, middle) if residual(middle, some) <= residual_mm else (middle + 1, high)
         count = max(low, 1)
-        left = residual(count, slice(None))
-        while left > residual_mm and count < rank:  # the vertices that were searched by may be those that are met best
+        remaining = residual(count, slice(None))
+        while remaining > residual_mm and count < rank:  # the vertices that were searched by may be those that are met best
             count = min(rank, count + max(1, count // 100))
-            left = residual(count, slice(None))
+            remaining = residual(count, slice(None))
         frame = right[:count].unflatten(1, rest_vertices.shape).to(rest_vertices.dtype)
-        return cls(rest_vertices, frame, left)
+        return cls(rest_vertices, frame, remaining)
 
     @property
     def size(self) -> int:
@@ -114,8 +114,8 @@ def _principal_directions(flat: Tensor, residual_mm: float) -> Tensor:
     squares = squares.clamp_min(0).flip(0)
     values = squares.sqrt()
     rank = max(int((values > RANK_TOLERANCE * values[0].clamp_min(1e-12)).sum()), 1)
-    left = (squares.sum() - squares.cumsum(0)) / (len(flat) * flat.shape[1] / 3)
-    enough = int((left > residual_mm**2).sum()) + 1
+    remaining = (squares.sum() - squares.cumsum(0)) / (len(flat) * flat.shape[1] / 3)
+    enough = int((remaining > residual_mm**2).sum()) + 1
     rank = min(rank, enough)
     directions = vectors.flip(1)[:, :rank].T @ flat
     return torch.linalg.qr(directions.T)[0].T  # once more: the Gram matrix has squared the faint ones' rounding errors

@@ -84,7 +84,9 @@ def _quaternion_controls(definition: Definition, groups: np.ndarray) -> list[Con
     """Four controls for each quaternion, at rest the identity."""
     names = definition.raw_controls
     return [
-        Control(names[number], -1.0, 1.0, float(place == 3)) for group in groups.tolist() for place, number in enumerate(group)
+        Control(names[number], -1.0, 1.0, float(position == 3))
+        for group in groups.tolist()
+        for position, number in enumerate(group)
     ]
 
 

@@ -226,8 +226,8 @@ def _mesh(mesh: MeshDraft) -> Mesh:
 def _normals(vertices: np.ndarray, faces: Ragged) -> np.ndarray:
     """The normal of each vertex `(vertex, 3)`: those of its faces, by their areas."""
     starts = np.repeat(np.cumsum(faces.sizes) - faces.sizes, faces.sizes)
-    place = np.arange(len(faces.values)) - starts
-    after = starts + (place + 1) % faces.sizes[faces.owners]
+    corner = np.arange(len(faces.values)) - starts
+    after = starts + (corner + 1) % faces.sizes[faces.owners]
     here, there = vertices[faces.values], vertices[faces.values[after]]
     areas = np.stack([np.bincount(faces.owners, part, len(faces.sizes)) for part in np.cross(here, there).T], axis=1)
     normals = np.stack([np.bincount(faces.values, part, len(vertices)) for part in areas[faces.owners].T], axis=1)

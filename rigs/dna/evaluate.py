@@ -26,7 +26,7 @@ from rigs.dna.logic import Logic, Stages
 from rigs.dna.model import Model
 
 Arrays = dict[str, np.ndarray]
-PIECE = 256  # rows at a time
+BATCH_SIZE = 256  # rows at a time
 
 
 def evaluate(config: DictConfig) -> None:
@@ -64,8 +64,8 @@ def read_inputs(path: Path, file: DnaFile) -> Arrays:
     for name, count in names.items():
         if name in found and (found[name].ndim != 2 or found[name].shape[1] != count or found[name].dtype.kind not in "fiu"):
             raise InputError(
-                f"{path}: {name} is {found[name].dtype} of shape {found[name].shape}, expected numbers of shape (row, {count}), "
-                f"the {name} controls of {file.path}"
+                f"{path}: {name} is {found[name].dtype} of shape {found[name].shape}, expected numbers of shape "
+                f"(row, {count}), the {name} controls of {file.path}"
             )
     return found
 
@@ -106,17 +106,17 @@ def _reference(logic: Logic) -> Logic:
 
 def _stages(logic: Logic, raw: Tensor, quaternion_rows: int, joints: bool) -> Arrays:
     """The stages that follow raw controls, by name."""
-    layout, pieces = logic.layout, [logic(piece) for piece in raw.split(PIECE)]
+    layout, batches = logic.layout, [logic(batch) for batch in raw.split(BATCH_SIZE)]
 
     def together(what: Any) -> np.ndarray:
-        return torch.cat([what(piece) for piece in pieces]).numpy() if pieces else np.zeros(0)
+        return torch.cat([what(batch) for batch in batches]).numpy() if batches else np.zeros(0)
 
     controls = together(lambda stages: stages.controls)
     found = {"ml": controls[:, layout.mls], "rbf": controls[:, layout.rbfs], "psd": controls[:, layout.psds]}
     if not np.array_equal(controls[:, : layout.raw], raw.numpy()):
         found["after"] = controls[:, : layout.raw]
     if logic.psds.chained:
-        found["psd_second_call"] = _second_call(logic, raw, pieces)
+        found["psd_second_call"] = _second_call(logic, raw, batches)
     found["channels"] = together(lambda stages: stages.channels)
     found["maps"] = together(lambda stages: stages.maps)
     if joints:
@@ -127,10 +127,10 @@ def _stages(logic: Logic, raw: Tensor, quaternion_rows: int, joints: bool) -> Ar
     return found
 
 
-def _second_call(logic: Logic, raw: Tensor, pieces: list[Stages]) -> np.ndarray:
+def _second_call(logic: Logic, raw: Tensor, batches: list[Stages]) -> np.ndarray:
     """The PSDs of a second evaluation, in which those that depend on PSDs see the values of the first."""
     psds = logic.layout.psds
-    before = torch.cat([stages.controls[:, psds] for stages in pieces])
+    before = torch.cat([stages.controls[:, psds] for stages in batches])
     return logic.all_controls(raw, before)[:, psds].numpy()
 
 

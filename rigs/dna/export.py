@@ -75,11 +75,11 @@ def largest_difference(rig: RigBackend, other: DnaRig) -> float:
     """How far vertices of two rigs are apart at most, mm, at rest, at limits and in random poses."""
     if len(rig.rest_vertices) != len(other.rest_vertices):
         raise InputError(f"rig '{rig.name}': {len(rig.rest_vertices)} vertices, read back {len(other.rest_vertices)}")
-    place = {name: number for number, name in enumerate(rig.control_names)}
-    missing = [name for name in other.control_names if name not in place]
+    index_of = {name: number for number, name in enumerate(rig.control_names)}
+    missing = [name for name in other.control_names if name not in index_of]
     if missing:
         raise InputError(f"rig '{rig.name}' has no control '{missing[0]}', which its draft has")
-    order = [place[name] for name in other.control_names]
+    order = [index_of[name] for name in other.control_names]
     controls = torch.cat([rig.neutral_controls[None], rig.lower[None], rig.upper[None], random_controls(rig, POSES, 0)])
     apart = [(rig(one[None]) - other(one[None, order])).norm(dim=2).max() for one in controls]
     return float(torch.stack(apart).max())

@@ -19,7 +19,7 @@ from rigs.dna.format.layers import Definition
 from rigs.dna.inverse import TableInverse
 from rigs.dna.rig import DnaRig
 
-PIECE = 64  # frames at a time
+BATCH_SIZE = 64  # frames at a time
 DIGITS = 9
 
 
@@ -34,8 +34,8 @@ def gui(config: DictConfig) -> None:
     rig = DnaRig(str(plain["file"]), "raw", plain["lod"])
     columns, rows = read_columns(source)
     raw = np.repeat(rig.neutral_controls.double().numpy()[None], len(rows), axis=0)
-    place = {name: number for number, name in enumerate(definition.raw_controls)}
-    found = [(number, place[name]) for number, name in enumerate(columns) if name in place]
+    index_of = {name: number for number, name in enumerate(definition.raw_controls)}
+    found = [(number, index_of[name]) for number, name in enumerate(columns) if name in index_of]
     if not found:
         raise InputError(
             f"{source}: no column is named as a raw control of {file.path}, such as '{definition.raw_controls[0][:60]}'"
@@ -43,7 +43,7 @@ def gui(config: DictConfig) -> None:
     for number, control in found:
         raw[:, control] = [_number(source, line, columns[number], row[number]) for line, row in enumerate(rows, start=2)]
     answer = TableInverse(file)(raw)
-    kept = [number for number, name in enumerate(columns) if name not in place]
+    kept = [number for number, name in enumerate(columns) if name not in index_of]
     quaternions = [(number, control) for number, control in found if control in rig.model.logic.quaternions]
     kept += [number for number, _ in quaternions]
     body = [[*(row[number] for number in kept), *values] for row, values in zip(rows, answer.gui.round(DIGITS).tolist())]
@@ -90,7 +90,7 @@ def _apart(rig: DnaRig, raw: np.ndarray, residual: np.ndarray) -> tuple[float, f
     quaternions = rig.model.logic.quaternions.reshape(-1)
     made = np.clip(raw, 0, 1) + residual
     made[:, quaternions] = raw[:, quaternions]
-    pairs = zip(torch.tensor(raw).float().split(PIECE), torch.tensor(made).float().split(PIECE))
+    pairs = zip(torch.tensor(raw).float().split(BATCH_SIZE), torch.tensor(made).float().split(BATCH_SIZE))
     found = [(rig(one) - other).norm(dim=2) for one, other in ((given, rig(made)) for given, made in pairs)]
     distances = torch.cat(found) if found else torch.zeros(1)
     return float(distances.mean()), float(distances.max())

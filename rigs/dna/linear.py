@@ -2,7 +2,7 @@
 
 Vertices are the rest mesh plus, for each moving joint, the 12 numbers by which its skinning matrix about its place at rest
 differs from the identity; plus the weight of each channel; plus, for each joint and channel that move a vertex in common,
-the 9 numbers that turn the channel's deltas times its weight. Without moving joints the weights are all there is.
+the 9 numbers that rotate the channel's deltas times its weight. Without moving joints the weights are all there is.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ from riginv.geometry.skinning import NUMBERS
 from rigs.dna.logic.stage import Stage
 from rigs.dna.model import Model, Pose
 
-LINEAR = 9  # numbers of a matrix that turn deltas
+LINEAR = 9  # numbers of a matrix that rotate deltas
 MOST_COEFFICIENTS = 1500
 MOST_NUMBERS = 100_000_000  # of a basis
-NEGLIGIBLE_MM = 1e-4  # a joint whose share of a channel's deltas stays below this does not turn them
+NEGLIGIBLE_MM = 1e-4  # a joint whose fraction of a channel's deltas stays below this does not rotate them
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class Coefficients(Stage):
         linear = matrices[..., :3] - torch.eye(3, dtype=matrices.dtype, device=matrices.device)
         gone = linear @ self.centres.to(linear)[..., None] + matrices[..., 3:]
         alone = torch.cat([linear, gone], dim=-1).flatten(1)
-        turned = linear.flatten(2)[:, self.pairs[:, 0]] * weights[:, self.pairs[:, 1], None]
-        return torch.cat([weights.repeat_interleave(3, dim=1), alone, turned.flatten(1)], dim=1)
+        rotated = linear.flatten(2)[:, self.pairs[:, 0]] * weights[:, self.pairs[:, 1], None]
+        return torch.cat([weights.repeat_interleave(3, dim=1), alone, rotated.flatten(1)], dim=1)
 
 
 def moving_joints(model: Model) -> np.ndarray:
@@ -71,7 +71,7 @@ def moving_joints(model: Model) -> np.ndarray:
     count = len(model.joints)
     rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
     moves = (groups.rows_of_attributes.view(count, -1) < rows).any(dim=1).numpy() if count else np.zeros(0, bool)
-    moves[stage.turned.numpy()] = True
+    moves[stage.quaternion_joints.numpy()] = True
     for joint, parent in sorted(enumerate(model.skeleton.parents), key=lambda pair: _depth(model.skeleton.parents, pair[0])):
         moves[joint] |= parent >= 0 and moves[parent]
     weights = model.skin.weights
@@ -112,8 +112,8 @@ def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:
     centres = model.skeleton.neutral[moving, :, 3].numpy()
     offsets = model.skin.rest[None] - centres[:, None]
     points = np.concatenate([offsets, np.ones((*offsets.shape[:2], 1))], axis=2) * weights.T[..., None]
-    turned = deltas[pairs[:, 1]] * weights.T[pairs[:, 0], :, None]
-    basis = np.concatenate([_by_axis(deltas), _rows(points), _rows(turned)]).astype(np.float32)
+    rotated = deltas[pairs[:, 1]] * weights.T[pairs[:, 0], :, None]
+    basis = np.concatenate([_by_axis(deltas), _rows(points), _rows(rotated)]).astype(np.float32)
     joints = [f"joint {int(model.joints[joint])}" for joint in moving]
     names = [
         *(f"{name}.{axis}" for name in names for axis in "xyz"),

@@ -95,9 +95,9 @@ class DnaRig(RigBackend):
         size = " x ".join(f"{length:.3g}" for length in (self.rest_vertices.amax(0) - self.rest_vertices.amin(0)).tolist())
         layout = self.model.layout
         return (
-            f"{self.name}: DNA 2.{content.version}, level of detail {lod} of {layout.lod_count}: {len(self.controls)} controls, "
-            f"{len(self.model.joints)} joints, {len(self.model.channels)} blendshape channels, {len(self.parts)} meshes, "
-            f"{len(self.rest_vertices):,} vertices, {size} mm"
+            f"{self.name}: DNA 2.{content.version}, level of detail {lod} of {layout.lod_count}: {len(self.controls)} "
+            f"controls, {len(self.model.joints)} joints, {len(self.model.channels)} blendshape channels, {len(self.parts)} "
+            f"meshes, {len(self.rest_vertices):,} vertices, {size} mm"
         )
 
     def _remarks(self, ends_in: LinearMap | None) -> list[str]:
@@ -126,8 +126,8 @@ class LinearDnaRig(DnaRig, LinearRig):
     def arkit_deltas(self) -> dict[str, Tensor]:
         if not self.has_blendshapes:
             return {}
-        place = {name: number for number, name in enumerate(self.coefficient_names[: self.primary_count])}
-        return {arkit: self.basis[place[name]] for arkit, name in arkit_targets(list(place)).items()}
+        index_of = {name: number for number, name in enumerate(self.coefficient_names[: self.primary_count])}
+        return {arkit: self.basis[index_of[name]] for arkit, name in arkit_targets(list(index_of)).items()}
 
 
 def _check_arguments(controls: str | None, lod: int, meshes: Sequence[str], unit_mm: float | None) -> None:

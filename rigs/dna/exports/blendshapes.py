@@ -60,14 +60,14 @@ def blendshape_draft(
         guis: the order of the GUI controls; those of `drives` as they come, without it.
     """
     draft = Draft(name, gui=list(guis) or list(dict.fromkeys(drive.gui for drive in drives.values())))
-    place: dict[str, int] = {}
+    index_of: dict[str, int] = {}
     for factor in _factors(drives, shapes):
-        place[factor.name] = len(draft.raw)
+        index_of[factor.name] = len(draft.raw)
         draft.raw.append(factor.name)
         draft.rows += _rows(drives[factor.weight], factor)
     products: dict[tuple[int, ...], int] = {}
     for shape in shapes:
-        members = tuple(place[factor.name] for factor in shape.factors)
+        members = tuple(index_of[factor.name] for factor in shape.factors)
         if len(members) == 1:
             control = members[0]
         else:

@@ -7,7 +7,7 @@ from riginv.errors import InputError
 from riginv.geometry.skinning import NUMBERS
 from rigs.dna.draft import Draft, MeshDraft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
-from rigs.dna.exports.joints import Turn, add_joints
+from rigs.dna.exports.joints import JointDrive, add_joints
 from rigs.gltf import GltfRig
 from rigs.gltf.motion import ANGLES, AXES_IN_SPACE
 
@@ -44,15 +44,17 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     weights = points[:, 0, 3, :, 0].T  # (vertex, frame)
     _check_binding(rig, points, weights, frames, rest)
     names = [name.rpartition(".")[0] for name in rig.control_names[count :: len(ANGLES)]]
-    turns = [
-        Turn(f"{name}.{angle}", number, 3 + axis, 1.0) for number, name in enumerate(names) for axis, angle in enumerate(ANGLES)
+    drives = [
+        JointDrive(f"{name}.{angle}", number, 3 + axis, 1.0)
+        for number, name in enumerate(names)
+        for axis, angle in enumerate(ANGLES)
     ]
     world = np.concatenate([frames, np.eye(3, 4)[None]])  # the static joint last, so that the numbers of the others stay
-    add_joints(draft, rig.controls[count:], turns, [*names, STATIC], [*motion.parents, -1], world)
+    add_joints(draft, rig.controls[count:], drives, [*names, STATIC], [*motion.parents, -1], world)
     mesh = draft.meshes[0]
-    left = np.clip(1 - weights.sum(axis=1, keepdims=True), 0, None)
-    left[left < 1e-6] = 0
-    all_weights = sparse.csr_array(np.concatenate([np.clip(weights, 0, None), left], axis=1))
+    remaining = np.clip(1 - weights.sum(axis=1, keepdims=True), 0, None)
+    remaining[remaining < 1e-6] = 0
+    all_weights = sparse.csr_array(np.concatenate([np.clip(weights, 0, None), remaining], axis=1))
     draft.meshes = [MeshDraft(mesh.name, mesh.vertices, mesh.faces, all_weights, mesh.deltas)]
     return draft
 

@@ -1,4 +1,4 @@
-"""Joints that controls turn, in the terms of the format: two raw controls for each control, one on each side of 0."""
+"""Joints that controls drive, in the terms of the format: two raw controls for each control, one on each side of 0."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from rigs.dna.logic.rotations import SEQUENCES, matrix_angles
 UP, DOWN = "+", "-"  # endings of the raw controls on either side of 0
 
 
-class Turn(NamedTuple):
+class JointDrive(NamedTuple):
     """What a control adds to an attribute of a joint for each of its units: mm or degrees.
 
     Attributes:
@@ -30,26 +30,26 @@ class Turn(NamedTuple):
 def add_joints(
     draft: Draft,
     controls: Sequence[Control],
-    turns: Sequence[Turn],
+    drives: Sequence[JointDrive],
     names: Sequence[str],
     parents: Sequence[int],
     rest: np.ndarray,
 ) -> None:
-    """Add joints and the controls that turn them to a draft.
+    """Add joints and the controls that drive them to a draft.
 
     Args:
-        controls: those of `turns`; each is 0 at rest.
+        controls: those of `drives`; each is 0 at rest.
         parents: -1 for a root.
         rest: world transforms of the joints at rest, `(joint, 3, 4)`, mm, their rotations orthogonal.
     """
     of_control = {control.name: control for control in controls}
-    place: dict[str, int] = {}
+    index_of: dict[str, int] = {}
     for control in controls:
         draft.gui.append(control.name)
         for ending, limit in ((UP, control.upper), (DOWN, control.lower)):
             if limit:
                 raw = control.name + ending
-                place[raw] = len(draft.raw)
+                index_of[raw] = len(draft.raw)
                 draft.raw.append(raw)
                 points = sorted([(0.0, 0.0), (limit, 1.0)])
                 draft.rows.append(Row.between(control.name, raw, *points))
@@ -64,11 +64,11 @@ def add_joints(
         angles = np.degrees(matrix_angles(torch.tensor(linear), sequence).numpy())
         draft.joints.append(Joint(name, -1 if parent < 0 else first + parent, where, angles))
     entries: dict[int, dict[tuple[int, int], float]] = defaultdict(lambda: defaultdict(float))
-    for turn in turns:
-        for ending, limit in ((UP, of_control[turn.control].upper), (DOWN, of_control[turn.control].lower)):
+    for drive in drives:
+        for ending, limit in ((UP, of_control[drive.control].upper), (DOWN, of_control[drive.control].lower)):
             if limit:
-                key = (9 * (first + turn.joint) + turn.attribute, place[turn.control + ending])
-                entries[turn.joint][key] += turn.amount * limit
+                key = (9 * (first + drive.joint) + drive.attribute, index_of[drive.control + ending])
+                entries[drive.joint][key] += drive.amount * limit
     for values in entries.values():
         draft.groups.append(_group(values))
 

@@ -42,8 +42,8 @@ def draft_of_shapes(rig: ShapesRig) -> Draft:
 def _hats(shapes: Convention) -> dict[str, Factor]:
     """The hat of each in-between: 0 at its neighbours on the path from 0 to 1."""
     hats = {}
-    for name, (owner, place) in shapes.inbetweens.items():
+    for name, (owner, weight) in shapes.inbetweens.items():
         path = [0.0, *sorted(other for of, other in shapes.inbetweens.values() if of == owner), 1.0]
-        number = path.index(place)
-        hats[name] = Factor(name, owner, (path[number - 1], place, path[number + 1]))
+        number = path.index(weight)
+        hats[name] = Factor(name, owner, (path[number - 1], weight, path[number + 1]))
     return hats

@@ -48,7 +48,8 @@ class Cursor:
         count = self.number(U32)
         if count * least > self.remaining:
             raise self.damaged(
-                f"a list of {count:,} elements at byte {self.position - 4:,} does not fit into the {self.remaining:,} bytes left"
+                f"a list of {count:,} elements at byte {self.position - 4:,} does not fit into the {self.remaining:,} bytes "
+                f"after it"
             )
         return count
 

@@ -176,7 +176,7 @@ class MachineLearningOperations:
 
 @dataclass(frozen=True)
 class Conventions:
-    """Layer `dsce`: sequence 0 xyz, 1 xzy, 2 yxz, 3 yzx, 4 zxy, 5 zyx; winding 0 counter-clockwise, 1 clockwise, from 2.8 on."""
+    """Layer `dsce`: sequence 0 xyz, 1 xzy, 2 yxz, 3 yzx, 4 zxy, 5 zyx; winding 0 counter-clockwise, 1 clockwise (2.8)."""
 
     sequence: Long
     signs: RotationSigns

@@ -54,7 +54,7 @@ def read_ragged(cursor: Cursor, dtypes: Sequence[np.dtype]) -> list[Ragged]:
     words = np.frombuffer(data, WORD, (position - begin) // WORD.itemsize, begin)
     return [
         Ragged(words[where].astype(WORD).view(dtype).astype(dtype.newbyteorder("=")), sizes[:, column])
-        for column, (where, dtype) in enumerate(zip(_places(sizes, dtypes)[1], dtypes))
+        for column, (where, dtype) in enumerate(zip(_positions(sizes, dtypes)[1], dtypes))
     ]
 
 
@@ -62,23 +62,23 @@ def write_ragged(writer: Writer, columns: Sequence[Ragged], dtypes: Sequence[np.
     """The bytes that `read_ragged` reads."""
     sizes = np.stack([column.sizes for column in columns], axis=1).astype(np.int64)
     writer.number(U32, len(sizes))
-    counts, places = _places(sizes, dtypes)
+    counts, positions = _positions(sizes, dtypes)
     widths = np.array([dtype.itemsize // WORD.itemsize for dtype in dtypes])
     words = np.zeros(int((COUNT_WORDS + sizes * widths).sum()), WORD)
     words[(counts[..., None] + np.arange(COUNT_WORDS)).reshape(-1)] = sizes.reshape(-1).astype(">u4").view(WORD)
-    for column, where, dtype in zip(columns, places, dtypes):
+    for column, where, dtype in zip(columns, positions, dtypes):
         words[where] = column.values.astype(dtype).view(WORD)
     writer.data += words.tobytes()
 
 
-def _places(sizes: np.ndarray, dtypes: Sequence[np.dtype]) -> tuple[np.ndarray, list[np.ndarray]]:
+def _positions(sizes: np.ndarray, dtypes: Sequence[np.dtype]) -> tuple[np.ndarray, list[np.ndarray]]:
     """In words, where the count of each list is `(row, column)`, and for each column where its values are."""
     widths = np.array([dtype.itemsize // WORD.itemsize for dtype in dtypes])
     lengths = COUNT_WORDS + sizes * widths
     starts = (np.cumsum(lengths) - lengths.reshape(-1)).reshape(sizes.shape)
-    places = []
+    positions = []
     for column, width in enumerate(widths):
         words = sizes[:, column] * width
         first = np.repeat(starts[:, column] + COUNT_WORDS - (np.cumsum(words) - words), words)
-        places.append(first + np.arange(len(first)))
-    return starts, places
+        positions.append(first + np.arange(len(first)))
+    return starts, positions

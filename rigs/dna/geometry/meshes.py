@@ -53,14 +53,14 @@ def chosen_meshes(file: DnaFile, layout: Layout, lod: int, globs: Sequence[str])
     numbers = layout.rows_of_lod("the meshes", definition.lod_meshes, lod, len(names), "meshes").tolist()
     if not numbers:
         raise InputError(
-            f"{file.path}: level of detail {lod} has no meshes; rig.lod takes 0 to {max(layout.lod_count - 1, 0)}, and the file "
-            f"has {len(names)} meshes"
+            f"{file.path}: level of detail {lod} has no meshes; rig.lod takes 0 to {max(layout.lod_count - 1, 0)}, and the "
+            f"file has {len(names)} meshes"
         )
     there = ", ".join(names[number] for number in numbers)[:300]
     for glob in globs:
         if not any(fnmatchcase(names[number], glob) for number in numbers):
             raise InputError(
-                f"{file.path}: rig.meshes names {glob!r}, no mesh of level of detail {lod} is called so; its meshes are: {there}"
+                f"{file.path}: rig.meshes names {glob!r}, no mesh of level of detail {lod} is called so; they are: {there}"
             )
     return [number for number in numbers if not globs or any(fnmatchcase(names[number], glob) for glob in globs)]
 
@@ -141,8 +141,8 @@ def _weights(layout: Layout, what: str, mesh: Mesh, vertices: int, joints: int) 
             f"{layout.where}: {name} of {int((off > SUM_TOLERANCE).sum())} vertices do not sum to 1, such as "
             f"{sums[np.argmax(off)]:.4g} of vertex {int(np.argmax(off))}: they were divided by their sums"
         )
-    places = owners, carriers.values.astype(np.int64)
-    return sparse.csr_array((values.values / sums[owners], places), shape=(vertices, joints + 1))
+    positions = owners, carriers.values.astype(np.int64)
+    return sparse.csr_array((values.values / sums[owners], positions), shape=(vertices, joints + 1))
 
 
 def _deltas(layout: Layout, what: str, mesh: Mesh, vertices: int, channels: int, space: Space) -> sparse.csr_array:

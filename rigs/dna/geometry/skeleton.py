@@ -77,38 +77,38 @@ class Skeleton(Stage):
         super().__init__()
         definition = file.need(Definition)
         count, parents = len(definition.joints), joint_parents(file)
-        places = stacked(definition.neutral_translations, layout, "the neutral translations of joints", count)[joints]
-        turns = stacked(definition.neutral_rotations, layout, "the neutral rotations of joints", count)[joints]
-        number = {int(joint): place for place, joint in enumerate(joints)}
+        offsets = stacked(definition.neutral_translations, layout, "the neutral translations of joints", count)[joints]
+        eulers = stacked(definition.neutral_rotations, layout, "the neutral rotations of joints", count)[joints]
+        number = {int(joint): index for index, joint in enumerate(joints)}
         self.parents = [number.get(parents[joint], -1) for joint in joints.tolist()]
         self.levels = tree_levels(self.parents) if len(joints) else []
-        rotations = Angles.of(file, layout).matrices(torch.tensor(turns)).reshape(-1, 3, 3, 1)
+        rotations = Angles.of(file, layout).matrices(torch.tensor(eulers)).reshape(-1, 3, 3, 1)
         axes = torch.tensor(space.axes)
         root = transform_from(axes, -torch.tensor(centre))[None, :, :, None]
         self.unit_mm = space.unit_mm
-        self.keep(rotations=rotations, places=torch.tensor(places * space.unit_mm)[..., None], root=root)
+        self.keep(rotations=rotations, offsets=torch.tensor(offsets * space.unit_mm)[..., None], root=root)
         self._keep_order()
-        neutral = self._worlds(self.rotations, self.places) if len(joints) else root.new_zeros(0, 3, 4, 1)
+        neutral = self._worlds(self.rotations, self.offsets) if len(joints) else root.new_zeros(0, 3, 4, 1)
         back = invert(neutral[..., 0])[..., None]
         self.keep(neutral=neutral[..., 0], back=back)
 
     def _keep_order(self) -> None:
         """For each depth of the tree where the parents of its joints stand in the depth above, and the way back."""
-        place = torch.zeros(len(self.parents), dtype=torch.long)
+        index = torch.zeros(len(self.parents), dtype=torch.long)
         of_joint = torch.tensor(self.parents, dtype=torch.long)
         for depth, level in enumerate(self.levels):
-            above = place[of_joint[level]] if depth else level
+            above = index[of_joint[level]] if depth else level
             self.keep(**{f"level{depth}": level, f"above{depth}": above})
-            place[level] = torch.arange(len(level))
+            index[level] = torch.arange(len(level))
         if self.levels:
             self.keep(order=torch.cat(self.levels).argsort())
 
     def worlds(self, stage: JointStage, changes: JointChanges) -> Tensor:
         """The world transforms `(joint, 3, 4, batch)` of the joints, mm, for what they change by."""
         moves, angles, scales = changes.attributes.split(3, dim=1)
-        turns = stage.rotations(angles, changes)
-        linear = apply(self.rotations.to(turns), turns) * (1 + scales[:, None])
-        return self._worlds(linear, self.places.to(turns) + self.unit_mm * moves)
+        rotations = stage.rotations(angles, changes)
+        linear = apply(self.rotations.to(rotations), rotations) * (1 + scales[:, None])
+        return self._worlds(linear, self.offsets.to(rotations) + self.unit_mm * moves)
 
     def skinning(self, worlds: Tensor) -> Tensor:
         """The skinning matrices `(joint, 3, 4, batch)` of world transforms."""
@@ -118,17 +118,17 @@ class Skeleton(Stage):
         """The neutral pose as the file states it: translation, rotation and scale `(joint, 9)`, and with quaternions."""
         definition = file.need(Definition)
         parts = [definition.neutral_translations, definition.neutral_rotations]
-        places, turns = (np.stack([part.xs, part.ys, part.zs], axis=1).astype(np.float64) for part in parts)
-        ones = np.ones_like(places)
-        quaternions = angles.quaternions(torch.tensor(turns)).numpy()
+        offsets, eulers = (np.stack([part.xs, part.ys, part.zs], axis=1).astype(np.float64) for part in parts)
+        ones = np.ones_like(offsets)
+        quaternions = angles.quaternions(torch.tensor(eulers)).numpy()
         return {
-            "": np.concatenate([places, turns, ones], axis=1),
-            "_quaternion": np.concatenate([places, quaternions, ones], axis=1),
+            "": np.concatenate([offsets, eulers, ones], axis=1),
+            "_quaternion": np.concatenate([offsets, quaternions, ones], axis=1),
         }
 
-    def _worlds(self, linear: Tensor, places: Tensor) -> Tensor:
+    def _worlds(self, linear: Tensor, offsets: Tensor) -> Tensor:
         """World transforms `(joint, 3, 4, batch)` from local ones; the work is batched over the joints of one depth."""
-        local = torch.cat([linear, places[:, :, None].expand(*linear.shape[:2], 1, -1)], dim=2)
+        local = torch.cat([linear, offsets[:, :, None].expand(*linear.shape[:2], 1, -1)], dim=2)
         worlds = [follow(self.root.to(local), local.index_select(0, self.level0))]
         for depth in range(1, len(self.levels)):
             here = local.index_select(0, self.get_buffer(f"level{depth}"))

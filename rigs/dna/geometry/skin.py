@@ -23,9 +23,9 @@ class Skin(Stage):
     def __init__(self, rest: np.ndarray, weights: sparse.csr_array, deltas: sparse.csr_array) -> None:
         super().__init__()
         self.rest, self.weights, self.deltas = rest, sparse.csr_array(weights), sparse.csr_array(deltas)
-        pieces = [np.arange(start, min(start + VERTICES, len(rest))) for start in range(0, len(rest), VERTICES)]
+        groups = [np.arange(start, min(start + VERTICES, len(rest))) for start in range(0, len(rest), VERTICES)]
         self.sections = torch.nn.ModuleList(
-            Section(rest[rows], self.weights[rows], self.deltas[coordinates_of(rows)]) for rows in pieces
+            Section(rest[rows], self.weights[rows], self.deltas[coordinates_of(rows)]) for rows in groups
         )
 
     def forward(self, channels: Tensor, matrices: Tensor) -> Tensor:
@@ -40,8 +40,8 @@ class Skin(Stage):
         columns = torch.cat([matrices.transpose(1, 2), identity.expand(1, 4, 3, batch)])
         if torch.is_grad_enabled() or batch <= POSES:
             return self._posed(channels.T, columns)
-        pieces = zip(channels.T.split(POSES, dim=1), columns.split(POSES, dim=3))
-        return torch.cat([self._posed(*piece) for piece in pieces])
+        batches = zip(channels.T.split(POSES, dim=1), columns.split(POSES, dim=3))
+        return torch.cat([self._posed(*batch) for batch in batches])
 
     def _posed(self, channels: Tensor, columns: Tensor) -> Tensor:
         return torch.cat([section(channels, columns) for section in self.sections]).permute(2, 0, 1)

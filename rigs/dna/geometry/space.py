@@ -76,8 +76,8 @@ class Space:
             centre: `(3,)`, mm: the point that the translations are counted from.
         """
         linear = self.axes.T @ transforms[..., :3]
-        places = self.points_in_file(transforms[..., 3] + centre)
-        return np.concatenate([linear, places[..., None]], axis=-1)
+        positions = self.points_in_file(transforms[..., 3] + centre)
+        return np.concatenate([linear, positions[..., None]], axis=-1)
 
     def check_size(self, file: DnaFile, rest: np.ndarray) -> None:
         """Raises InputError where a rest mesh `(vertex, 3)`, mm, cannot be of the unit that the file states."""
@@ -86,7 +86,7 @@ class Space:
             raise InputError(f"{file.path}: its vertices lie farther than 100 km from the origin: the file is damaged")
         if self.stated_unit is not None and not SMALLEST_MM <= size <= LARGEST_MM:
             raise InputError(
-                f"{file.path}: its meshes are {size:.4g} mm large where coordinates are {self.stated_unit}, as the file states, "
-                f"expected {SMALLEST_MM:g} to {LARGEST_MM:g} mm: say what a unit is with rig.unit_mm=10 (cm) or "
+                f"{file.path}: its meshes are {size:.4g} mm large where coordinates are {self.stated_unit}, as the file "
+                f"states, expected {SMALLEST_MM:g} to {LARGEST_MM:g} mm: say what a unit is with rig.unit_mm=10 (cm) or "
                 f"rig.unit_mm=1000 (m); any rig.unit_mm is taken as it is"
             )

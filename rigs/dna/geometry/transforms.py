@@ -19,6 +19,6 @@ def apply(outer: Tensor, inner: Tensor) -> Tensor:
 
 def follow(outer: Tensor, inner: Tensor) -> Tensor:
     """The transforms `(joint, 3, 4, batch)` that apply `inner` first, then `outer`."""
-    linear, places = outer.split((3, 1), dim=2)
+    linear, offsets = outer.split((3, 1), dim=2)
     first, last = apply(linear, inner).split((3, 1), dim=2)
-    return torch.cat([first, last + places], dim=2)
+    return torch.cat([first, last + offsets], dim=2)

@@ -1,17 +1,17 @@
 """The best value of one GUI control, the others fixed: exact, for many frames at once.
 
-The error is the sum over outputs of |clamp(slope x + cut + others, 0, 1) - wanted|. On a piece it is piecewise linear in x: its
-minimum is at an end of the piece, where an output reaches what is wanted, or where one reaches a limit.
+The error is the sum over outputs of |clamp(slope x + cut + others, 0, 1) - wanted|. On a segment it is piecewise linear in x:
+its minimum is at an end of the segment, where an output reaches what is wanted, or where one reaches a limit.
 """
 
 import numpy as np
 
-from rigs.dna.inverse.pieces import Pieces
+from rigs.dna.inverse.segments import Segments
 
 SAME = 1e-7  # errors that differ by less are equal: then the value nearest to rest is taken
 
 
-def best_value(pieces: Pieces, others: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def best_value(segments: Segments, others: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The best value of a GUI control for each frame.
 
     Args:
@@ -19,27 +19,27 @@ def best_value(pieces: Pieces, others: np.ndarray, wanted: np.ndarray) -> tuple[
         wanted: `(frame, output)` in [0, 1].
 
     Returns:
-        The values `(frame,)`, the pieces they lie on `(frame,)`, and the errors `(frame,)`.
+        The values `(frame,)`, the segments they lie on `(frame,)`, and the errors `(frame,)`.
     """
     frames = len(wanted)
-    value, piece, error = np.full(frames, pieces.rest), np.zeros(frames, np.int64), np.full(frames, np.inf)
-    for number, (start, end) in enumerate(pieces.ends):
-        slopes, cuts = pieces.slopes[number], pieces.cuts[number] + np.broadcast_to(others, wanted.shape)
+    value, segment, error = np.full(frames, segments.rest), np.zeros(frames, np.int64), np.full(frames, np.inf)
+    for number, (start, end) in enumerate(segments.ends):
+        slopes, cuts = segments.slopes[number], segments.cuts[number] + np.broadcast_to(others, wanted.shape)
         moving = slopes != 0
         safe = np.where(moving, slopes, 1.0)
         crossings = [(level - cuts[:, moving]) / safe[moving] for level in (wanted[:, moving], 0.0, 1.0)]
-        fixed = np.broadcast_to([start, end, np.clip(pieces.rest, start, end)], (frames, 3))
+        fixed = np.broadcast_to([start, end, np.clip(segments.rest, start, end)], (frames, 3))
         candidates = np.clip(np.concatenate([fixed, *crossings], axis=1), start, end)
         found = np.clip(slopes * candidates[..., None] + cuts[:, None], 0, 1)
         errors = np.abs(found - wanted[:, None]).sum(axis=2)
-        away = np.abs(candidates - pieces.rest)
+        away = np.abs(candidates - segments.rest)
         near = np.where(errors <= errors.min(axis=1, keepdims=True) + SAME, away, np.inf)
         best = near.argmin(axis=1)
         row = np.arange(frames)
         better = (errors[row, best] < error - SAME) | (
-            (errors[row, best] < error + SAME) & (near[row, best] < np.abs(value - pieces.rest))
+            (errors[row, best] < error + SAME) & (near[row, best] < np.abs(value - segments.rest))
         )
         value = np.where(better, candidates[row, best], value)
-        piece = np.where(better, number, piece)
+        segment = np.where(better, number, segment)
         error = np.where(better, errors[row, best], error)
-    return value, piece, error
+    return value, segment, error

@@ -7,7 +7,7 @@ import torch
 
 from rigs.dna.format import DnaFile
 from rigs.dna.format.layers import Behavior
-from rigs.dna.inverse.pieces import Pieces, pieces_of
+from rigs.dna.inverse.segments import Segments, segments_of
 from rigs.dna.inverse.several import SharedOutputs
 from rigs.dna.inverse.single import SAME, best_value
 from rigs.dna.logic.conditions import ConditionTable, input_ranges
@@ -47,95 +47,95 @@ class TableInverse:
         self.forward = ConditionTable(layout, "the GUI table", table, len(table.inputs), layout.gui, layout.raw)
         lower, upper = input_ranges(table, layout.gui)
         self.rest = np.where(np.isnan(lower), 0.0, np.clip(0.0, lower, upper))
-        controls = [pieces_of(table, number) for number in np.flatnonzero(upper > lower).tolist()]
+        controls = [segments_of(table, number) for number in np.flatnonzero(upper > lower).tolist()]
         self.components = _components(controls)
 
     def __call__(self, raw: np.ndarray) -> GuiAnswer:
         """GUI controls for raw controls `(frame, raw)`."""
         wanted = np.clip(np.asarray(raw, dtype=np.float64), 0, 1)
         gui = np.repeat(self.rest[None], len(wanted), axis=0)
-        inside: list[tuple[Pieces, np.ndarray]] = []
+        inside: list[tuple[Segments, np.ndarray]] = []
         for controls in self.components:
-            values, pieces = self._solve(controls, wanted)
+            values, segments = self._solve(controls, wanted)
             for number, control in enumerate(controls):
                 gui[:, control.gui] = values[:, number]
-                inside.append((control, pieces[:, number]))
+                inside.append((control, segments[:, number]))
         gui = self._off_the_edges(gui, inside, wanted)
         return GuiAnswer(gui, self._table(gui) - wanted)
 
-    def _solve(self, controls: list[Pieces], wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values and pieces `(frame, control)` of the controls of a component."""
+    def _solve(self, controls: list[Segments], wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values and segments `(frame, control)` of the controls of a component."""
         if len(controls) == 1:
-            value, piece, _ = best_value(controls[0], np.zeros(1), wanted[:, controls[0].outputs])
-            return value[:, None], piece[:, None]
+            value, segment, _ = best_value(controls[0], np.zeros(1), wanted[:, controls[0].outputs])
+            return value[:, None], segment[:, None]
         outputs = np.unique(np.concatenate([control.outputs for control in controls]))
         values = np.repeat([[control.rest for control in controls]], len(wanted), axis=0)
-        pieces = np.zeros(values.shape, np.int64)
+        segments = np.zeros(values.shape, np.int64)
         for number, control in enumerate(controls):
-            pieces[:, number] = _piece_at(control, control.rest)
+            segments[:, number] = _segment_at(control, control.rest)
         for _ in range(SWEEPS):
             before = values.copy()
             for number, control in enumerate(controls):
-                others = self._sums(controls, outputs, values, pieces, without=number)
+                others = self._sums(controls, outputs, values, segments, without=number)
                 rows = np.searchsorted(outputs, control.outputs)
-                values[:, number], pieces[:, number], _ = best_value(control, others[:, rows], wanted[:, control.outputs])
+                values[:, number], segments[:, number], _ = best_value(control, others[:, rows], wanted[:, control.outputs])
             if np.abs(values - before).max() < SAME:
                 break
-        errors = _errors(self._sums(controls, outputs, values, pieces), wanted[:, outputs])
+        errors = _errors(self._sums(controls, outputs, values, segments), wanted[:, outputs])
         program = SharedOutputs(controls, outputs)
         for frame in np.flatnonzero(errors > REACHED).tolist():
             found = program.solve(wanted[frame, outputs])
             if found is not None:
-                self._take_better(controls, outputs, wanted[frame : frame + 1, outputs], values, pieces, frame, found)
-        return values, pieces
+                self._take_better(controls, outputs, wanted[frame : frame + 1, outputs], values, segments, frame, found)
+        return values, segments
 
     def _take_better(
         self,
-        controls: list[Pieces],
+        controls: list[Segments],
         outputs: np.ndarray,
         wanted: np.ndarray,
         values: np.ndarray,
-        pieces: np.ndarray,
+        segments: np.ndarray,
         frame: int,
         found: tuple[list[float], list[int]],
     ) -> None:
         """Write what the program has found to a frame, to full precision, where it is better than what stands there."""
-        value, piece = np.array([found[0]]), np.array([found[1]])
-        tried = [(values[frame : frame + 1].copy(), pieces[frame : frame + 1].copy()), (value, piece)]
+        value, segment = np.array([found[0]]), np.array([found[1]])
+        tried = [(values[frame : frame + 1].copy(), segments[frame : frame + 1].copy()), (value, segment)]
         matrix = np.zeros((len(outputs), len(controls)))
         for number, control in enumerate(controls):
-            matrix[np.searchsorted(outputs, control.outputs), number] = control.slopes[piece[0, number]]
+            matrix[np.searchsorted(outputs, control.outputs), number] = control.slopes[segment[0, number]]
         free = (wanted[0] > 0) & (wanted[0] < 1)
-        left = (wanted - self._sums(controls, outputs, value, piece))[0]
+        remaining = (wanted - self._sums(controls, outputs, value, segment))[0]
         ends = np.array([control.ends[number] for control, number in zip(controls, found[1])])
-        better = np.clip(value + np.linalg.lstsq(matrix[free], left[free], rcond=None)[0], ends[:, 0], ends[:, 1])
-        tried.append((better, piece))
+        better = np.clip(value + np.linalg.lstsq(matrix[free], remaining[free], rcond=None)[0], ends[:, 0], ends[:, 1])
+        tried.append((better, segment))
         errors = [float(_errors(self._sums(controls, outputs, *one), wanted)[0]) for one in tried]
-        values[frame], pieces[frame] = (part[0] for part in tried[int(np.argmin(errors))])
+        values[frame], segments[frame] = (part[0] for part in tried[int(np.argmin(errors))])
 
     def _sums(
         self,
-        controls: list[Pieces],
+        controls: list[Segments],
         outputs: np.ndarray,
         values: np.ndarray,
-        pieces: np.ndarray,
+        segments: np.ndarray,
         without: int | None = None,
     ) -> np.ndarray:
         """What the controls add to the outputs, not clamped, `(frame, output)`; `without` one of them."""
         total = np.zeros((len(values), len(outputs)))
         for number, control in enumerate(controls):
             if number != without:
-                piece = pieces[:, number]
-                added = control.slopes[piece] * values[:, number, None] + control.cuts[piece]
+                segment = segments[:, number]
+                added = control.slopes[segment] * values[:, number, None] + control.cuts[segment]
                 total[:, np.searchsorted(outputs, control.outputs)] += added
         return total
 
-    def _off_the_edges(self, gui: np.ndarray, inside: list[tuple[Pieces, np.ndarray]], wanted: np.ndarray) -> np.ndarray:
-        """Values that stand on the edge of their piece moved into it by one float32, where the table jumps there."""
-        for control, piece in inside:
+    def _off_the_edges(self, gui: np.ndarray, inside: list[tuple[Segments, np.ndarray]], wanted: np.ndarray) -> np.ndarray:
+        """Values that stand on the edge of their segment moved into it by one float32, where the table jumps there."""
+        for control, segment in inside:
             if len(control.ends) == 1:
                 continue
-            middle = control.ends[piece].mean(axis=1)
+            middle = control.ends[segment].mean(axis=1)
             value = gui[:, control.gui]
             moved = gui.copy()
             moved[:, control.gui] = np.nextafter(value.astype(np.float32), middle.astype(np.float32))
@@ -152,13 +152,13 @@ def _errors(sums: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.abs(np.clip(sums, 0, 1) - wanted).sum(axis=1)
 
 
-def _piece_at(control: Pieces, value: float) -> int:
+def _segment_at(control: Segments, value: float) -> int:
     return int(np.argmax((control.ends[:, 0] <= value) & (value <= control.ends[:, 1])))
 
 
-def _components(controls: list[Pieces]) -> list[list[Pieces]]:
+def _components(controls: list[Segments]) -> list[list[Segments]]:
     """GUI controls that share outputs, directly or through others, together."""
-    groups: list[tuple[set[int], list[Pieces]]] = []
+    groups: list[tuple[set[int], list[Segments]]] = []
     for control in controls:
         outputs, members = set(control.outputs.tolist()), [control]
         apart = []

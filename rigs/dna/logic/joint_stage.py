@@ -36,26 +36,26 @@ class JointStage(Stage):
         self.twisted = TwistedJoints(layout, twists, joints, count) if twists else None
         has_learned = operations is not None and len(operations.outputs)
         self.learned = LearnedJoints(layout, operations, self.angles, joints, count) if has_learned else None
-        parts = [part.places for part in (self.groups.quaternions, self.twisted, self.learned) if part is not None]
-        turned = torch.cat(parts).unique()
-        self.keep(turned=turned)
+        parts = [part.positions for part in (self.groups.quaternions, self.twisted, self.learned) if part is not None]
+        quaternion_joints = torch.cat(parts).unique()
+        self.keep(quaternion_joints=quaternion_joints)
         for name, part in (("quaternions", self.groups.quaternions), ("twisted", self.twisted), ("learned", self.learned)):
             if part is not None:
-                self.keep(**{f"of_{name}": torch.searchsorted(turned, part.places)})
+                self.keep(**{f"of_{name}": torch.searchsorted(quaternion_joints, part.positions)})
 
     def forward(self, controls: Tensor) -> JointChanges:
         """All controls `(batch, control)` to what the joints change by."""
         attributes, quaternions, _ = self.groups(controls)
-        if not len(self.turned):
-            return JointChanges(attributes, quaternions, self.turned)
-        turns = self.angles.quaternions(attributes[self.turned, ROTATION].movedim(-1, 0))
-        turns = turns.index_copy(1, self.of_quaternions, quaternions)
+        if not len(self.quaternion_joints):
+            return JointChanges(attributes, quaternions, self.quaternion_joints)
+        rotations = self.angles.quaternions(attributes[self.quaternion_joints, ROTATION].movedim(-1, 0))
+        rotations = rotations.index_copy(1, self.of_quaternions, quaternions)
         if self.twisted is not None:
-            turns = turns.index_copy(1, self.of_twisted, self.twisted(controls))
+            rotations = rotations.index_copy(1, self.of_twisted, self.twisted(controls))
         if self.learned is not None:
-            attributes, moved = self.learned(controls, attributes, turns[:, self.of_learned])
-            turns = turns.index_copy(1, self.of_learned, moved)
-        return JointChanges(attributes, turns, self.turned)
+            attributes, moved = self.learned(controls, attributes, rotations[:, self.of_learned])
+            rotations = rotations.index_copy(1, self.of_learned, moved)
+        return JointChanges(attributes, rotations, self.quaternion_joints)
 
     def rotations(self, angles: Tensor, changes: JointChanges) -> Tensor:
         """The rotation `(joint, 3, 3, batch)` of each joint against its neutral pose.
@@ -64,21 +64,21 @@ class JointStage(Stage):
             angles: the Euler angles among the changes, `(joint, 3, batch)`.
         """
         matrices = self.angles.matrices(angles, dim=1)
-        if not len(changes.turned):
+        if not len(changes.quaternion_joints):
             return matrices
-        return matrices.index_copy(0, changes.turned, quaternion_matrices(changes.quaternions).movedim(0, -1))
+        return matrices.index_copy(0, changes.quaternion_joints, quaternion_matrices(changes.quaternions).movedim(0, -1))
 
     def as_euler(self, changes: JointChanges) -> Tensor:
         """Translations, Euler angles and scales `(batch, joint, 9)`, in the file's units."""
         matrices = quaternion_matrices(changes.quaternions)
         angles = self.angles.in_file(matrix_angles(matrices, self.angles.sequence))
         result = changes.attributes.movedim(-1, 0).clone()
-        result[:, changes.turned, ROTATION] = angles
+        result[:, changes.quaternion_joints, ROTATION] = angles
         return result
 
     def as_quaternions(self, changes: JointChanges) -> Tensor:
         """Translations, quaternions x y z w and scales `(batch, joint, 10)`."""
         attributes = changes.attributes.movedim(-1, 0)
-        turns = self.angles.quaternions(attributes[..., ROTATION])
-        turns = turns.index_copy(1, changes.turned, changes.quaternions)
-        return torch.cat([attributes[..., :3], turns, attributes[..., 6:]], dim=-1)
+        rotations = self.angles.quaternions(attributes[..., ROTATION])
+        rotations = rotations.index_copy(1, changes.quaternion_joints, changes.quaternions)
+        return torch.cat([attributes[..., :3], rotations, attributes[..., 6:]], dim=-1)

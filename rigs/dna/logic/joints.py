@@ -23,13 +23,13 @@ class JointChanges(NamedTuple):
 
     Attributes:
         attributes: `(joint, 9, batch)` in the file's units: translation, Euler angles, scale less 1.
-        quaternions: `(batch, turned, 4)`: the rotations of joints that have them as quaternions, in place of Euler angles.
-        turned: those joints, `(turned,)`.
+        quaternions: `(batch, quaternion joint, 4)`: rotations of joints that have quaternions in place of Euler angles.
+        quaternion_joints: those joints, `(quaternion joint,)`.
     """
 
     attributes: Tensor
     quaternions: Tensor
-    turned: Tensor
+    quaternion_joints: Tensor
 
 
 class Block(NamedTuple):
@@ -54,17 +54,17 @@ class JointGroups(Stage):
         super().__init__()
         groups = file.need(Behavior).joints.groups
         blocks = [group_block(file, layout, number, lod) for number in range(len(groups))]
-        turned = quaternion_joints(file, layout)
-        self.quaternions = QuaternionJoints(layout, blocks, groups, turned, joints, Angles.of(file, layout))
-        place = np.full(len(file.need(Definition).joints), -1)
-        place[joints] = np.arange(len(joints))
+        is_quaternion = quaternion_joints(file, layout)
+        self.quaternions = QuaternionJoints(layout, blocks, groups, is_quaternion, joints, Angles.of(file, layout))
+        index_of = np.full(len(file.need(Definition).joints), -1)
+        index_of[joints] = np.arange(len(joints))
         self.joints = len(joints)
-        blocks = [_linear_part(block, turned, place) for block in blocks]
+        blocks = [_linear_part(block, is_quaternion, index_of) for block in blocks]
         blocks = [block for block in _later_stands(blocks) if block.values.size]
         attributes = np.full(ATTRIBUTES * len(joints), sum(len(block.outputs) for block in blocks))  # behind all rows is a 0
         row = 0
         for number, block in enumerate(blocks):
-            attributes[ATTRIBUTES * place[block.outputs // ATTRIBUTES] + block.outputs % ATTRIBUTES] = row + np.arange(
+            attributes[ATTRIBUTES * index_of[block.outputs // ATTRIBUTES] + block.outputs % ATTRIBUTES] = row + np.arange(
                 len(block.outputs)
             )
             row += len(block.outputs)
@@ -79,7 +79,7 @@ class JointGroups(Stage):
         rows = [self.get_buffer(f"values{number}").to(controls) @ part for number, part in enumerate(parts) if self.widths]
         rows = torch.cat([*rows, controls.new_zeros(1, len(controls))])
         attributes = rows.index_select(0, self.rows_of_attributes).unflatten(0, (self.joints, ATTRIBUTES))
-        return JointChanges(attributes, self.quaternions(controls), self.quaternions.places)
+        return JointChanges(attributes, self.quaternions(controls), self.quaternions.positions)
 
 
 def quaternion_joints(file: DnaFile, layout: Layout) -> np.ndarray:
@@ -117,10 +117,10 @@ def used_columns(block: Block) -> np.ndarray:
     return block.inputs[(block.values != 0).any(axis=0)]
 
 
-def _linear_part(block: Block, turned: np.ndarray, place: np.ndarray) -> Block:
+def _linear_part(block: Block, is_quaternion: np.ndarray, index_of: np.ndarray) -> Block:
     """Of a block the rows of joints that matter, apart from quaternions, and the columns that are not all zero in them."""
     joint = block.outputs // ATTRIBUTES
-    rows = (place[joint] >= 0) & ~(turned[joint] & np.isin(block.outputs % ATTRIBUTES, ROTATION))
+    rows = (index_of[joint] >= 0) & ~(is_quaternion[joint] & np.isin(block.outputs % ATTRIBUTES, ROTATION))
     values = block.values[rows]
     columns = (values != 0).any(axis=0)
     return Block(block.inputs[columns], block.outputs[rows], values[:, columns])

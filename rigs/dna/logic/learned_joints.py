@@ -14,12 +14,12 @@ BASIS = range(3, 10)  # keys of a change of basis
 
 
 class LearnedJoints(Stage):
-    """Adds translations and scales, and turns joints further, by what controls hold.
+    """Adds translations and scales, and rotates joints further, by what controls hold.
 
     Written from the notes on the format (docs/dna.md): no file at hand has such joints, so nothing else confirms it.
 
     Attributes:
-        places: where the joints that are moved stand among those that matter, `(moved,)`.
+        positions: where the joints that are moved stand among those that matter, `(moved,)`.
 
     Raises:
         InputError: it is damaged, or has a basis of its own, which is not evaluated here.
@@ -39,19 +39,19 @@ class LearnedJoints(Stage):
         stride = 9 if self.euler else 10
         layout.check_controls(what, entry.inputs)
         layout.check(what, entry.outputs, stride * count, "joint attributes")
-        place = {int(joint): number for number, joint in enumerate(joints)}
-        moved = [joint for joint in np.unique(entry.outputs // stride).tolist() if joint in place]
+        index_of = {int(joint): number for number, joint in enumerate(joints)}
+        moved = [joint for joint in np.unique(entry.outputs // stride).tolist() if joint in index_of]
         inputs = np.full((len(moved), stride), layout.total)
         for control, attribute in zip(entry.inputs.tolist(), entry.outputs.tolist()):
             if attribute // stride in moved:
                 inputs[moved.index(attribute // stride), attribute % stride] = control
-        self.keep(places=np.array([place[joint] for joint in moved], dtype=np.int64), inputs=inputs)
+        self.keep(positions=np.array([index_of[joint] for joint in moved], dtype=np.int64), inputs=inputs)
 
     def forward(self, controls: Tensor, attributes: Tensor, quaternions: Tensor) -> tuple[Tensor, Tensor]:
         """The attributes `(joint, 9, batch)` and the quaternions `(batch, moved, 4)` of the moved joints, changed."""
         padded = torch.cat([controls, controls.new_zeros(len(controls), 1)], dim=1)
         found = padded.index_select(1, self.inputs.flatten()).unflatten(1, self.inputs.shape)
-        turns = self.angles.quaternions(found[..., 3:6]) if self.euler else normalise(found[..., 3:7])
+        rotations = self.angles.quaternions(found[..., 3:6]) if self.euler else normalise(found[..., 3:7])
         zeros = torch.zeros_like(found[..., :3])
         added = torch.cat([found[..., :3], zeros, found[..., -3:]], dim=-1)
-        return attributes.index_add(0, self.places, added.movedim(0, -1)), multiply(turns, quaternions)
+        return attributes.index_add(0, self.positions, added.movedim(0, -1)), multiply(rotations, quaternions)

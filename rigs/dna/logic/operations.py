@@ -13,7 +13,7 @@ GATHER, SCATTER, NET, SUM = 1, 2, 3, 4
 
 
 class OperationStage(Stage):
-    """One operation; `sources` are the places of what it depends on."""
+    """One operation; `sources` are the keys of what it depends on."""
 
     def __init__(self, kind: int, sources: list[tuple[int, int]]) -> None:
         super().__init__()
@@ -34,26 +34,26 @@ class Operations(Stage):
         super().__init__()
         self.layout, self.learned = layout, learned
         self.steps = torch.nn.ModuleList()
-        self.places: list[tuple[int, int, int]] = []
+        self.positions: list[tuple[int, int, int]] = []
         sizes: dict[tuple[int, int, int], int] = {}
         for number, kind in enumerate(operations.types):
             if len(kind.lods) < len(kind.sets):
                 raise layout.wrong(f"{len(kind.sets)} sets of operations have {len(kind.lods)} tables of levels of detail")
-            for place, steps in enumerate(kind.sets):
-                what = f"set {place} of operations"
-                chosen = layout.rows_of_lod(what, kind.lods[place], lod, len(steps), "operations")
+            for position, steps in enumerate(kind.sets):
+                what = f"set {position} of operations"
+                chosen = layout.rows_of_lod(what, kind.lods[position], lod, len(steps), "operations")
                 for step in chosen.tolist():
-                    key = (number, place, step)
+                    key = (number, position, step)
                     stage = self._stage(f"operation {step} of {what}", steps[step], number, sizes)
                     sizes[key] = stage.size
                     self.steps.append(stage)
-                    self.places.append(key)
+                    self.positions.append(key)
         del self.layout, self.learned
 
     def _stage(self, what: str, step: Operation, number: int, sizes: dict[tuple[int, int, int], int]) -> OperationStage:
         layout, parameters = self.layout, step.parameters
         layout.check_lengths(what, sets=len(step.sets), operations=len(step.operations))
-        sources = [(number, int(place), int(one)) for place, one in zip(step.sets, step.operations)]
+        sources = [(number, int(one), int(other)) for one, other in zip(step.sets, step.operations)]
         missing = [source for source in sources if source not in sizes]
         if missing:
             raise layout.wrong(f"{what} depends on operation {missing[0][2]} of set {missing[0][1]}, which is not before it")
@@ -96,16 +96,16 @@ class Operations(Stage):
     def forward(self, controls: Tensor) -> Tensor:
         """All controls `(batch, control)`, with what the operations scatter among them."""
         results: dict[tuple[int, int, int], Tensor] = {}
-        for place, step in zip(self.places, self.steps):
+        for position, step in zip(self.positions, self.steps):
             given = [results[source] for source in step.sources]
             if step.kind == GATHER:
-                results[place] = controls.index_select(1, step.controls)
+                results[position] = controls.index_select(1, step.controls)
             elif step.kind == SCATTER:
                 controls = put(controls, step.controls, torch.cat(given, dim=1))
-                results[place] = controls[:, :0]
+                results[position] = controls[:, :0]
             elif step.kind == NET:
-                results[place] = step.net(torch.cat(given, dim=1))
+                results[position] = step.net(torch.cat(given, dim=1))
             else:
                 weights = step.weights.to(controls)
-                results[place] = torch.einsum("s,sbn->bn", weights, torch.stack(given))
+                results[position] = torch.einsum("s,sbn->bn", weights, torch.stack(given))
         return controls

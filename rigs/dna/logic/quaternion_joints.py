@@ -1,4 +1,4 @@
-"""Joints whose rotations are quaternions: every column of their group turns them a bit further.
+"""Joints whose rotations are quaternions: every column of their group rotates them a bit further.
 
 The order of the columns matters, and it is that of the reference, which brings columns that a level of detail does not use to
 the end (format notes in docs/dna.md).
@@ -23,11 +23,11 @@ class QuaternionJoints(Stage):
     """The rotations of quaternion joints.
 
     Attributes:
-        places: where the joints stand among those that matter, `(turned,)`.
+        positions: where the joints stand among those that matter, `(quaternion joint,)`.
 
     Args:
         blocks: of each group, what the level of detail uses.
-        turned: whether each joint is one, `(joint,)`.
+        is_quaternion: whether each joint is one, `(joint,)`.
         joints: those that matter, `(joint,)`.
 
     Raises:
@@ -39,46 +39,46 @@ class QuaternionJoints(Stage):
         layout: Layout,
         blocks: Sequence[Any],
         groups: Sequence[JointGroup],
-        turned: np.ndarray,
+        is_quaternion: np.ndarray,
         joints: np.ndarray,
         angles: Angles,
     ) -> None:
         super().__init__()
-        place = {int(joint): number for number, joint in enumerate(joints) if turned[joint]}
-        self.keep(places=np.array(list(place.values()), dtype=np.int64))
+        index_of = {int(joint): number for number, joint in enumerate(joints) if is_quaternion[joint]}
+        self.keep(positions=np.array(list(index_of.values()), dtype=np.int64))
         columns: dict[int, list[tuple[int, np.ndarray]]] = {}
         owner: dict[int, int] = {}
         for number, (block, group) in enumerate(zip(blocks, groups)):
-            rotations = _is_rotation(group.outputs, turned)
+            rotations = _is_rotation(group.outputs, is_quaternion)
             order = column_order(group, rotations)
             for joint in np.unique(group.outputs[rotations] // 9).tolist():
                 if owner.setdefault(joint, number) != number:
                     raise layout.wrong(f"the rotation of joint {joint}, a quaternion, is in groups {owner[joint]} and {number}")
                 rows = block.outputs // 9 == joint
                 values = np.zeros((3, len(order)))
-                for row in np.flatnonzero(rows & _is_rotation(block.outputs, turned)):
+                for row in np.flatnonzero(rows & _is_rotation(block.outputs, is_quaternion)):
                     values[block.outputs[row] % 9 - ROTATION[0]] = block.values[row, order]
-                if joint in place:
+                if joint in index_of:
                     moving = np.flatnonzero((values != 0).any(axis=0))
                     columns[joint] = [(int(block.inputs[order[column]]), values[:, column]) for column in moving]
         most = max((len(found) for found in columns.values()), default=0)
-        inputs, eulers = np.full((len(place), most), layout.total), np.zeros((len(place), most, 3))
-        for row, joint in enumerate(place):
+        inputs, eulers = np.full((len(index_of), most), layout.total), np.zeros((len(index_of), most, 3))
+        for row, joint in enumerate(index_of):
             for slot, (control, euler) in enumerate(columns.get(joint, [])):
                 inputs[row, slot], eulers[row, slot] = control, euler
-        self.keep(inputs=inputs, turns=angles.quaternions(torch.tensor(eulers)))
+        self.keep(inputs=inputs, rotations=angles.quaternions(torch.tensor(eulers)))
 
     def forward(self, controls: Tensor) -> Tensor:
-        """All controls `(batch, control)` to quaternions `(batch, turned, 4)`."""
+        """All controls `(batch, control)` to quaternions `(batch, quaternion joint, 4)`."""
         count, most = self.inputs.shape
         identity = controls.new_tensor([0.0, 0.0, 0.0, 1.0])
         if not most:
             return identity.expand(len(controls), count, 4)
         padded = torch.cat([controls, controls.new_zeros(len(controls), 1)], dim=1)
         w = padded.index_select(1, self.inputs.flatten()).unflatten(1, (count, most))[..., None]
-        turns = self.turns.to(controls)
-        sign = torch.where(turns[..., 3:] < 0, -1.0, 1.0)
-        factors = normalise(w * turns + sign * (1 - w) * identity)
+        rotations = self.rotations.to(controls)
+        sign = torch.where(rotations[..., 3:] < 0, -1.0, 1.0)
+        factors = normalise(w * rotations + sign * (1 - w) * identity)
         while factors.shape[2] > 1:  # acc = b acc, column after column; products of neighbours first
             even = factors[:, :, : factors.shape[2] // 2 * 2].unflatten(2, (-1, 2))
             product = multiply(even[:, :, :, 1], even[:, :, :, 0])
@@ -86,9 +86,9 @@ class QuaternionJoints(Stage):
         return factors[:, :, 0]
 
 
-def _is_rotation(outputs: np.ndarray, turned: np.ndarray) -> np.ndarray:
+def _is_rotation(outputs: np.ndarray, is_quaternion: np.ndarray) -> np.ndarray:
     """Whether attributes are angles of quaternion joints."""
-    return turned[outputs // 9] & np.isin(outputs % 9, ROTATION)
+    return is_quaternion[outputs // 9] & np.isin(outputs % 9, ROTATION)
 
 
 def column_order(group: JointGroup, rotations: np.ndarray) -> np.ndarray:
@@ -99,13 +99,13 @@ def column_order(group: JointGroup, rotations: np.ndarray) -> np.ndarray:
     """
     values = group.values.reshape(len(group.outputs), len(group.inputs))
     order = np.flatnonzero((values[rotations] != 0).any(axis=0)) if rotations.any() else np.zeros(0, np.int64)
-    place = len(order) - 1
+    end = len(order) - 1
     for count in group.row_counts.tolist():
         rows = rotations & (np.arange(len(rotations)) < count)
         while True:
-            unused = [column for column in range(place, -1, -1) if not values[rows][:, order[column]].any()]
+            unused = [column for column in range(end, -1, -1) if not values[rows][:, order[column]].any()]
             if not unused:
                 break
-            order[[unused[0], place]] = order[[place, unused[0]]]
-            place -= 1
+            order[[unused[0], end]] = order[[end, unused[0]]]
+            end -= 1
     return order

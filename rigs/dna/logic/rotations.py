@@ -1,6 +1,6 @@
 """Rotations as DNA files state them: Euler angles of any sequence, and quaternions x y z w.
 
-A sequence such as `xyz` says which axis turns first: for column vectors R = Rz Ry Rx.
+A sequence such as `xyz` says which axis rotates first: for column vectors R = Rz Ry Rx.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Angles:
     """What the numbers of a rotation mean.
 
     Attributes:
-        sequence: indices of the axes, the one that turns first first.
+        sequence: indices of the axes, the one that rotates first before the others.
         factors: radians to a unit of the angle about x, y, z, with its sign.
     """
 
@@ -84,16 +84,18 @@ def euler_matrices(radians: Tensor, sequence: tuple[int, int, int], dim: int = -
         **{(k, i): -sj, (k, j): cj * si, (k, k): cj * ci},
     }
     rows = [entries[row, column] for row in range(3) for column in range(3)]
-    place = dim % radians.ndim
-    return torch.stack(rows, dim=place).unflatten(place, (3, 3))
+    axis_index = dim % radians.ndim
+    return torch.stack(rows, dim=axis_index).unflatten(axis_index, (3, 3))
 
 
 def euler_quaternions(radians: Tensor, sequence: tuple[int, int, int]) -> Tensor:
     """Angles `(..., 3)` about x, y, z to quaternions `(..., 4)`."""
     half = radians / 2
     sines, cosines, axes = torch.sin(half), torch.cos(half), torch.eye(3, dtype=radians.dtype, device=radians.device)
-    turns = [torch.cat([axes[axis] * sines[..., axis : axis + 1], cosines[..., axis : axis + 1]], dim=-1) for axis in sequence]
-    return multiply(turns[2], multiply(turns[1], turns[0]))
+    rotations = [
+        torch.cat([axes[axis] * sines[..., axis : axis + 1], cosines[..., axis : axis + 1]], dim=-1) for axis in sequence
+    ]
+    return multiply(rotations[2], multiply(rotations[1], rotations[0]))
 
 
 def matrix_angles(matrices: Tensor, sequence: tuple[int, int, int]) -> Tensor:
@@ -125,7 +127,7 @@ def quaternion_matrices(quaternions: Tensor) -> Tensor:
 
 
 def multiply(a: Tensor, b: Tensor) -> Tensor:
-    """The Hamilton product of quaternions `(..., 4)`: b turns first."""
+    """The Hamilton product of quaternions `(..., 4)`: b rotates first."""
     ax, ay, az, aw = a.unbind(-1)
     bx, by, bz, bw = b.unbind(-1)
     parts = [
@@ -151,14 +153,14 @@ def normalise(quaternions: Tensor) -> Tensor:
 
 
 def twist_of(quaternions: Tensor, axis: int) -> Tensor:
-    """The part `(..., 4)` of rotations that turns about an axis; the swing is the rotation times its inverse."""
+    """The part `(..., 4)` of rotations that is about an axis; the swing is the rotation times its inverse."""
     kept = torch.zeros(4, dtype=quaternions.dtype, device=quaternions.device)
     kept[[axis, 3]] = 1.0
     return normalise(quaternions * kept)
 
 
 def to_identity(quaternions: Tensor, weights: Tensor) -> Tensor:
-    """Spherical interpolation from quaternions `(..., 4)` to the identity at weights `(...)`: at 1 nothing turns."""
+    """Spherical interpolation from quaternions `(..., 4)` to the identity at weights `(...)`: at 1 nothing rotates."""
     quaternions = torch.where(quaternions[..., 3:] < 0, -quaternions, quaternions)
     vectors, scalars = quaternions[..., :3], quaternions[..., 3]
     squares = vectors.square().sum(dim=-1)

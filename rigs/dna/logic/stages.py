@@ -123,8 +123,8 @@ class Logic(Stage):
             controls = self.radial(controls)
         if not layout.psd:
             return controls
-        places = torch.arange(layout.psds.start, layout.psds.stop, device=raw.device)
-        return put(controls, places, self.psds(controls))
+        positions = torch.arange(layout.psds.start, layout.psds.stop, device=raw.device)
+        return put(controls, positions, self.psds(controls))
 
     def channels_of(self, controls: Tensor) -> Tensor:
         """All controls `(batch, control)` to the weights of blendshape channels `(batch, channel)`."""

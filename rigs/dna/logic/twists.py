@@ -17,7 +17,7 @@ class TwistedJoints(Stage):
         joints: the joints that matter, `(joint,)`.
 
     Attributes:
-        places: where the joints that are written stand among those, `(twisted,)`.
+        positions: where the joints that are written stand among those, `(twisted,)`.
 
     Raises:
         InputError: an entry is damaged.
@@ -25,7 +25,7 @@ class TwistedJoints(Stage):
 
     def __init__(self, layout: Layout, entries: TwistsAndSwings, joints: np.ndarray, count: int) -> None:
         super().__init__()
-        place = {int(joint): number for number, joint in enumerate(joints)}
+        index_of = {int(joint): number for number, joint in enumerate(joints)}
         swung = {tuple(swing.controls.tolist()) for swing in entries.swings}
         kinds = [("twist", twist) for twist in entries.twists] + [("swing", swing) for swing in entries.swings]
         rows: dict[int, tuple] = {}
@@ -34,11 +34,11 @@ class TwistedJoints(Stage):
             controls = tuple(entry.controls.tolist())
             form = "swing" if kind == "swing" else "inverse" if controls in swung else "twist"
             for joint, weight in zip(entry.joints.tolist(), entry.weights.tolist()):
-                if joint in place:
-                    rows[joint] = (place[joint], controls, weight, int(entry.axis), form)
+                if joint in index_of:
+                    rows[joint] = (index_of[joint], controls, weight, int(entry.axis), form)
         found = list(rows.values())
         self.keep(
-            places=np.array([row[0] for row in found], dtype=np.int64),
+            positions=np.array([row[0] for row in found], dtype=np.int64),
             controls=np.array([row[1] for row in found], dtype=np.int64).reshape(-1, 4),
             weights=np.array([row[2] for row in found], dtype=np.float64),
         )

@@ -1,4 +1,4 @@
-"""A GUI control as pieces: intervals of its range on which every run of the table is one linear function."""
+"""A GUI control as segments: intervals of its range on which every run of the table is one linear function."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,15 @@ from rigs.dna.logic.conditions import runs_of
 
 
 @dataclass(frozen=True)
-class Pieces:
+class Segments:
     """One GUI control.
 
     Attributes:
         gui: its number.
         rest: the value at rest.
         outputs: the raw controls that it writes, `(output,)`.
-        ends: the lower and the upper end of each piece, `(piece, 2)`.
-        slopes, cuts: what it adds to each output on each piece, slope * x + cut, `(piece, output)`.
+        ends: the lower and the upper end of each segment, `(segment, 2)`.
+        slopes, cuts: what it adds to each output on each segment, slope * x + cut, `(segment, output)`.
     """
 
     gui: int
@@ -34,8 +34,8 @@ class Pieces:
         return values.min(axis=0), values.max(axis=0)
 
 
-def pieces_of(table: Conditions, gui: int) -> Pieces:
-    """The pieces of a GUI control that the table uses, in exact numbers of the file."""
+def segments_of(table: Conditions, gui: int) -> Segments:
+    """The segments of a GUI control that the table uses, in exact numbers of the file."""
     runs = runs_of(table, len(table.inputs))
     rows = np.flatnonzero(table.inputs == gui)
     lower, upper = np.minimum(table.lower, table.upper).astype(float), np.maximum(table.lower, table.upper).astype(float)
@@ -55,13 +55,13 @@ def pieces_of(table: Conditions, gui: int) -> Pieces:
                 cuts[number, column] += table.cuts[row]
     kept = np.ones(len(ends), bool)
     kept[len(between) :] = [
-        not _continues(slopes, cuts, float(place), len(between) + number, [number - 1, number], len(between))
-        for number, place in enumerate(breaks)
+        not _continues(slopes, cuts, float(value), len(between) + number, [number - 1, number], len(between))
+        for number, value in enumerate(breaks)
     ]
-    return Pieces(gui, rest, outputs, ends[kept], slopes[kept], cuts[kept])
+    return Segments(gui, rest, outputs, ends[kept], slopes[kept], cuts[kept])
 
 
-def _continues(slopes: np.ndarray, cuts: np.ndarray, place: float, point: int, beside: list[int], count: int) -> bool:
-    """Whether the values at a break are those that one of the pieces beside it ends in."""
-    values = slopes * place + cuts
-    return any(np.allclose(values[point], values[piece], rtol=0, atol=1e-7) for piece in beside if 0 <= piece < count)
+def _continues(slopes: np.ndarray, cuts: np.ndarray, value: float, point: int, beside: list[int], count: int) -> bool:
+    """Whether the values at a break are those that one of the segments beside it ends in."""
+    values = slopes * value + cuts
+    return any(np.allclose(values[point], values[segment], rtol=0, atol=1e-7) for segment in beside if 0 <= segment < count)
