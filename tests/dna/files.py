@@ -58,7 +58,7 @@ def shorts(*values) -> np.ndarray:
 def ball(detail: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """A sphere around (0, 1600, 0) mm: vertices and triangles."""
     sphere = trimesh.creation.icosphere(detail, radius=80.0)
-    return np.array(sphere.vertices) + [0, 1600, 0], np.array(sphere.faces)
+    return np.array(sphere.vertices) + np.array([0, 1600, 0]), np.array(sphere.faces)
 
 
 def draft(seed: int = 0) -> Draft:

@@ -7,12 +7,12 @@ import numpy as np
 from riginv.errors import InputError
 from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import Conventions
-from rigs.dna.format.layers import Descriptor
+from rigs.dna.format.layers import Descriptor, Geometry
 
 UNITS_MM = {0: 10.0, 1: 1000.0}  # cm, m
 UNIT_NAMES = {0: "centimetres", 1: "metres"}
 DIRECTIONS = {0: (-1, 0, 0), 1: (1, 0, 0), 2: (0, 1, 0), 3: (0, -1, 0), 4: (0, 0, 1), 5: (0, 0, -1)}  # left ... back, as seen
-SMALLEST_MM, LARGEST_MM = 10.0, 20_000.0  # that a character may be where nobody states its unit by hand
+SMALLEST_MM, LARGEST_MM = 30.0, 10_000.0  # that a character may be where nobody states its unit by hand
 FARTHEST_MM = 1e8
 
 
@@ -80,10 +80,15 @@ class Space:
         return np.concatenate([linear, positions[..., None]], axis=-1)
 
     def check_size(self, file: DnaFile, rest: np.ndarray) -> None:
-        """Raises InputError where a rest mesh `(vertex, 3)`, mm, cannot be of the unit that the file states."""
-        size = float((rest.max(axis=0) - rest.min(axis=0)).max()) if len(rest) else 0.0
+        """Raises InputError where a rest mesh `(vertex, 3)`, mm, or all meshes cannot be of the unit that the file states."""
         if not np.abs(rest).max(initial=0.0) < FARTHEST_MM:
             raise InputError(f"{file.path}: its vertices lie farther than 100 km from the origin: the file is damaged")
+        meshes = [mesh.positions for mesh in file.need(Geometry).meshes]
+        size = 0.0
+        for name in ("xs", "ys", "zs"):
+            values = np.concatenate([getattr(positions, name) for positions in meshes]).astype(np.float64)
+            values = values[np.isfinite(values)]
+            size = max(size, self.unit_mm * float(np.ptp(values)) if len(values) else 0.0)
         if self.stated_unit is not None and not SMALLEST_MM <= size <= LARGEST_MM:
             raise InputError(
                 f"{file.path}: its meshes are {size:.4g} mm large where coordinates are {self.stated_unit}, as the file "
