@@ -1,5 +1,6 @@
 """A sparse matrix times a dense one, differentiable in the dense one in both modes, and under vmap."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,10 @@ from scipy import sparse
 from torch import Tensor
 
 from rigs.dna.logic.stage import Stage
+
+with warnings.catch_warnings():  # PyTorch says of the first sparse matrix of a process that they are new: let it be this one
+    warnings.simplefilter("ignore")
+    torch.sparse_csr_tensor(torch.tensor([0, 1]), torch.tensor([0]), torch.ones(1), size=(1, 1), check_invariants=False)
 
 
 class _Product(torch.autograd.Function):
