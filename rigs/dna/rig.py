@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
+from riginv.geometry.skeleton import Skeleton
 from riginv.rig import LinearRig, RigBackend
 from rigs.arkit import arkit_targets
 from rigs.dna.control_sets import Kind, control_set
@@ -17,6 +18,7 @@ from rigs.dna.format.layers import Definition
 from rigs.dna.linear import LinearMap, linear_map
 from rigs.dna.model import Model, SomeVertices
 from rigs.dna.primaries import primaries_first
+from rigs.dna.skeletons import skeleton_of
 
 LOG = logging.getLogger(__name__)
 PICTURED = 24  # controls that pictures show alone, at most
@@ -38,6 +40,7 @@ class DnaRig(RigBackend):
     Attributes:
         parts: the name of each mesh, its first vertex and one past its last.
         model: what maps raw controls to vertices.
+        joint_names: of all joints of the file.
 
     Raises:
         InputError: the file cannot be read or holds no rig; the message names the file, and what in it.
@@ -69,6 +72,8 @@ class DnaRig(RigBackend):
             LinearRig.__init__(self, name, chosen.controls, rest.float(), faces, ends_in.basis, ends_in.names, primaries)
             self.ends_in = ends_in.stage
         self.model, self.mapping = model, chosen.mapping
+        self.joint_names = content.need(Definition).joints
+        self._moved_at_rest = float(np.abs(rest.numpy() - model.surface.rest).max(initial=0.0))
         starts = model.surface.starts.tolist()
         self.parts = tuple(zip(model.surface.names, starts, starts[1:]))
         LOG.info("\n  ".join([self._describe(content, lod), *chosen.notes, *self._remarks(ends_in)]))
@@ -85,6 +90,11 @@ class DnaRig(RigBackend):
 
     def some_vertices(self, rows: Tensor) -> nn.Module:
         return SomeVertices(self.model, self.mapping, rows)
+
+    def skeleton(self) -> Skeleton | None:
+        if self._moved_at_rest > SAME_MM:
+            return None
+        return skeleton_of(self.model, self.mapping, self.joint_names)
 
     def expressions(self) -> dict[str, dict[str, float]]:
         """Controls alone at their upper limits, evenly spread over the list."""
@@ -103,7 +113,7 @@ class DnaRig(RigBackend):
     def _remarks(self, ends_in: LinearMap | None) -> list[str]:
         """What a user should know."""
         remarks = []
-        away = np.abs(self.rest_vertices.double().numpy() - self.model.surface.rest).max(initial=0.0)
+        away = self._moved_at_rest
         if away > SAME_MM:
             remarks.append(f"with its controls at rest the logic moves vertices by up to {away:.3g} mm; that is the rest mesh")
         if self.model.logic.psds.chained:

@@ -13,6 +13,7 @@ from riginv.rig import LinearRig
 from riginv.rig_contract import check_rig, random_controls
 from rigs.arkit import ARKIT_NAMES
 from rigs.dna import DnaRig
+from rigs.dna.exports import draft_of
 from rigs.dna.format.later_layers import Conventions
 from rigs.dna.format.layers import Axes, Behavior, Definition, Descriptor, Geometry, Vectors
 from rigs.dna.linear import MOST_COEFFICIENTS
@@ -179,6 +180,21 @@ def test_the_linear_map_is_what_skinning_makes(path):
     controls = random_controls(rig, 5, 3)
     torch.testing.assert_close(rig(controls), rig.model(rig.mapping(controls)), atol=1e-3, rtol=0)
     assert len(rig.coefficient_names) == len(rig.basis) and "joint 3.00 c0" in rig.coefficient_names
+
+
+def test_a_character_of_joints_alone_tells_its_skeleton(body, tmp_path):
+    rig = DnaRig(written(tmp_path / "body.dna", draft_of(body).file()))
+    ours, theirs = rig.skeleton(), body.skeleton()
+    assert ours is not None and set(ours.joint_names) <= set(theirs.joint_names) and ours.parents[0] == -1
+    assert all(parent < joint for joint, parent in enumerate(ours.parents))
+    order = [theirs.joint_names.index(name) for name in ours.joint_names]
+    controls = random_controls(body, 3, 0)
+    torch.testing.assert_close(ours.pose(controls), theirs.pose(controls)[:, order], atol=5e-3, rtol=0)
+    torch.testing.assert_close(ours.weights, theirs.weights[:, order], atol=1e-6, rtol=0)
+    neutral = ours.pose(rig.neutral_controls[None])[0]
+    torch.testing.assert_close(neutral[..., :3], torch.eye(3).expand(len(order), 3, 3), atol=1e-5, rtol=0)
+    torch.testing.assert_close(neutral[..., 3], ours.heads, atol=1e-3, rtol=0)
+    assert DnaRig(written(tmp_path / "tiny.dna", everything())).skeleton() is None
 
 
 @pytest.mark.parametrize("file", ["linear", "fitted"])
