@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from riginv.errors import InputError
 from riginv.geometry.interpolation import coefficients_from, telling_vertices
+from riginv.geometry.jacobian import Jacobian, forward_jacobian
 from riginv.mesh_space import MeshSpace
 from riginv.rig import LinearRig, RigBackend
 from riginv.sampling.controls import sparse_controls
@@ -108,6 +109,12 @@ class FittedRig(LinearRig):
         if self.some is None:
             return self.coefficients_of(self.posed(controls))
         return (self.some(controls) - self.some_rest.to(controls)).flatten(1) @ self.some_projection.to(controls)
+
+    @torch.no_grad()
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        if self.some is None:
+            return super().coefficient_jacobian(controls)
+        return forward_jacobian(self.coefficients, controls)
 
     def coefficients_of(self, vertices: Tensor) -> Tensor:
         """The coefficients `(batch, coefficient)` of meshes `(batch, vertex, 3)`, mm, of the rig."""

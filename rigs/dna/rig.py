@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
+from riginv.geometry.jacobian import Jacobian, forward_jacobian
 from riginv.geometry.skeleton import Skeleton
 from riginv.rig import LinearRig, RigBackend
 from rigs.arkit import arkit_targets
@@ -129,6 +130,10 @@ class LinearDnaRig(DnaRig, LinearRig):
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the weights of channels, and what joints make of them (`rigs.dna.linear`)."""
         return self.ends_in(self.model.pose(self.mapping(controls)))
+
+    @torch.no_grad()
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        return forward_jacobian(self.coefficients, controls)
 
     def forward(self, controls: Tensor) -> Tensor:
         return LinearRig.forward(self, controls)

@@ -158,6 +158,17 @@ def test_many_joints_are_fitted_by_the_vertices_that_tell_most(tmp_path, caplog)
     torch.testing.assert_close(again, fitted.coefficients(controls), atol=1e-2, rtol=0)
 
 
+@pytest.mark.parametrize("file", [everything(operations=True), many_joints().file()], ids=["linear", "fitted"])
+def test_forward_derivatives_are_those_of_the_gradient(tmp_path, file):
+    rig = DnaRig(written(tmp_path / "a.dna", file), "raw").double()
+    fitted = rig if isinstance(rig, LinearRig) else FittedRig(rig, torch.randn(9, *rig.rest_vertices.shape).double())
+    controls = random_controls(rig, 3, 0).double()
+    found, jacobian = fitted.coefficient_jacobian(controls)
+    expected, reverse = LinearRig.coefficient_jacobian(fitted, controls)
+    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(jacobian.dense(), reverse.dense(), atol=1e-8, rtol=1e-6)
+
+
 def test_some_vertices_are_those_of_the_whole_mesh(tmp_path):
     rig = DnaRig(written(tmp_path / "many.dna", many_joints().file()))
     rows = torch.tensor([0, 7, 31, 200])

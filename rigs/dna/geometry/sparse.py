@@ -1,4 +1,4 @@
-"""A sparse matrix times a dense one, differentiable in the dense one, also under vmap."""
+"""A sparse matrix times a dense one, differentiable in the dense one in both modes, also under vmap."""
 
 import warnings
 from typing import Any
@@ -31,6 +31,10 @@ class _Product(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, None, Tensor]:
         return None, None, _Product.apply(ctx.transpose, ctx.matrix, gradient.contiguous())
+
+    @staticmethod
+    def jvp(ctx: Any, matrix: None, transpose: None, tangent: Tensor) -> Tensor:
+        return _Product.apply(ctx.matrix, ctx.transpose, tangent.contiguous())
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, matrix: tuple, transpose: tuple, x: Tensor) -> tuple[Tensor, int]:
