@@ -103,7 +103,9 @@ def forward_jacobian(function: Callable[[Tensor], Tensor], controls: Tensor) -> 
     for batch in controls.detach().split(max(1, FORWARD // count)):
         with forward_ad.dual_level():
             directions = torch.eye(count).to(batch).repeat(len(batch), 1)
-            dual = forward_ad.make_dual(batch.repeat_interleave(count, dim=0), directions)
+            with warnings.catch_warnings():  # on first use PyTorch compiles something in a way that it calls deprecated
+                warnings.simplefilter("ignore", DeprecationWarning)
+                dual = forward_ad.make_dual(batch.repeat_interleave(count, dim=0), directions)
             values, tangents = forward_ad.unpack_dual(function(dual))
         found.append(values[::count])
         tangents = torch.zeros_like(values) if tangents is None else tangents
