@@ -59,7 +59,7 @@ def control_set(file: DnaFile, logic: Logic, kind: Kind | None) -> ControlSet:
         for number, rest in zip(used, np.clip(0.0, lower[used], upper[used]))
     ]
     unused = [name for number, name in enumerate(definition.gui_controls) if number not in set(used.tolist())]
-    notes = [f"{len(unused)} GUI controls move nothing and are left out: {_listed(unused)}"] if unused else []
+    notes = [f"GUI controls that the table does not use are left out ({len(unused)}): {_listed(unused)}"] if unused else []
     groups = logic.quaternions
     taken = {control.name for control in controls}
     for control in _quaternion_controls(definition, groups):
@@ -67,7 +67,7 @@ def control_set(file: DnaFile, logic: Logic, kind: Kind | None) -> ControlSet:
             raise InputError(f"{file.path}: a GUI and a raw control are both named '{control.name[:80]}': rename one of them")
         controls.append(control)
     if len(groups):
-        notes.append(f"{len(groups)} quaternions, which GUI controls do not reach, are controls too")
+        notes.append(f"quaternions, which GUI controls do not reach, are controls too ({len(groups)} of them)")
     return ControlSet(controls, FromGui(logic, used), notes)
 
 
@@ -76,7 +76,7 @@ def _raw_controls(definition: Definition, logic: Logic) -> ControlSet:
     controls = [Control(name) for name in definition.raw_controls]
     for number, control in zip(groups.reshape(-1).tolist(), _quaternion_controls(definition, groups)):
         controls[number] = control
-    notes = [f"{len(groups)} groups of four raw controls are quaternions, brought to length 1"] if len(groups) else []
+    notes = [f"raw controls that are quaternions, four each, are brought to length 1 ({len(groups)})"] if len(groups) else []
     return ControlSet(controls, FromRaw(logic), notes)
 
 

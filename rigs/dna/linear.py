@@ -90,9 +90,9 @@ def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:
     """The linear map that a model ends in; None where it would be too large."""
     moving, channels = moving_joints(model), len(model.channels)
     vertices = len(model.surface.rest)
-    weights = sparse.csc_array(model.skin.weights)[:, moving].toarray()  # (vertex, moving)
     if not _fits((3 if len(moving) else 1) * channels + NUMBERS * len(moving), vertices):
         return None
+    weights = sparse.csc_array(model.skin.weights)[:, moving].toarray()  # (vertex, moving)
     deltas = model.skin.deltas.toarray().T.reshape(channels, vertices, 3).astype(np.float32)
     names = [channel_names[number] for number in model.channels]
     if not len(moving):

@@ -47,6 +47,8 @@ class DnaRig(RigBackend):
         InputError: the file cannot be read or holds no rig; the message names the file, and what in it.
     """
 
+    poses_some = True
+
     def __init__(
         self,
         file: str,
@@ -79,8 +81,6 @@ class DnaRig(RigBackend):
         self.parts = tuple(zip(model.surface.names, starts, starts[1:]))
         LOG.info("\n  ".join([self._describe(content, lod), *chosen.notes, *self._remarks(ends_in)]))
 
-    poses_some = True
-
     def forward(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to vertices `(batch, vertex, 3)`, mm."""
         return self.model(self.mapping(controls))
@@ -100,7 +100,7 @@ class DnaRig(RigBackend):
     def expressions(self) -> dict[str, dict[str, float]]:
         """Controls alone at their upper limits, evenly spread over the list."""
         step = max(1, -(-len(self.controls) // PICTURED))
-        return {control.name: {control.name: control.upper} for control in self.controls[::step] if control.unit == ""}
+        return {control.name: {control.name: control.upper} for control in self.controls[::step]}
 
     def _describe(self, content: DnaFile, lod: int) -> str:
         size = " x ".join(f"{length:.3g}" for length in (self.rest_vertices.amax(0) - self.rest_vertices.amin(0)).tolist())

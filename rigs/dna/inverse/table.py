@@ -79,7 +79,7 @@ class TableInverse:
                 others = self._sums(controls, outputs, values, segments, without=number)
                 rows = np.searchsorted(outputs, control.outputs)
                 values[:, number], segments[:, number], _ = best_value(control, others[:, rows], wanted[:, control.outputs])
-            if np.abs(values - before).max() < SAME:
+            if np.abs(values - before).max(initial=0.0) < SAME:
                 break
         errors = _errors(self._sums(controls, outputs, values, segments), wanted[:, outputs])
         program = SharedOutputs(controls, outputs)

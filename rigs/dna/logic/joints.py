@@ -19,7 +19,7 @@ QUATERNION = 1  # of a joint's representation of rotation
 
 
 class JointChanges(NamedTuple):
-    """What joints add to their neutral pose. The batch comes last: thousands of tiny matrices are far quicker so.
+    """What joints add to their neutral pose. The batch comes last, for speed (`rigs.dna.geometry.transforms`).
 
     Attributes:
         attributes: `(joint, 9, batch)` in the file's units: translation, Euler angles, scale less 1.
@@ -64,9 +64,8 @@ class JointGroups(Stage):
         attributes = np.full(ATTRIBUTES * len(joints), sum(len(block.outputs) for block in blocks))  # behind all rows is a 0
         row = 0
         for number, block in enumerate(blocks):
-            attributes[ATTRIBUTES * index_of[block.outputs // ATTRIBUTES] + block.outputs % ATTRIBUTES] = row + np.arange(
-                len(block.outputs)
-            )
+            joint, attribute = np.divmod(block.outputs, ATTRIBUTES)
+            attributes[ATTRIBUTES * index_of[joint] + attribute] = row + np.arange(len(block.outputs))
             row += len(block.outputs)
             self.keep(**{f"values{number}": block.values.copy()})
         self.widths = [len(block.inputs) for block in blocks]
@@ -76,7 +75,7 @@ class JointGroups(Stage):
     def forward(self, controls: Tensor) -> JointChanges:
         """All controls `(batch, control)` to what the joints change by."""
         parts = controls.T.index_select(0, self.inputs).split(self.widths)
-        rows = [self.get_buffer(f"values{number}").to(controls) @ part for number, part in enumerate(parts) if self.widths]
+        rows = [self.get_buffer(f"values{number}").to(controls) @ part for number, part in enumerate(parts)]
         rows = torch.cat([*rows, controls.new_zeros(1, len(controls))])
         attributes = rows.index_select(0, self.rows_of_attributes).unflatten(0, (self.joints, ATTRIBUTES))
         return JointChanges(attributes, self.quaternions(controls), self.quaternions.positions)

@@ -16,7 +16,7 @@ BASIS = range(3, 10)  # keys of a change of basis
 class LearnedJoints(Stage):
     """Adds translations and scales, and rotates joints further, by what controls hold.
 
-    Written from the notes on the format (docs/dna.md): no file at hand has such joints, so nothing else confirms it.
+    Written from notes on the format alone: no file at hand has such joints (docs/dna.md).
 
     Attributes:
         positions: where the joints that are moved stand among those that matter, `(moved,)`.

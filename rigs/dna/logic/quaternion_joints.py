@@ -1,7 +1,7 @@
 """Joints whose rotations are quaternions: every column of their group rotates them a bit further.
 
 The order of the columns matters, and it is that of the reference, which brings columns that a level of detail does not use to
-the end (format notes in docs/dna.md).
+the end.
 """
 
 from collections.abc import Sequence
