@@ -58,7 +58,7 @@ def control_set(file: DnaFile, logic: Logic, kind: Kind | None) -> ControlSet:
         Control(definition.gui_controls[number], float(lower[number]), float(upper[number]), float(rest))
         for number, rest in zip(used, np.clip(0.0, lower[used], upper[used]))
     ]
-    unused = [name for number, name in enumerate(definition.gui_controls) if number not in set(used.tolist())]
+    unused = [definition.gui_controls[number] for number in np.flatnonzero(~(upper > lower)).tolist()]
     notes = [f"GUI controls that the table does not use are left out ({len(unused)}): {_listed(unused)}"] if unused else []
     groups = logic.quaternions
     taken = {control.name for control in controls}

@@ -72,18 +72,12 @@ def moving_joints(model: Model) -> np.ndarray:
     rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
     moves = (groups.rows_of_attributes.view(count, -1) < rows).any(dim=1).numpy() if count else np.zeros(0, bool)
     moves[stage.quaternion_joints.numpy()] = True
-    for joint, parent in sorted(enumerate(model.skeleton.parents), key=lambda pair: _depth(model.skeleton.parents, pair[0])):
-        moves[joint] |= parent >= 0 and moves[parent]
+    parents = np.array(model.skeleton.parents, dtype=np.int64)
+    for level in model.skeleton.levels[1:]:
+        moves[level] |= moves[parents[level]]
     weights = model.skin.weights
     carries = np.bincount(weights.indices, weights.data, minlength=count + 1)[:count] > 0
     return np.flatnonzero(moves & carries)
-
-
-def _depth(parents: list[int], joint: int) -> int:
-    depth = 0
-    while parents[joint] >= 0:
-        joint, depth = parents[joint], depth + 1
-    return depth
 
 
 def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:

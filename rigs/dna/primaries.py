@@ -7,6 +7,7 @@ from torch import Tensor
 
 from rigs.dna.control_sets import ControlSet
 from rigs.dna.linear import LinearMap
+from rigs.dna.logic.layout import MOST_NUMBERS
 from rigs.dna.logic.stage import Stage
 from rigs.dna.model import Model, Pose
 
@@ -32,7 +33,8 @@ def primaries_first(ends_in: LinearMap, model: Model, chosen: ControlSet) -> tup
 
     0 where the rig is no blendshape rig: joints move, weights leave [0, 1], or some are not 0 at rest.
     """
-    if not ends_in.channels or model.layout.ml or model.layout.rbf:
+    count = len(chosen.controls)
+    if not ends_in.channels or model.layout.ml or model.layout.rbf or count * (count + model.layout.total) > MOST_NUMBERS:
         return ends_in, 0
     limits = [[getattr(control, name) for control in chosen.controls] for name in ("neutral", "lower", "upper")]
     neutral, lower, upper = torch.tensor(limits, dtype=torch.float64)

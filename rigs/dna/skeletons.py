@@ -8,6 +8,7 @@ from riginv.geometry.skeleton import Skeleton
 from rigs.dna.model import Model
 
 SCALES = slice(6, 9)  # of a joint's nine attributes
+MOST = 100_000_000  # weights of all vertices for all joints
 BONE = 0.3  # of the distance to its parent: how long the bone of a joint without children is drawn
 
 
@@ -19,8 +20,10 @@ def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Ske
         names: of all joints of the file.
     """
     skeleton, groups = model.skeleton, model.logic.joints.groups
+    if len(model.channels) or sum(parent < 0 for parent in skeleton.parents) != 1 or np.prod(model.skin.weights.shape) > MOST:
+        return None
     weights = model.skin.weights.toarray()
-    if len(model.channels) or sum(parent < 0 for parent in skeleton.parents) != 1 or weights[:, -1].any():
+    if weights[:, -1].any():
         return None
     attributes = groups.rows_of_attributes.view(len(model.joints), -1)
     rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))

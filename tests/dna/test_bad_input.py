@@ -248,3 +248,25 @@ def test_a_path_that_leads_to_no_file_is_told(tmp_path, name):
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match="no such file|cannot be read"):
         read_dna(f"{tmp_path}/{name}")
+
+
+def bomb(name: str) -> DnaFile:
+    """A file of less than a megabyte whose tables would fill tens of gigabytes."""
+    many = 60_000
+    if name == "psds":
+        psds = dataclasses.replace(PSDS, rows=shorts(*[RAWS] * many), columns=shorts(*[0] * many), values=floats(*[1] * many))
+        file = draft().file()
+        crowded = dataclasses.replace(file.need(Behavior).controls, psds=psds, psd_count=50_000)
+        return changed(file, Behavior, controls=crowded)
+    if name == "table":
+        ones = {field: floats(*[1.0] * (2 * many)) for field in ("lower", "upper", "slopes", "cuts")}
+        outputs = shorts(*[0] * many, *np.arange(many) % 2)
+        return controls(table=dataclasses.replace(TABLE, inputs=shorts(*[0] * (2 * many)), outputs=outputs, **ones))
+    poses = 20_000
+    values = floats(*[0, 0, 0, 1] * poses)
+    return solver(poses=shorts(*[0] * poses), values=values)
+
+
+@pytest.mark.parametrize(("name", "what"), [("psds", "PSD matrix"), ("table", "GUI table"), ("poses", "solver 'aim'")])
+def test_a_small_file_cannot_ask_for_a_large_table(tmp_path, name, what):
+    refused(tmp_path, bomb(name), f"{what} needs a table of .* numbers, more than could be meant")

@@ -4,9 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from rigs.dna.format import DnaFile
-from rigs.dna.format.layers import Behavior
+from rigs.dna.format.layers import Behavior, Definition
 from rigs.dna.inverse.segments import Segments, segments_of
 from rigs.dna.inverse.several import SharedOutputs
 from rigs.dna.inverse.single import SAME, best_value
@@ -14,6 +16,7 @@ from rigs.dna.logic.conditions import ConditionTable, input_ranges
 from rigs.dna.logic.layout import Layout
 
 REACHED = 1e-6  # the error of a component below which nothing better needs to be looked for
+MOST_ROWS = 500  # of the table, for one GUI control
 SWEEPS = 20  # over the controls of a component, before it is solved as a whole
 
 
@@ -47,8 +50,12 @@ class TableInverse:
         self.forward = ConditionTable(layout, "the GUI table", table, len(table.inputs), layout.gui, layout.raw)
         lower, upper = input_ranges(table, layout.gui)
         self.rest = np.where(np.isnan(lower), 0.0, np.clip(0.0, lower, upper))
+        rows = np.bincount(table.inputs, minlength=1)
+        if rows.max() > MOST_ROWS:
+            name = file.need(Definition).gui_controls[int(rows.argmax())]
+            raise layout.wrong(f"GUI control {name[:60]!r} has {rows.max():,} rows in the table, more than could be meant")
         controls = [segments_of(table, number) for number in np.flatnonzero(upper > lower).tolist()]
-        self.components = _components(controls)
+        self.components = _components(controls, layout.raw)
 
     def __call__(self, raw: np.ndarray) -> GuiAnswer:
         """GUI controls for raw controls `(frame, raw)`."""
@@ -156,17 +163,11 @@ def _segment_at(control: Segments, value: float) -> int:
     return int(np.argmax((control.ends[:, 0] <= value) & (value <= control.ends[:, 1])))
 
 
-def _components(controls: list[Segments]) -> list[list[Segments]]:
+def _components(controls: list[Segments], outputs: int) -> list[list[Segments]]:
     """GUI controls that share outputs, directly or through others, together."""
-    groups: list[tuple[set[int], list[Segments]]] = []
-    for control in controls:
-        outputs, members = set(control.outputs.tolist()), [control]
-        apart = []
-        for other, there in groups:
-            if other & outputs:
-                outputs |= other
-                members = there + members
-            else:
-                apart.append((other, there))
-        groups = [*apart, (outputs, members)]
-    return [members for _, members in groups]
+    counts = [len(control.outputs) for control in controls]
+    columns = np.concatenate([control.outputs for control in controls] or [np.zeros(0)]).astype(np.int64)
+    rows = np.repeat(np.arange(len(controls)), counts)
+    writes = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(controls), outputs))
+    _, labels = connected_components(writes @ writes.T, directed=False)
+    return [[controls[number] for number in np.flatnonzero(labels == label)] for label in np.unique(labels)]

@@ -61,6 +61,7 @@ class ConditionTable(Stage):
         first = np.cumsum(sizes) - sizes
         slot = np.arange(rows) - first[run] if rows else np.zeros(0, np.int64)
         shape = (len(sizes), int(sizes.max(initial=1)))
+        layout.check_room(what, *shape)
         padded = {name: np.zeros(shape) for name in ("slopes", "cuts")}
         padded |= {"lower": np.full(shape, np.inf), "upper": np.full(shape, -np.inf)}
         lower, upper = table.lower[:rows].astype(float), table.upper[:rows].astype(float)

@@ -1,5 +1,6 @@
 """Where each kind of control stands among all of them, and checks that indices and numbers of a file can be used."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,8 @@ from riginv.errors import InputError
 from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import MachineLearning, RadialBasis, RadialBasisOutputs
 from rigs.dna.format.layers import Behavior, Definition, Descriptor, Lods
+
+MOST_NUMBERS = 50_000_000  # of a table that is filled up: production heads need a hundredth of it
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,12 @@ class Layout:
         if len(set(lengths.values())) > 1:
             said = ", ".join(f"{count} {name}" for name, count in lengths.items())
             raise self.wrong(f"{what} has lists of different lengths: {said}")
+
+    def check_room(self, what: str, *sizes: int) -> None:
+        """Raises InputError where a table of such sizes would be far larger than could be meant."""
+        if math.prod(sizes) > MOST_NUMBERS:
+            shape = " x ".join(f"{size:,}" for size in sizes)
+            raise self.wrong(f"{what} needs a table of {shape} numbers, more than could be meant")
 
     def wrong(self, found: str) -> InputError:
         """The error for content that cannot be evaluated."""

@@ -41,10 +41,11 @@ class LearnedJoints(Stage):
         layout.check(what, entry.outputs, stride * count, "joint attributes")
         index_of = {int(joint): number for number, joint in enumerate(joints)}
         moved = [joint for joint in np.unique(entry.outputs // stride).tolist() if joint in index_of]
+        row_of = {joint: row for row, joint in enumerate(moved)}
         inputs = np.full((len(moved), stride), layout.total)
         for control, attribute in zip(entry.inputs.tolist(), entry.outputs.tolist()):
-            if attribute // stride in moved:
-                inputs[moved.index(attribute // stride), attribute % stride] = control
+            if attribute // stride in row_of:
+                inputs[row_of[attribute // stride], attribute % stride] = control
         self.keep(positions=np.array([index_of[joint] for joint in moved], dtype=np.int64), inputs=inputs)
 
     def forward(self, controls: Tensor, attributes: Tensor, quaternions: Tensor) -> tuple[Tensor, Tensor]:

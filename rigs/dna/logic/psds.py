@@ -37,6 +37,7 @@ class PoseSpaceDrivers(Stage):
             )
         order = np.argsort(rows, kind="stable")
         counts = np.bincount(rows, minlength=layout.psd)
+        layout.check_room("the PSD matrix", layout.psd, int(counts.max(initial=1)))
         members = np.full((layout.psd, int(counts.max(initial=1))), -1)
         slot = np.arange(len(rows)) - (np.cumsum(counts) - counts)[rows[order]]
         members[rows[order], slot] = psds.columns[order]

@@ -62,6 +62,7 @@ class QuaternionJoints(Stage):
                     moving = np.flatnonzero((values != 0).any(axis=0))
                     columns[joint] = [(int(block.inputs[order[column]]), values[:, column]) for column in moving]
         most = max((len(found) for found in columns.values()), default=0)
+        layout.check_room("the quaternion joints", len(index_of), most, 4)
         inputs, eulers = np.full((len(index_of), most), layout.total), np.zeros((len(index_of), most, 3))
         for row, joint in enumerate(index_of):
             for slot, (control, euler) in enumerate(columns.get(joint, [])):
@@ -97,15 +98,15 @@ def column_order(group: JointGroup, rotations: np.ndarray) -> np.ndarray:
     Args:
         rotations: which rows are angles of quaternion joints.
     """
-    values = group.values.reshape(len(group.outputs), len(group.inputs))
-    order = np.flatnonzero((values[rotations] != 0).any(axis=0)) if rotations.any() else np.zeros(0, np.int64)
+    values = group.values.reshape(len(group.outputs), len(group.inputs)) != 0
+    values &= rotations[:, None]
+    order = np.flatnonzero(values.any(axis=0))
+    first_row = values[:, order].argmax(axis=0)  # a level that uses fewer rows does not use the column
     end = len(order) - 1
-    for count in group.row_counts.tolist():
-        rows = rotations & (np.arange(len(rotations)) < count)
-        while True:
-            unused = [column for column in range(end, -1, -1) if not values[rows][:, order[column]].any()]
-            if not unused:
-                break
-            order[[unused[0], end]] = order[[end, unused[0]]]
-            end -= 1
+    for count in dict.fromkeys(group.row_counts.tolist()):
+        for column in range(end, -1, -1):
+            if first_row[column] >= count:
+                for one in (order, first_row):
+                    one[[column, end]] = one[[end, column]]
+                end -= 1
     return order

@@ -41,6 +41,7 @@ class RadialSolver(Stage):
         if solver.distance != EUCLIDEAN and width % 4:
             raise layout.wrong(f"{what} measures quaternions, four controls each, and has {width} controls")
         layout.check_controls(what, solver.controls)
+        layout.check_room(what, poses, poses, width)
         layout.check_finite(what, np.concatenate([solver.values, [solver.radius, solver.threshold], scales]))
         self.solver, self.rounds = solver, False
         values = solver.values.reshape(poses, width).astype(np.float64)
@@ -67,9 +68,10 @@ class RadialSolver(Stage):
         """Which controls multiply each pose's weight, and the matrix from poses to the controls that are written."""
         written = np.unique(np.concatenate([one.outputs for one in outputs] or [np.zeros(0)]).astype(np.int64))
         check_outputs(layout, what, written)
-        matrix = np.zeros((len(outputs), len(written)))
         most = max((len(one.inputs) for one in outputs), default=0)
+        layout.check_room(what, len(outputs), most + len(written))
         factors = np.full((len(outputs), most), layout.total)  # behind the last control stands a 1
+        matrix = np.zeros((len(outputs), len(written)))
         for row, one in enumerate(outputs):
             layout.check_lengths(f"pose {row} of {what}", outputs=len(one.outputs), weights=len(one.weights))
             layout.check_controls(f"pose {row} of {what}", one.inputs)
