@@ -1,6 +1,5 @@
 """Every file that riginv reads, whole, with what reads it."""
 
-import dataclasses
 import functools
 import json
 from collections.abc import Callable
@@ -27,16 +26,11 @@ from riginv.inversion.regions import read_region
 from riginv.pairs import read_pairs, write_pairs
 from riginv.reproduction.answers import read_answers
 from riginv.reproduction.steps import read_done, write_done
-from rigs.dna import DnaRig
-from rigs.dna.format import read_dna, write_dna
-from rigs.dna.format.container import dna_bytes
-from rigs.dna.inverse import TableInverse
 from rigs.gltf import GltfRig
 from rigs.shapes import ShapesRig
 from tests import sculpts
 from tests.clips import performance, write_animated_glb, write_mdd, write_npz, write_obj, write_pc2, write_usd
-from tests.dna.files import draft, everything, two_levels
-from tests.dna.mutation import mutated
+from tests.fuzz import characters
 from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint
 from tests.fuzz.tally import Target
 from tests.test_bundle import rewrite_sums
@@ -135,43 +129,6 @@ def _avatar(folder: Path) -> Target:
 def _avatar_in_parts(folder: Path) -> Target:
     path = write_animated_glb(folder / "a.gltf", performance(toy(), 4), toy().faces.numpy())
     return Target(_files(folder), lambda: GltfRig(str(path)))
-
-
-def _dna(version: int) -> Make:
-    """Every layer, or the sections of version 2.1; read, posed, and written again."""
-
-    def make(folder: Path) -> Target:
-        file = everything() if version > 1 else dataclasses.replace(two_levels(draft().file()), version=1)
-        path = folder / "a.dna"
-        write_dna(path, file)
-
-        return Target([path], lambda: read_character(path))
-
-    return make
-
-
-def read_character(path: Path) -> None:
-    found = read_dna(path)
-    assert dna_bytes(found)[:3] == b"DNA"
-    for controls in ("raw", None):
-        rig = DnaRig(str(path), controls)
-        with torch.no_grad():
-            assert rig(rig.upper[None]).shape[1:] == rig.rest_vertices.shape
-    TableInverse(found)(np.full((1, len(DnaRig(str(path), "raw").controls)), 0.5))
-
-
-def _dna_values(folder: Path) -> Target:
-    """Files whose bytes are in order and whose numbers are not; the bytes that are damaged choose which."""
-    seed, path, whole = folder / "seed", folder / "a.dna", everything(operations=True)
-    seed.write_bytes(b"no change" * 4)
-
-    def read() -> None:
-        given = seed.read_bytes()
-        random = np.random.default_rng(list(given))
-        write_dna(path, whole if given == b"no change" * 4 else mutated(whole, random))
-        read_character(path)
-
-    return Target([seed], read)
 
 
 def pair_arrays() -> dict[str, np.ndarray]:
@@ -309,9 +266,9 @@ READERS: dict[str, Make] = {
     "rig deltas": _deltas,
     "rig .glb": _avatar,
     "rig .gltf": _avatar_in_parts,
-    "rig .dna": _dna(8),
-    "rig .dna 2.1": _dna(1),
-    "rig .dna, numbers": _dna_values,
+    "rig .dna": characters.dna(8),
+    "rig .dna 2.1": characters.dna(1),
+    "rig .dna, numbers": characters.dna_numbers,
     "pairs .npz": _pairs_npz,
     "pairs .npy": _pairs_npy,
     "pairs .zarr": _pairs_zarr,
