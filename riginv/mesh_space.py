@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from riginv.errors import InputError
 from riginv.rig import LinearRig
 
+SEARCHED_VERTICES = 3000  # that the number of components is searched by
 RANK_TOLERANCE = 1e-6  # of the largest singular value; directions below it are noise of a float32 basis
 
 
@@ -64,20 +65,26 @@ class MeshSpace(nn.Module):
         if not residual_mm > 0:
             raise InputError(f"residual_mm is {residual_mm}, expected a distance above 0")
         flat = (samples - rest_vertices).flatten(1).double()
-        right = _principal_directions(flat)
+        right = _principal_directions(flat, residual_mm)
         rank, coordinates = len(right), flat @ right.T
+        some = slice(None, None, max(1, len(rest_vertices) // SEARCHED_VERTICES))
 
-        def residual(count: int) -> float:
-            rest = flat - coordinates[:, :count] @ right[:count]
-            return float(rest.unflatten(1, rest_vertices.shape).norm(dim=2).mean())
+        def residual(count: int, vertices: slice) -> float:
+            of, by = (rows.unflatten(1, rest_vertices.shape)[:, vertices].flatten(1) for rows in (flat, right[:count]))
+            rest = of - coordinates[:, :count] @ by
+            return float(rest.unflatten(1, (-1, 3)).norm(dim=2).mean())
 
         low, high = 0, rank  # the residual falls as components are added: bisect for the fewest that suffice
         while low < high:
             middle = (low + high) // 2
-            low, high = (low, middle) if residual(middle) <= residual_mm else (middle + 1, high)
+            low, high = (low, middle) if residual(middle, some) <= residual_mm else (middle + 1, high)
         count = max(low, 1)
+        remaining = residual(count, slice(None))
+        while remaining > residual_mm and count < rank:  # the vertices that were searched by may be those that are met best
+            count = min(rank, count + max(1, count // 100))
+            remaining = residual(count, slice(None))
         frame = right[:count].unflatten(1, rest_vertices.shape).to(rest_vertices.dtype)
-        return cls(rest_vertices, frame, residual(count))
+        return cls(rest_vertices, frame, remaining)
 
     @property
     def size(self) -> int:
@@ -97,14 +104,19 @@ class MeshSpace(nn.Module):
         return self.rest_vertices + (coordinates @ self.frame.flatten(1)).unflatten(1, self.rest_vertices.shape)
 
 
-def _principal_directions(flat: Tensor) -> Tensor:
+def _principal_directions(flat: Tensor, residual_mm: float) -> Tensor:
     """Orthonormal directions `(direction, value)` of samples `(sample, value)`, in order of importance.
 
-    They come of the samples' Gram matrix: far faster than a decomposition of the samples where these are long.
+    They come of the samples' Gram matrix: far faster than a decomposition of the samples where these are long. As many as
+    leave a root mean square distance of `residual_mm` are enough, for the mean distance is no larger.
     """
     squares, vectors = torch.linalg.eigh(flat @ flat.T)
-    values = squares.clamp_min(0).sqrt().flip(0)
+    squares = squares.clamp_min(0).flip(0)
+    values = squares.sqrt()
     rank = max(int((values > RANK_TOLERANCE * values[0].clamp_min(1e-12)).sum()), 1)
+    remaining = (squares.sum() - squares.cumsum(0)) / (len(flat) * flat.shape[1] / 3)
+    enough = int((remaining > residual_mm**2).sum()) + 1
+    rank = min(rank, enough)
     directions = vectors.flip(1)[:, :rank].T @ flat
     return torch.linalg.qr(directions.T)[0].T  # once more: the Gram matrix has squared the faint ones' rounding errors
 

@@ -62,6 +62,7 @@ class RigBackend(nn.Module, ABC):
         differentiable: whether gradients pass from the vertices to the controls.
         notes: whole sentences for the user: what was mended or guessed when the rig was read.
         contents: what it was made from, in a few words: `52 primary shapes, 12 in-betweens`; empty: nothing to say.
+        poses_some: whether it makes some of its vertices for less than all of them (`some_vertices`).
 
     Raises:
         InputError: the controls, the mesh or the faces do not make a rig.
@@ -70,6 +71,7 @@ class RigBackend(nn.Module, ABC):
     differentiable: bool = True
     notes: tuple[str, ...] = ()
     contents: str = ""
+    poses_some: bool = False
     lower: Tensor
     upper: Tensor
     neutral_controls: Tensor
@@ -127,6 +129,13 @@ class RigBackend(nn.Module, ABC):
     def vertex_colors(self) -> Tensor | None:
         """Colours `(vertex, 3)` in [0, 1] for pictures, or None for plain clay."""
         return None
+
+    def some_vertices(self, rows: Tensor) -> nn.Module:
+        """Controls `(batch, control)` to the vertices `rows` alone, `(batch, row, 3)`, mm, where `poses_some` says so.
+
+        A large rig that does not end in a linear map is trained on by these alone (`riginv.fitted_rig`).
+        """
+        raise NotImplementedError(f"rig '{self.name}' poses all of its vertices at once")
 
     @abstractmethod
     def forward(self, controls: Tensor) -> Tensor:

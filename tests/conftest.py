@@ -15,6 +15,10 @@ from riginv import check, compare, contact_sheet, evaluate, export_onnx, inspect
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
+from rigs.dna import copy as copy_dna
+from rigs.dna import evaluate as evaluate_dna
+from rigs.dna import export as export_dna
+from rigs.dna import gui as gui_dna
 from rigs.face import FaceRig
 from tests.toys import ToyRig
 
@@ -30,7 +34,12 @@ COMMANDS = {
     "export_onnx": export_onnx.export_onnx,
     "reproduce": reproduce.reproduce,
     "sample": sample.sample,
+    "copy_dna": copy_dna.copy,
+    "evaluate_dna": evaluate_dna.evaluate,
+    "export_dna": export_dna.export,
+    "gui_dna": gui_dna.gui,
 }
+LEAVE_NO_FOLDER = ("check", "contact_sheet", "inspect", "invert", "sample", "copy_dna", "evaluate_dna", "export_dna", "gui_dna")
 SMALL = [
     "rig=toy",
     f"--config-dir={ROOT / 'tests/conf'}",
@@ -99,13 +108,8 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
     def run_command(name: str, *arguments: str, small: bool = True, folder: str = "run") -> Outcome:
         target = tmp_path / folder
         given = [*(SMALL if small and name == "train" else []), *arguments]
-        if not any(argument.startswith(("hydra.run.dir", "hydra.sweep.dir")) for argument in given) and name not in (
-            "check",
-            "contact_sheet",
-            "inspect",
-            "invert",
-            "sample",
-        ):
+        named = any(argument.startswith(("hydra.run.dir", "hydra.sweep.dir")) for argument in given)
+        if not named and name not in LEAVE_NO_FOLDER:
             given.append(f"hydra.run.dir={target}")
         monkeypatch.setattr(sys, "argv", [f"riginv.{name}", *given])
         monkeypatch.chdir(tmp_path)

@@ -10,16 +10,19 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as numbers
 
 from riginv.rig import LinearRig
+from rigs.dna import DnaRig
 from rigs.shapes import ShapesRig
 from rigs.surrogate import SurrogateRig
 from tests import sculpts
 from tests.avatars import face_avatar
+from tests.dna.files import everything, written
+from tests.dna.heads import many_joints
 from tests.fuzz.bundles import write_tiny_surrogate
 from tests.toys import ToyRig
 
 FAR = 1e3  # ranges: as far as a careless hand types
 QUICK, MANY = 5, 400
-RIGS = ("face", "body", "gltf", "joints", "shapes", "least", "surrogate", "toy")
+RIGS = ("face", "body", "gltf", "joints", "shapes", "least", "surrogate", "toy", "dna", "head")
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +41,8 @@ def rigs(request, face, body, tmp_path_factory):
         "least": ShapesRig(str(folder / "s"), combination="min"),
         "surrogate": SurrogateRig(str(write_tiny_surrogate(folder / "bundle"))),
         "toy": ToyRig(),
+        "dna": DnaRig(written(folder / "tiny.dna", everything(operations=True)), "raw"),
+        "head": DnaRig(written(folder / "head.dna", many_joints().file())),
     }
 
 

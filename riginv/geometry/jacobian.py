@@ -6,11 +6,14 @@ those shapes.
 """
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
+FORWARD = 1024  # rows of a batch in forward mode, one for each control of each pose
 PIECE = 16  # Jacobians at a time: what a processor's cache holds
 
 # PyTorch says so of every sparse matrix, once; multiplying one with a dense matrix is all that is asked of them here.
@@ -87,6 +90,27 @@ class Jacobian:
         half = half.transpose(1, 2).reshape(-1, shapes)
         middle = (self.pattern.transposed(values, apart=True) @ half).view(-1, shapes, shapes)
         return inner.transpose(1, 2) @ (middle @ inner)
+
+
+def forward_jacobian(function: Callable[[Tensor], Tensor], controls: Tensor) -> tuple[Tensor, Jacobian]:
+    """The coefficients of controls `(batch, control)`, and their derivative, in forward mode: quick where controls are few.
+
+    Args:
+        function: controls `(batch, control)` to coefficients `(batch, coefficient)`, each row by itself.
+    """
+    count = controls.shape[1]
+    found, derivatives = [], []
+    for batch in controls.detach().split(max(1, FORWARD // count)):
+        with forward_ad.dual_level():
+            directions = torch.eye(count).to(batch).repeat(len(batch), 1)
+            with warnings.catch_warnings():  # on first use PyTorch compiles something in a way that it calls deprecated
+                warnings.simplefilter("ignore", DeprecationWarning)
+                dual = forward_ad.make_dual(batch.repeat_interleave(count, dim=0), directions)
+            values, tangents = forward_ad.unpack_dual(function(dual))
+        found.append(values[::count])
+        tangents = torch.zeros_like(values) if tangents is None else tangents
+        derivatives.append(tangents.unflatten(0, (len(batch), count)).transpose(1, 2))
+    return torch.cat(found), Jacobian(torch.cat(derivatives))
 
 
 def _times(metric: Tensor, columns: Tensor) -> Tensor:

@@ -40,6 +40,7 @@ from tests.clips import (
     write_skinned_usd,
     write_usd,
 )
+from tests.fuzz import characters
 from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint
 from tests.fuzz.tally import Target
 from tests.test_bundle import rewrite_sums
@@ -287,6 +288,9 @@ READERS: dict[str, Make] = {
     "rig deltas": _deltas,
     "rig .glb": _avatar,
     "rig .gltf": _avatar_in_parts,
+    "rig .dna": characters.dna(8),
+    "rig .dna 2.1": characters.dna(1),
+    "rig .dna, numbers": characters.dna_numbers,
     "pairs .npz": _pairs_npz,
     "pairs .npy": _pairs_npy,
     "pairs .zarr": _pairs_zarr,

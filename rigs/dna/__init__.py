@@ -1,0 +1,5 @@
+"""DNA files as rigs: read, evaluated, inverted, written (docs/dna.md)."""
+
+from rigs.dna.rig import DnaRig
+
+__all__ = ["DnaRig"]

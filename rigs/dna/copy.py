@@ -1,0 +1,36 @@
+"""python -m rigs.dna.copy: a DNA file read and written again, to see that nothing of it is lost."""
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+from rich.console import Console
+
+from riginv.cli.command import command
+from riginv.cli.run_folder import plain_config
+from riginv.errors import InputError
+from rigs.dna.format import read_dna, write_dna
+
+
+def copy(config: DictConfig) -> None:
+    """Write `config.file` to `config.out`."""
+    plain = plain_config(config)
+    source, out = Path(str(plain["file"])), Path(str(plain["out"]))
+    if out.is_dir() or out.suffix.lower() != ".dna":
+        raise InputError(f"out={out}: expected the name of a file that ends in .dna")
+    file = read_dna(source)
+    write_dna(out, file)
+    layers = " ".join(f"{layer.name}@{layer.version[0]}.{layer.version[1]}" for layer in file.layers)
+    equal = out.read_bytes() == source.read_bytes() if out.resolve() != source.resolve() else True
+    said = (
+        "equal to" if equal else f"not equal to ({file.unused_bytes:,} bytes of it belong to no layer, or its layers lie apart)"
+    )
+    Console().print(
+        f"{out}: DNA 2.{file.version}, {out.stat().st_size:,} bytes, {said} {source}; layers {layers}",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+if __name__ == "__main__":
+    command("copy_dna")(copy)()

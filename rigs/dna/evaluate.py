@@ -1,0 +1,160 @@
+"""python -m rigs.dna.evaluate: every stage of a DNA file for given controls, under the keys of docs/dna.md.
+
+For users to hold their own files to what an engine makes of them: all in the file's units, axes and rotation sequence.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from omegaconf import DictConfig
+from rich.console import Console
+from torch import Tensor
+
+from riginv.array_files import check_npz
+from riginv.cli.command import command
+from riginv.cli.run_folder import plain_config
+from riginv.errors import InputError, in_short
+from riginv.files import written_beside
+from rigs.dna.format import DnaFile, read_dna
+from rigs.dna.format.layers import Definition
+from rigs.dna.geometry.space import Space
+from rigs.dna.inverse import TableInverse
+from rigs.dna.logic import Logic, Stages
+from rigs.dna.model import Model
+
+Arrays = dict[str, np.ndarray]
+BATCH_SIZE = 256  # rows at a time
+
+
+def evaluate(config: DictConfig) -> None:
+    """Evaluate `config.file` for `config.inputs`, and write `config.out`."""
+    plain = plain_config(config)
+    out = Path(str(plain["out"]))
+    if out.suffix.lower() != ".npz":
+        raise InputError(f"out={out}: expected the name of a file that ends in .npz")
+    file = read_dna(str(plain["file"]))
+    given = read_inputs(Path(str(plain["inputs"])), file)
+    with torch.no_grad():
+        found = all_stages(file, given, plain)
+    with written_beside(out) as beside, beside.open("wb") as target:
+        np.savez_compressed(target, **found)
+    rows = ", ".join(f"{len(given[name])} rows of {name}" for name in ("gui", "raw") if name in given)
+    Console().print(f"{out}: {rows}; {len(found)} arrays", highlight=False, markup=False, soft_wrap=True)
+
+
+def read_inputs(path: Path, file: DnaFile) -> Arrays:
+    """The arrays `raw` and `gui`, and which rows to make vertices of.
+
+    Raises:
+        InputError: there are neither, or they have other controls than the file.
+    """
+    check_npz(path)
+    definition = file.need(Definition)
+    names = {"raw": len(definition.raw_controls), "gui": len(definition.gui_controls)}
+    try:
+        with np.load(path, allow_pickle=False) as table:
+            found = {name: table[name] for name in (*names, "raw_vertex_rows", "lod1_vertex_rows") if name in table.files}
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as arrays: {in_short(error)}") from None
+    if not set(found) & set(names):
+        raise InputError(f"{path}: neither raw nor gui in it, expected controls (row, control) under these names")
+    for name, count in names.items():
+        if name in found and (found[name].ndim != 2 or found[name].shape[1] != count or found[name].dtype.kind not in "fiu"):
+            raise InputError(
+                f"{path}: {name} is {found[name].dtype} of shape {found[name].shape}, expected numbers of shape "
+                f"(row, {count}), the {name} controls of {file.path}"
+            )
+    return found
+
+
+def all_stages(file: DnaFile, given: Arrays, plain: Mapping[str, Any]) -> Arrays:
+    """Every stage of the file for given controls, by key, float32."""
+    found: Arrays = {}
+    logic = _reference(Logic(file))
+    joints = bool(file.need(Definition).joints)
+    if "gui" in given:
+        gui = torch.tensor(given["gui"].astype(np.float32))
+        raw = logic.raw_of(gui)  # in float32, as engines do
+        found["gui_raw"] = raw.numpy()
+        if not len(logic.quaternions):  # the table sets quaternions to 0, where joints have no rotation
+            found |= {f"gui_{key}": value for key, value in _stages(logic, raw.double(), 0, joints).items()}
+    if "raw" in given:
+        raw = torch.tensor(given["raw"]).double()
+        answer = TableInverse(file)(raw.numpy())
+        found |= {"raw_gui": answer.gui, "raw_gui_residual": answer.residual}
+        levels = [("raw", 0, raw), ("lod1", 1, raw[: plain["lod1_rows"]])]
+        for key, lod, rows in levels[: max(1, logic.layout.lod_count)]:
+            level = logic if lod == 0 else _reference(Logic(file, lod))
+            stages = _stages(level, rows, plain["quaternion_rows"][lod], joints)
+            found |= {f"{key}_{name}": value for name, value in stages.items()}
+            try:
+                found |= _vertices(file, lod, key, rows, given, plain["vertex_rows"][lod])
+            except InputError as error:
+                Console(stderr=True).print(f"no vertices at level of detail {lod}: {error}", highlight=False, markup=False)
+    return {name: value.astype(np.float32) if value.dtype.kind == "f" else value for name, value in found.items() if value.size}
+
+
+def _reference(logic: Logic) -> Logic:
+    """The same logic, where float64 controls are rounded as float32 ones are."""
+    if logic.radial is not None:
+        logic.radial.round_as_reference()
+    return logic
+
+
+def _stages(logic: Logic, raw: Tensor, quaternion_rows: int, joints: bool) -> Arrays:
+    """The stages that follow raw controls, by name."""
+    layout, batches = logic.layout, [logic(batch) for batch in raw.split(BATCH_SIZE)]
+
+    def together(what: Any) -> np.ndarray:
+        return torch.cat([what(batch) for batch in batches]).numpy() if batches else np.zeros(0)
+
+    controls = together(lambda stages: stages.controls)
+    found = {"ml": controls[:, layout.mls], "rbf": controls[:, layout.rbfs], "psd": controls[:, layout.psds]}
+    if not np.array_equal(controls[:, : layout.raw], raw.numpy()):
+        found["after"] = controls[:, : layout.raw]
+    if logic.psds.chained:
+        found["psd_second_call"] = _second_call(logic, raw, batches)
+    found["channels"] = together(lambda stages: stages.channels)
+    found["maps"] = together(lambda stages: stages.maps)
+    if joints:
+        found["joints"] = together(lambda stages: logic.joints.as_euler(stages.joints))
+        if quaternion_rows:
+            quaternions = together(lambda stages: logic.joints.as_quaternions(stages.joints))
+            found["joints_quaternion"] = quaternions[:quaternion_rows]
+    return found
+
+
+def _second_call(logic: Logic, raw: Tensor, batches: list[Stages]) -> np.ndarray:
+    """The PSDs of a second evaluation, in which those that depend on PSDs see the values of the first."""
+    psds = logic.layout.psds
+    before = torch.cat([stages.controls[:, psds] for stages in batches])
+    return logic.all_controls(raw, before)[:, psds].numpy()
+
+
+def _vertices(file: DnaFile, lod: int, key: str, raw: Tensor, given: Arrays, count: int) -> Arrays:
+    """Joints in the world and vertices of some rows, in the file's units and axes."""
+    model = Model(file, lod, unit_mm=Space.of(file).unit_mm, all_joints=True)
+    _reference(model.logic)
+    rows = given.get(f"{key}_vertex_rows", np.arange(min(count, len(raw)))).astype(np.int64)
+    rows = rows[(rows >= 0) & (rows < len(raw))]
+    raw = raw[torch.tensor(rows)]
+    found: Arrays = {f"{key}_vertex_rows": rows}
+    skeleton, stage, space = model.skeleton, model.logic.joints, model.space
+    if len(model.joints):
+        worlds = skeleton.worlds(stage, stage(model.logic.all_controls(raw)))
+        found[f"{key}_world"] = space.transforms_in_file(worlds.movedim(-1, 0).numpy(), model.centre.numpy())
+        if lod == 0:
+            found["neutral_world"] = space.transforms_in_file(skeleton.neutral.numpy(), model.centre.numpy())
+            found |= {f"neutral{ending}": values for ending, values in skeleton.neutral_values(file, stage.angles).items()}
+    vertices = space.points_in_file(model(raw).numpy())
+    definition = file.need(Definition)
+    for name, start, end in zip(model.surface.names, model.surface.starts, model.surface.starts[1:]):
+        found[f"{key}_vertices_mesh{definition.meshes.index(name)}"] = vertices[:, start:end]
+    return found
+
+
+if __name__ == "__main__":
+    command("evaluate_dna")(evaluate)()

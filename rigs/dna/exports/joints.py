@@ -1,0 +1,82 @@
+"""Joints that controls drive, in the terms of the format: two raw controls for each control, one on each side of 0."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from riginv.rig import Control
+from rigs.dna.draft import Draft, Group, Joint, Row
+from rigs.dna.logic.rotations import SEQUENCES, matrix_angles
+
+UP, DOWN = "+", "-"  # endings of the raw controls on either side of 0
+
+
+class JointDrive(NamedTuple):
+    """What a control adds to an attribute of a joint for each of its units: mm or degrees.
+
+    Attributes:
+        attribute: 0 to 2 translation, 3 to 5 rotation by x, y, z.
+    """
+
+    control: str
+    joint: int
+    attribute: int
+    amount: float
+
+
+def add_joints(
+    draft: Draft,
+    controls: Sequence[Control],
+    drives: Sequence[JointDrive],
+    names: Sequence[str],
+    parents: Sequence[int],
+    rest: np.ndarray,
+) -> None:
+    """Add joints and the controls that drive them to a draft.
+
+    Args:
+        controls: those of `drives`; each is 0 at rest.
+        parents: -1 for a root.
+        rest: world transforms of the joints at rest, `(joint, 3, 4)`, mm, their rotations orthogonal.
+    """
+    of_control = {control.name: control for control in controls}
+    index_of: dict[str, int] = {}
+    for control in controls:
+        draft.gui.append(control.name)
+        for ending, limit in ((UP, control.upper), (DOWN, control.lower)):
+            if limit:
+                raw = control.name + ending
+                index_of[raw] = len(draft.raw)
+                draft.raw.append(raw)
+                points = sorted([(0.0, 0.0), (limit, 1.0)])
+                draft.rows.append(Row.between(control.name, raw, *points))
+    sequence = tuple("xyz".index(axis) for axis in draft.sequence)
+    assert draft.sequence in SEQUENCES
+    first = len(draft.joints)
+    for number, (name, parent) in enumerate(zip(names, parents)):
+        linear, where = rest[number, :, :3], rest[number, :, 3]
+        if parent >= 0:
+            above = rest[parent, :, :3]
+            linear, where = above.T @ linear, above.T @ (where - rest[parent, :, 3])
+        angles = np.degrees(matrix_angles(torch.tensor(linear), sequence).numpy())
+        draft.joints.append(Joint(name, -1 if parent < 0 else first + parent, where, angles))
+    entries: dict[int, dict[tuple[int, int], float]] = defaultdict(lambda: defaultdict(float))
+    for drive in drives:
+        for ending, limit in ((UP, of_control[drive.control].upper), (DOWN, of_control[drive.control].lower)):
+            if limit:
+                key = (9 * (first + drive.joint) + drive.attribute, index_of[drive.control + ending])
+                entries[drive.joint][key] += drive.amount * limit
+    for values in entries.values():
+        draft.groups.append(_group(values))
+
+
+def _group(values: dict[tuple[int, int], float]) -> Group:
+    """A group from the values at (attribute, control)."""
+    attributes, columns = (sorted({key[part] for key in values}) for part in (0, 1))
+    matrix = np.zeros((len(attributes), len(columns)))
+    for (attribute, column), value in values.items():
+        matrix[attributes.index(attribute), columns.index(column)] = value
+    return Group(columns, attributes, matrix)

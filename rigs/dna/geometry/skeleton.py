@@ -1,0 +1,136 @@
+"""Joints: their neutral pose, and forward kinematics from what they change by to skinning matrices."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.geometry.kinematics import invert, transform_from, tree_levels
+from rigs.dna.format import DnaFile
+from rigs.dna.format.layers import Definition, Vectors
+from rigs.dna.geometry.space import Space
+from rigs.dna.geometry.transforms import apply, follow
+from rigs.dna.logic.joint_stage import JointStage
+from rigs.dna.logic.joints import JointChanges
+from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.rotations import Angles
+from rigs.dna.logic.stage import Stage
+
+
+def stacked(vectors: Vectors, layout: Layout, what: str, count: int | None = None) -> np.ndarray:
+    """Vectors as `(vector, 3)` float64.
+
+    Raises:
+        InputError: their coordinates differ in number, or are not as many as expected, or are NaN or infinite.
+    """
+    layout.check_lengths(what, x=len(vectors.xs), y=len(vectors.ys), z=len(vectors.zs))
+    if count is not None and len(vectors.xs) != count:
+        raise layout.wrong(f"{what}: {len(vectors.xs)} vectors, expected {count}")
+    result = np.stack([vectors.xs, vectors.ys, vectors.zs], axis=1).astype(np.float64)
+    layout.check_finite(what, result)
+    return result
+
+
+def joint_parents(file: DnaFile) -> list[int]:
+    """The parent of each joint, -1 for a root.
+
+    Raises:
+        InputError: a parent is not there, or joints form a cycle.
+    """
+    definition = file.need(Definition)
+    if len(definition.parents) != len(definition.joints):
+        raise InputError(
+            f"{file.path}: {len(definition.parents)} joints have parents, {len(definition.joints)} have names: the file is "
+            f"damaged; export it again"
+        )
+    parents = [-1 if parent == joint else int(parent) for joint, parent in enumerate(definition.parents)]
+    try:
+        if parents:
+            tree_levels(parents, definition.joints)
+    except InputError as error:
+        raise InputError(f"{file.path}: {error}") from None
+    return parents
+
+
+def with_ancestors(parents: list[int], joints: np.ndarray) -> np.ndarray:
+    """Joints and all that carry them, in ascending order."""
+    kept: set[int] = set()
+    for joint in joints.tolist():
+        while joint >= 0 and joint not in kept:
+            kept.add(joint)
+            joint = parents[joint]
+    return np.array(sorted(kept), dtype=np.int64)
+
+
+class Skeleton(Stage):
+    """The joints of a file in riginv's space, moved so that a given point is the origin.
+
+    Args:
+        joints: those that matter, with all that carry them, `(joint,)`.
+        centre: `(3,)`, mm: the point; numbers are smaller around it, and so are their rounding errors.
+
+    Attributes:
+        neutral: world transforms at rest, `(joint, 3, 4)`, mm.
+    """
+
+    def __init__(self, file: DnaFile, layout: Layout, space: Space, joints: np.ndarray, centre: np.ndarray) -> None:
+        super().__init__()
+        definition = file.need(Definition)
+        count, parents = len(definition.joints), joint_parents(file)
+        offsets = stacked(definition.neutral_translations, layout, "the neutral translations of joints", count)[joints]
+        eulers = stacked(definition.neutral_rotations, layout, "the neutral rotations of joints", count)[joints]
+        number = {int(joint): index for index, joint in enumerate(joints)}
+        self.parents = [number.get(parents[joint], -1) for joint in joints.tolist()]
+        self.levels = tree_levels(self.parents) if len(joints) else []
+        rotations = Angles.of(file, layout).matrices(torch.tensor(eulers)).reshape(-1, 3, 3, 1)
+        axes = torch.tensor(space.axes)
+        root = transform_from(axes, -torch.tensor(centre))[None, :, :, None]
+        self.unit_mm = space.unit_mm
+        self.keep(rotations=rotations, offsets=torch.tensor(offsets * space.unit_mm)[..., None], root=root)
+        self._keep_order()
+        neutral = self._worlds(self.rotations, self.offsets) if len(joints) else root.new_zeros(0, 3, 4, 1)
+        back = invert(neutral[..., 0])[..., None]
+        self.keep(neutral=neutral[..., 0], back=back)
+
+    def _keep_order(self) -> None:
+        """For each depth of the tree where the parents of its joints stand in the depth above, and the way back."""
+        index = torch.zeros(len(self.parents), dtype=torch.long)
+        of_joint = torch.tensor(self.parents, dtype=torch.long)
+        for depth, level in enumerate(self.levels):
+            above = index[of_joint[level]] if depth else level
+            self.keep(**{f"level{depth}": level, f"above{depth}": above})
+            index[level] = torch.arange(len(level))
+        if self.levels:
+            self.keep(order=torch.cat(self.levels).argsort())
+
+    def worlds(self, stage: JointStage, changes: JointChanges) -> Tensor:
+        """The world transforms `(joint, 3, 4, batch)` of the joints, mm, for what they change by."""
+        moves, angles, scales = changes.attributes.split(3, dim=1)
+        rotations = stage.rotations(angles, changes)
+        linear = apply(self.rotations.to(rotations), rotations) * (1 + scales[:, None])
+        return self._worlds(linear, self.offsets.to(rotations) + self.unit_mm * moves)
+
+    def skinning(self, worlds: Tensor) -> Tensor:
+        """The skinning matrices `(joint, 3, 4, batch)` of world transforms."""
+        return follow(worlds, self.back.to(worlds))
+
+    def neutral_values(self, file: DnaFile, angles: Angles) -> dict[str, np.ndarray]:
+        """The neutral pose as the file states it: translation, rotation and scale `(joint, 9)`, and with quaternions."""
+        definition = file.need(Definition)
+        parts = [definition.neutral_translations, definition.neutral_rotations]
+        offsets, eulers = (np.stack([part.xs, part.ys, part.zs], axis=1).astype(np.float64) for part in parts)
+        ones = np.ones_like(offsets)
+        quaternions = angles.quaternions(torch.tensor(eulers)).numpy()
+        return {
+            "": np.concatenate([offsets, eulers, ones], axis=1),
+            "_quaternion": np.concatenate([offsets, quaternions, ones], axis=1),
+        }
+
+    def _worlds(self, linear: Tensor, offsets: Tensor) -> Tensor:
+        """World transforms `(joint, 3, 4, batch)` from local ones; the work is batched over the joints of one depth."""
+        local = torch.cat([linear, offsets[:, :, None].expand(*linear.shape[:2], 1, -1)], dim=2)
+        worlds = [follow(self.root.to(local), local.index_select(0, self.level0))]
+        for depth in range(1, len(self.levels)):
+            here = local.index_select(0, self.get_buffer(f"level{depth}"))
+            worlds.append(follow(worlds[-1].index_select(0, self.get_buffer(f"above{depth}")), here))
+        return torch.cat(worlds).index_select(0, self.order)

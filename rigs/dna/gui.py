@@ -1,0 +1,100 @@
+"""python -m rigs.dna.gui: curves of raw controls as curves of GUI controls, by the exact inverse of the file's table."""
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import torch
+from omegaconf import DictConfig
+from rich.console import Console
+
+from riginv.cli.command import command
+from riginv.cli.run_folder import plain_config
+from riginv.curves.table import write_rows
+from riginv.errors import InputError
+from riginv.files import read_text
+from rigs.dna.format import read_dna
+from rigs.dna.format.layers import Definition
+from rigs.dna.inverse import TableInverse
+from rigs.dna.rig import DnaRig
+
+BATCH_SIZE = 64  # frames at a time
+DIGITS = 9
+
+
+def gui(config: DictConfig) -> None:
+    """Write the GUI controls for the raw controls of `config.curves`, and say how near the meshes are."""
+    plain = plain_config(config)
+    source, out = Path(str(plain["curves"])), Path(str(plain["out"]))
+    if out.suffix.lower() != ".csv" or out.is_dir():
+        raise InputError(f"out={out}: expected the name of a file that ends in .csv")
+    file = read_dna(str(plain["file"]))
+    definition = file.need(Definition)
+    rig = DnaRig(str(plain["file"]), "raw", plain["lod"])
+    columns, rows = read_columns(source)
+    raw = np.repeat(rig.neutral_controls.double().numpy()[None], len(rows), axis=0)
+    index_of = {name: number for number, name in enumerate(definition.raw_controls)}
+    found = [(number, index_of[name]) for number, name in enumerate(columns) if name in index_of]
+    if not found:
+        raise InputError(
+            f"{source}: no column is named as a raw control of {file.path}, such as '{definition.raw_controls[0][:60]}'"
+        )
+    for number, control in found:
+        raw[:, control] = [_number(source, line, columns[number], row[number]) for line, row in enumerate(rows, start=2)]
+    answer = TableInverse(file)(raw)
+    kept = [number for number, name in enumerate(columns) if name not in index_of]
+    quaternions = [(number, control) for number, control in found if control in rig.model.logic.quaternions]
+    kept += [number for number, _ in quaternions]
+    body = [[*(row[number] for number in kept), *values] for row, values in zip(rows, answer.gui.round(DIGITS).tolist())]
+    write_rows(out, [*(columns[number] for number in kept), *definition.gui_controls], body)
+    mean, worst = _apart(rig, raw, answer.residual)
+    Console().print(
+        f"{out}: {len(rows)} frames of {len(definition.gui_controls)} GUI controls; raw controls are met to "
+        f"{np.abs(answer.residual).max(initial=0.0):.2g} at most, vertices to {mean:.2g} mm on average, {worst:.2g} mm at most",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+def read_columns(path: Path) -> tuple[list[str], list[list[str]]]:
+    """The names and the rows of a table, such as a `curves.csv` of riginv.invert.
+
+    Raises:
+        InputError: it cannot be read, or a row has other columns.
+    """
+    try:
+        columns, *rows = [row for row in csv.reader(io.StringIO(read_text(path))) if row]
+    except (csv.Error, ValueError) as error:
+        raise InputError(f"{path}: no table of comma-separated values ({error}): give the curves.csv of an inversion") from None
+    for line, row in enumerate(rows, start=2):
+        if len(row) != len(columns):
+            raise InputError(f"{path}: row {line} has {len(row)} values, expected {len(columns)}: the file is truncated")
+    return [column.removeprefix("'") for column in columns], rows
+
+
+def _number(path: Path, line: int, name: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"{path}: row {line}, column '{name[:60]}' holds {cell[:40]!r}, expected a number")
+    return value
+
+
+@torch.no_grad()
+def _apart(rig: DnaRig, raw: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
+    """The mean and the largest distance of vertices, mm, between given raw controls and those that the table makes."""
+    quaternions = rig.model.logic.quaternions.reshape(-1)
+    made = np.clip(raw, 0, 1) + residual
+    made[:, quaternions] = raw[:, quaternions]
+    pairs = zip(torch.tensor(raw).float().split(BATCH_SIZE), torch.tensor(made).float().split(BATCH_SIZE))
+    found = [(rig(one) - other).norm(dim=2) for one, other in ((given, rig(made)) for given, made in pairs)]
+    distances = torch.cat(found) if found else torch.zeros(1)
+    return float(distances.mean()), float(distances.max())
+
+
+if __name__ == "__main__":
+    command("gui_dna")(gui)()

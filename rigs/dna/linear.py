@@ -1,0 +1,135 @@
+"""Where few joints move, a DNA rig ends in a linear map exactly: its coefficients and their basis.
+
+Vertices are the rest mesh plus, for each moving joint, the 12 numbers by which its skinning matrix about its place at rest
+differs from the identity; plus the weight of each channel; plus, for each joint and channel that move a vertex in common,
+the 9 numbers that rotate the channel's deltas times its weight. Without moving joints the weights are all there is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import sparse
+from torch import Tensor
+
+from riginv.geometry.skinning import NUMBERS
+from rigs.dna.logic.stage import Stage
+from rigs.dna.model import Model, Pose
+
+LINEAR = 9  # numbers of a matrix that rotate deltas
+MOST_COEFFICIENTS = 1500
+MOST_NUMBERS = 100_000_000  # of a basis
+NEGLIGIBLE_MM = 1e-4  # a joint whose fraction of a channel's deltas stays below this does not rotate them
+
+
+@dataclass(frozen=True)
+class LinearMap:
+    """The linear map that a rig ends in.
+
+    Attributes:
+        basis: `(coefficient, vertex, 3)` float32, mm.
+        names: of the coefficients.
+        stage: from a pose to coefficients `(batch, coefficient)`.
+        channels: how many of the coefficients are weights of channels and nothing else; 0 where joints move.
+    """
+
+    basis: Tensor
+    names: list[str]
+    stage: "Coefficients"
+    channels: int
+
+
+class Coefficients(Stage):
+    """From a pose to coefficients.
+
+    Args:
+        moving: joints of the model that move and carry vertices, `(moving,)`.
+        centres: their places at rest, `(moving, 3)`, mm.
+        pairs: `(pair, 2)`: numbers among `moving` and among the channels.
+    """
+
+    def __init__(self, moving: np.ndarray, centres: np.ndarray, pairs: np.ndarray) -> None:
+        super().__init__()
+        self.keep(moving=moving, centres=torch.tensor(centres), pairs=pairs.reshape(-1, 2))
+
+    def forward(self, pose: Pose) -> Tensor:
+        """Coefficients `(batch, coefficient)`."""
+        weights = pose.channels
+        if not len(self.moving):
+            return weights
+        matrices = pose.matrices.index_select(0, self.moving).movedim(-1, 0)
+        linear = matrices[..., :3] - torch.eye(3, dtype=matrices.dtype, device=matrices.device)
+        gone = linear @ self.centres.to(linear)[..., None] + matrices[..., 3:]
+        alone = torch.cat([linear, gone], dim=-1).flatten(1)
+        rotated = linear.flatten(2)[:, self.pairs[:, 0]] * weights[:, self.pairs[:, 1], None]
+        return torch.cat([weights.repeat_interleave(3, dim=1), alone, rotated.flatten(1)], dim=1)
+
+
+def moving_joints(model: Model) -> np.ndarray:
+    """The joints of a model, as numbers of its order, that move in some pose and carry vertices."""
+    groups, stage = model.logic.joints.groups, model.logic.joints
+    count = len(model.joints)
+    rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
+    moves = (groups.rows_of_attributes.view(count, -1) < rows).any(dim=1).numpy() if count else np.zeros(0, bool)
+    moves[stage.quaternion_joints.numpy()] = True
+    parents = np.array(model.skeleton.parents, dtype=np.int64)
+    for level in model.skeleton.levels[1:]:
+        moves[level] |= moves[parents[level]]
+    weights = model.skin.weights
+    carries = np.bincount(weights.indices, weights.data, minlength=count + 1)[:count] > 0
+    return np.flatnonzero(moves & carries)
+
+
+def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:
+    """The linear map that a model ends in; None where it would be too large."""
+    moving, channels = moving_joints(model), len(model.channels)
+    vertices = len(model.surface.rest)
+    if not _fits((3 if len(moving) else 1) * channels + NUMBERS * len(moving), vertices):
+        return None
+    weights = sparse.csc_array(model.skin.weights)[:, moving].toarray()  # (vertex, moving)
+    deltas = model.skin.deltas.toarray().T.reshape(channels, vertices, 3).astype(np.float32)
+    names = [channel_names[number] for number in model.channels]
+    if not len(moving):
+        stage = Coefficients(moving, np.zeros((0, 3)), np.zeros((0, 2), np.int64))
+        return LinearMap(torch.tensor(deltas), names, stage, channels)
+    sizes = np.linalg.norm(deltas, axis=2)
+    pairs = np.array(
+        [
+            (joint, channel)
+            for joint in range(len(moving))
+            for channel in np.flatnonzero((sizes * weights[:, joint]).max(axis=1, initial=0.0) > NEGLIGIBLE_MM)
+        ],
+        dtype=np.int64,
+    ).reshape(-1, 2)
+    if not _fits(3 * channels + NUMBERS * len(moving) + LINEAR * len(pairs), vertices):
+        return None
+    centres = model.skeleton.neutral[moving, :, 3].numpy()
+    offsets = model.skin.rest[None] - centres[:, None]
+    points = np.concatenate([offsets, np.ones((*offsets.shape[:2], 1))], axis=2) * weights.T[..., None]
+    rotated = deltas[pairs[:, 1]] * weights.T[pairs[:, 0], :, None]
+    basis = np.concatenate([_by_axis(deltas), _rows(points), _rows(rotated)]).astype(np.float32)
+    joints = [f"joint {int(model.joints[joint])}" for joint in moving]
+    names = [
+        *(f"{name}.{axis}" for name in names for axis in "xyz"),
+        *(f"{joint}.{row}{column}" for joint in joints for row in range(3) for column in range(4)),
+        *(f"{joints[j]}.{row}{column} {names[c]}" for j, c in pairs for row in range(3) for column in range(3)),
+    ]
+    return LinearMap(torch.tensor(basis), names, Coefficients(moving, centres, pairs), 0)
+
+
+def _fits(coefficients: int, vertices: int) -> bool:
+    return coefficients <= MOST_COEFFICIENTS and 3 * coefficients * vertices <= MOST_NUMBERS
+
+
+def _by_axis(deltas: np.ndarray) -> np.ndarray:
+    """Deltas `(channel, vertex, 3)` as three rows each, one for every axis of space."""
+    return (deltas[:, None] * np.eye(3)[:, None]).reshape(-1, *deltas.shape[1:])
+
+
+def _rows(points: np.ndarray) -> np.ndarray:
+    """The basis `(item * 3 * column, vertex, 3)` of matrices, row by row, that act on `(item, vertex, column)`."""
+    items, vertices, columns = points.shape
+    rows = np.zeros((items, 3, columns, vertices, 3), np.float32)
+    for axis in range(3):
+        rows[:, axis, :, :, axis] = points.transpose(0, 2, 1)
+    return rows.reshape(items * 3 * columns, vertices, 3)

@@ -1,0 +1,62 @@
+"""The joints of a DNA rig that is skinned and nothing else, for BVH, glTF and USD."""
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from riginv.geometry.skeleton import Skeleton
+from rigs.dna.model import Model
+
+SCALES = slice(6, 9)  # of a joint's nine attributes
+MOST = 100_000_000  # weights of all vertices for all joints
+BONE = 0.3  # of the distance to its parent: how long the bone of a joint without children is drawn
+
+
+def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Skeleton | None:
+    """The skeleton of a model; None where blendshapes move vertices, joints scale or are several trees, or carry not all.
+
+    Args:
+        mapping: from controls to raw controls.
+        names: of all joints of the file.
+    """
+    skeleton, groups = model.skeleton, model.logic.joints.groups
+    if len(model.channels) or sum(parent < 0 for parent in skeleton.parents) != 1 or np.prod(model.skin.weights.shape) > MOST:
+        return None
+    weights = model.skin.weights.toarray()
+    if weights[:, -1].any():
+        return None
+    attributes = groups.rows_of_attributes.view(len(model.joints), -1)
+    rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
+    chosen = [names[joint] for joint in model.joints]
+    if (attributes[:, SCALES] < rows).any() or model.logic.joints.learned is not None or len(set(chosen)) < len(chosen):
+        return None
+    order = torch.cat(skeleton.levels)  # parents before their children
+    new = {int(joint): number for number, joint in enumerate(order)}
+    parents = tuple(new.get(skeleton.parents[int(joint)], -1) for joint in order)
+    centre = model.centre
+    heads = skeleton.neutral[order, :, 3]
+
+    def pose(controls: Tensor) -> Tensor:
+        matrices = model.pose(mapping(controls)).matrices.index_select(0, order).movedim(-1, 0)
+        linear = matrices[..., :3]
+        heads_now = linear @ heads.to(linear)[..., None] + matrices[..., 3:] + centre.to(linear)[:, None]
+        return torch.cat([linear, heads_now], dim=-1)
+
+    return Skeleton(
+        joint_names=tuple(chosen[int(joint)] for joint in order),
+        parents=parents,
+        heads=(heads + centre).float(),
+        tails=torch.tensor(_tails((heads + centre).numpy(), parents), dtype=torch.float32),
+        weights=torch.tensor(weights[:, order], dtype=torch.float32),
+        pose=pose,
+    )
+
+
+def _tails(heads: np.ndarray, parents: tuple[int, ...]) -> np.ndarray:
+    """Where bones end, `(joint, 3)`: at the middle of a joint's children, or a bit beyond it."""
+    tails = np.zeros_like(heads)
+    for joint, parent in enumerate(parents):
+        children = [child for child, above in enumerate(parents) if above == joint]
+        along = heads[joint] - heads[parent] if parent >= 0 else np.array([0.0, 100.0, 0.0])
+        tails[joint] = heads[children].mean(axis=0) if children else heads[joint] + BONE * along
+    return tails

@@ -1,0 +1,1 @@
+"""DNA files: read and written, evaluated, made into rigs, inverted, exported."""
