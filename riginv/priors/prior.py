@@ -1,0 +1,125 @@
+"""A Gaussian over a rig's controls, in fractions of their ranges."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.rig import RigBackend
+
+RIDGE = 1e-4  # added to every variance: a control that never moved may still move by a hundredth of its range
+CELL_MM = 8.0  # measurements in one cell of this size share their errors, and count as one
+
+
+@dataclass(frozen=True)
+class ControlPrior:
+    """Mean and covariance of a rig's controls; 0 is the lower limit of a control, 1 the upper.
+
+    Attributes:
+        names: of the controls, in the rig's order.
+        mean: `(control,)`, float64.
+        covariance: `(control, control)`, float64, positive definite.
+        source: what it was learned from, for people to read.
+    """
+
+    names: tuple[str, ...]
+    mean: Tensor
+    covariance: Tensor
+    source: str = ""
+
+    @cached_property
+    def precision(self) -> Tensor:
+        """The inverse of the covariance, `(control, control)`."""
+        return torch.cholesky_inverse(torch.linalg.cholesky(self.covariance))
+
+    @cached_property
+    def deviation(self) -> Tensor:
+        """Standard deviations `(control,)`."""
+        return self.covariance.diagonal().sqrt()
+
+    def weighed(self, noise_mm: float, measurements: float) -> "WeighedPrior":
+        """The prior as it counts against the mean squared distance of some measurements.
+
+        With independent errors of standard deviation `noise_mm` the most likely controls minimise
+        `0.5 mean(distance^2) + 0.5 noise_mm^2 / measurements (u - m)' C^-1 (u - m)`.
+
+        Args:
+            noise_mm: standard deviation of a measurement's error, mm, what the rig cannot make included.
+            measurements: how many independent ones there are (`independent_measurements`).
+        """
+        return WeighedPrior(self.mean, noise_mm**2 / max(measurements, 1.0) * self.precision)
+
+    def of(self, controls: Tensor) -> "ControlPrior":
+        """The prior of some controls given by number, `(some,)`: the others are left open."""
+        numbers = controls.tolist()
+        names = tuple(self.names[number] for number in numbers)
+        return ControlPrior(names, self.mean[controls], self.covariance[controls][:, controls], self.source)
+
+
+@dataclass(frozen=True)
+class WeighedPrior:
+    """`0.5 (u - mean)' precision (u - mean)`, mm^2, for controls u in fractions of their ranges.
+
+    Attributes:
+        mean: `(control,)`.
+        precision: `(control, control)`, mm^2.
+    """
+
+    mean: Tensor
+    precision: Tensor
+
+    def cost(self, units: Tensor) -> Tensor:
+        """`(mesh,)`, of controls `(mesh, control)`."""
+        away = units - self.mean.to(units)
+        return 0.5 * (away * (away @ self.precision.to(units))).sum(dim=-1)
+
+    def gradient(self, units: Tensor) -> Tensor:
+        """`(mesh, control)`."""
+        return (units - self.mean.to(units)) @ self.precision.to(units)
+
+
+def learn_prior(rig: RigBackend, controls: Tensor, source: str = "", ridge: float = RIDGE) -> ControlPrior:
+    """The prior of controls that were found or recorded before.
+
+    Args:
+        controls: `(frame, control)`, in the rig's own units.
+        source: what they come from.
+        ridge: added to every variance.
+
+    Raises:
+        InputError: fewer than two frames, another number of controls, or values that are not finite.
+    """
+    if controls.ndim != 2 or controls.shape[1] != len(rig.controls) or len(controls) < 2:
+        raise InputError(
+            f"a prior of rig '{rig.name}' needs controls (frame, {len(rig.controls)}) of at least 2 frames, "
+            f"found shape {tuple(controls.shape)}"
+        )
+    if not bool(torch.isfinite(controls).all()):
+        raise InputError(f"a prior of rig '{rig.name}' cannot be learned from controls with NaN or infinite values")
+    lower, span = rig.lower.double().cpu(), (rig.upper - rig.lower).double().cpu()
+    units = ((controls.double().cpu() - lower) / span).clamp(0, 1)
+    mean = units.mean(dim=0)
+    covariance = (units - mean).T @ (units - mean) / (len(units) - 1)
+    return ControlPrior(rig.control_names, mean, covariance + ridge * torch.eye(len(mean), dtype=torch.float64), source)
+
+
+def blended(first: ControlPrior, second: ControlPrior, fraction: float) -> ControlPrior:
+    """The Gaussian with the mean and covariance of a mixture: `fraction` of the first, the rest of the second."""
+    rest = 1 - fraction
+    mean = fraction * first.mean + rest * second.mean
+    apart = first.mean - second.mean
+    covariance = fraction * first.covariance + rest * second.covariance + fraction * rest * torch.outer(apart, apart)
+    return ControlPrior(first.names, mean, covariance, "; ".join(filter(None, (first.source, second.source))))
+
+
+def independent_measurements(points: Tensor, cell_mm: float = CELL_MM) -> int:
+    """How many of some measured points `(point, 3)`, mm, have errors of their own: the number of cells that hold any.
+
+    Denser sampling of the same surface adds none, so that a prior means the same for a mesh and for a scan of it.
+    """
+    if not len(points) or not math.isfinite(float(points.abs().max())):
+        return 0
+    return len(torch.unique(torch.floor(points / cell_mm).long(), dim=0))
