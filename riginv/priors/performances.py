@@ -98,16 +98,27 @@ def _played(rng: np.random.Generator, strength: np.ndarray, actions: np.ndarray,
     return poses
 
 
-def library_poses(rig: RigBackend, start: torch.Tensor) -> torch.Tensor:
-    """Poses `(pose, control)` in fractions of the ranges: each of the rig's actions, and each control on its own, from a start.
+class PoseLibrary:
+    """Poses to start from: each of a rig's actions, and each control on its own.
 
-    Args:
-        start: `(control,)`.
+    Attributes:
+        aims: where the controls that a pose moves are to stand, in fractions of their ranges, `(pose, control)`.
+        moved: which these are, `(pose, control)`.
     """
-    neutral = ((rig.neutral_controls - rig.lower) / (rig.upper - rig.lower)).double().cpu()
-    actions = torch.from_numpy(np.concatenate([_actions(rig), np.eye(len(neutral)), -np.eye(len(neutral))]))
-    limit = torch.where(actions > 0, 1.0, 0.0)
-    limit = torch.where((neutral >= 1) & (actions > 0), 0.0, limit)
-    aim = neutral + STRONG * actions.abs() * (limit - neutral)
-    poses = torch.where(actions != 0, torch.where(limit > neutral, aim.maximum(start), aim.minimum(start)), start)
-    return poses[(poses != start).any(dim=1)].clamp(0, 1)
+
+    def __init__(self, aims: torch.Tensor, moved: torch.Tensor) -> None:
+        self.aims, self.moved = aims, moved
+
+    @classmethod
+    def of(cls, rig: RigBackend) -> "PoseLibrary":
+        neutral = ((rig.neutral_controls - rig.lower) / (rig.upper - rig.lower)).double().cpu()
+        actions = torch.from_numpy(np.concatenate([_actions(rig), np.eye(len(neutral)), -np.eye(len(neutral))]))
+        limit = torch.where((actions > 0) & (neutral < 1), 1.0, 0.0)
+        aims = neutral + STRONG * actions.abs() * (limit - neutral)
+        moved = (actions != 0) & (aims != neutral)
+        kept = moved.any(dim=1)
+        return cls(aims[kept].clamp(0, 1), moved[kept])
+
+    def around(self, start: torch.Tensor) -> torch.Tensor:
+        """The poses `(pose, control)` with all other controls as in `start` `(control,)`."""
+        return torch.where(self.moved, self.aims, start)

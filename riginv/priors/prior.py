@@ -106,13 +106,22 @@ def learn_prior(rig: RigBackend, controls: Tensor, source: str = "", ridge: floa
     return ControlPrior(rig.control_names, mean, covariance + ridge * torch.eye(len(mean), dtype=torch.float64), source)
 
 
-def blended(first: ControlPrior, second: ControlPrior, fraction: float) -> ControlPrior:
-    """The Gaussian with the mean and covariance of a mixture: `fraction` of the first, the rest of the second."""
+def blended(take: ControlPrior, default: ControlPrior, fraction: float = 0.9, least: float = 0.5) -> ControlPrior:
+    """What a take says, and for what it does not show, what holds without it.
+
+    Mean and covariance are those of a mixture; a control that hardly moved in the take keeps some freedom of its own.
+
+    Args:
+        fraction: of the take in the mixture.
+        least: the standard deviation of each control, at least, relative to that without the take.
+    """
     rest = 1 - fraction
-    mean = fraction * first.mean + rest * second.mean
-    apart = first.mean - second.mean
-    covariance = fraction * first.covariance + rest * second.covariance + fraction * rest * torch.outer(apart, apart)
-    return ControlPrior(first.names, mean, covariance, "; ".join(filter(None, (first.source, second.source))))
+    apart = take.mean - default.mean
+    covariance = fraction * take.covariance + rest * default.covariance + fraction * rest * torch.outer(apart, apart)
+    missing = (least * default.deviation).square() - covariance.diagonal()
+    covariance = covariance + torch.diag(missing.clamp_min(0))
+    source = "; ".join(filter(None, (take.source, default.source)))
+    return ControlPrior(take.names, fraction * take.mean + rest * default.mean, covariance, source)
 
 
 def independent_measurements(points: Tensor, cell_mm: float = CELL_MM) -> int:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from riginv.priors.performances import library_poses
+from riginv.priors.performances import STRONG, PoseLibrary
 from riginv.priors.prior import ControlPrior, WeighedPrior, independent_measurements
 from riginv.rig import LinearRig
 from riginv.surfaces.alignment import Aligner
@@ -13,7 +13,7 @@ from riginv.surfaces.fitting import FROM_NEAR, FROM_SCRATCH, Schedule, State, Su
 from riginv.surfaces.matching import Target
 from riginv.surfaces.motion import Motion
 from riginv.surfaces.quality import Quality, quality
-from riginv.surfaces.restarts import promising
+from riginv.surfaces.restarts import hidden_controls, promising
 from riginv.surfaces.rig_surface import RigSurface
 from riginv.surfaces.triangles import Surface
 
@@ -42,7 +42,7 @@ class ScanSettings:
     from_scratch: Schedule = FROM_SCRATCH
     from_near: Schedule = FROM_NEAR
     explained: float = 0.98
-    starts: int = 3
+    starts: int = 1
     seen: float = 0.25
     lost_mm: float = 1.0
 
@@ -85,8 +85,10 @@ class ScanSolver:
     def __post_init__(self) -> None:
         self.surface = RigSurface(self.rig, self.settings.samples, self.stillness)
         self.start = self.prior.mean.clamp(OFF_KINKS, 1 - OFF_KINKS)
-        self.aligner = Aligner(self.surface, self.surface.posed(self._fit(1.0).coefficients(self.start)))
-        self.library = library_poses(self.rig, self.start)
+        first = self._fit(1.0)
+        self.aligner = Aligner(self.surface, self.surface.posed(first.coefficients(self.start)))
+        self.library = PoseLibrary.of(self.rig)
+        self.hidden, self.fit_neutral = hidden_controls(first), first.neutral
 
     def target(self, surface: Surface) -> Target:
         """A scan, prepared."""
@@ -123,11 +125,14 @@ class ScanSolver:
         return best
 
     def _restart(self, fit: SurfaceFit, target: Target, best: SolvedScan) -> SolvedScan:
-        motion = best.state.motion
-        poses = torch.cat([self.library, best.state.units[None]])
-        for units in promising(fit, target, motion, best.quality, poses, self.settings.starts):
-            found = self._try(fit, target, State(units, motion), self.settings.from_scratch)
-            best = self._better(best, found)
+        motion, near = best.state.motion, self.library.around(best.state.units)
+        fresh, starts = self.library.around(self.start), []
+        for number in self.hidden:
+            starts.append(self.start.clone())
+            starts[-1][number] = STRONG if self.fit_neutral[number] < 1 else 1 - STRONG
+        starts += [fresh[number] for number in promising(fit, target, motion, best.quality, near, self.settings.starts)]
+        for units in starts:
+            best = self._better(best, self._try(fit, target, State(units, motion), self.settings.from_scratch))
         return replace(best, restarted=True)
 
     def _try(self, fit: SurfaceFit, target: Target, start: State, schedule: Schedule) -> SolvedScan:
