@@ -16,6 +16,7 @@ from riginv.surfaces.rig_surface import RigSurface
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e3
 TRIES = 3  # of more and more damping on one linearisation
 TURN, SHIFT_MM = 2.0, 200.0  # the extent of the box in which rigid motion steps: never met
+NOISE = 4.0  # times the typical distance of good pairs: the scale does not fall below
 MIDDLE = 0.5  # of that box
 
 
@@ -25,7 +26,7 @@ class Schedule:
 
     Attributes:
         steps: at most.
-        first_scale_mm, last_scale_mm: of Geman and McClure's weights.
+        first_scale_mm, last_scale_mm: of Geman and McClure's weights; the last is wider where a scan is noisy.
         factor: by which the scale falls at every step.
         reach: of a control's range, at most in one step.
         settled: a fit is done once the scale has come down and no control moves by more, of its range.
@@ -39,9 +40,6 @@ class Schedule:
     reach: float = 0.15
     settled: float = 0.002
     degrees: float = 60.0
-
-    def scale_mm(self, step: int) -> float:
-        return max(self.last_scale_mm, self.first_scale_mm * self.factor**step)
 
 
 FROM_SCRATCH = Schedule()
@@ -101,18 +99,19 @@ class SurfaceFit:
 
     def fit(self, target: Target, start: State, schedule: Schedule) -> State:
         """Improve a state by the steps of a schedule."""
-        state, damping = start, START_DAMPING
+        state, damping, typical = start, START_DAMPING, 0.0
         for step in range(schedule.steps):
-            scale = schedule.scale_mm(step)
-            state, moved, damping = self.step(target, state, scale, schedule, damping)
-            if moved < schedule.settled and scale <= schedule.last_scale_mm:
+            last = max(schedule.last_scale_mm, NOISE * typical)
+            scale = max(last, schedule.first_scale_mm * schedule.factor**step)
+            state, moved, damping, typical = self.step(target, state, scale, schedule, damping)
+            if moved < schedule.settled and scale <= last:
                 break
         return state
 
     def step(
         self, target: Target, state: State, scale_mm: float, schedule: Schedule, damping: float
-    ) -> tuple[State, float, float]:
-        """One step: the new state, how far the controls went at most, and the damping to go on with."""
+    ) -> tuple[State, float, float, float]:
+        """One step: the new state, how far the controls went at most, the damping to go on with, and the typical distance."""
         posed = self.surface.posed(self.coefficients(state.units))
         pairs = match(self.surface, posed, target, state.motion, scale_mm, schedule.degrees)
         near = Linearised(self, state, pairs)
@@ -124,8 +123,9 @@ class SurfaceFit:
                 break
             damping = min(damping * 8, MOST_DAMPING)
         else:
-            return state, 0.0, damping
-        return near.moved(change), float(change[: len(state.units)].abs().max()), max(damping / 3, LEAST_DAMPING)
+            return state, 0.0, damping, pairs.typical_mm
+        moved = float(change[: len(state.units)].abs().max())
+        return near.moved(change), moved, max(damping / 3, LEAST_DAMPING), pairs.typical_mm
 
     def coefficients(self, units: Tensor) -> Tensor:
         """The rig's coefficients `(coefficient,)`."""

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riginv.surfaces.motion import Motion
 from riginv.surfaces.rig_surface import Posed, RigSurface
-from riginv.surfaces.triangles import Hits, Surface, unit
+from riginv.surfaces.triangles import Hits, Surface
 
 
 class Pairs(NamedTuple):
@@ -39,6 +39,12 @@ class Pairs(NamedTuple):
     def rows(self, rig: RigSurface) -> Tensor:
         """How far each coefficient moves the rig's points along the normals, `(pair, coefficient)`."""
         return rig.rows(self.corners, self.barycentric, self.normals)
+
+    @property
+    def typical_mm(self) -> float:
+        """Standard deviation of the good pairs' distances along the normals, robustly."""
+        good = self.weights > 0
+        return 1.4826 * float(np.median(np.abs(self.residual[good]))) if good.any() else 0.0
 
     def motion_rows(self, centre: np.ndarray) -> np.ndarray:
         """The same of the six parameters of a rigid motion, `(pair, 6)`: radians about `centre`, then mm."""
@@ -102,10 +108,9 @@ def _pairs(
 ) -> tuple[np.ndarray, ...]:
     alike = (our_normals * their_normals).sum(axis=1)
     good = (alike > np.cos(np.radians(degrees))) & ~hits.on_border
-    normals = unit(our_normals + their_normals)
-    residual = ((ours - theirs) * normals).sum(axis=1)
+    residual = ((ours - theirs) * our_normals).sum(axis=1)  # those of a scan carry its noise
     robust = 1 / (1 + (hits.distance / scale_mm) ** 2) ** 2
-    return corners, weights, ours, normals, residual, hits.distance, np.where(good, robust, 0.0), hits.on_border
+    return corners, weights, ours, our_normals, residual, hits.distance, np.where(good, robust, 0.0), hits.on_border
 
 
 def as_tensor(values: np.ndarray) -> Tensor:
