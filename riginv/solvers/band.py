@@ -8,11 +8,12 @@ from torch import Tensor
 TO_NEXT, TO_SECOND = -4.0, 1.0  # the second difference's square couples frames so, away from the ends of a clip
 
 
-def second_difference_bands(count: int, before: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-    """The matrix D^T D of second differences over `before + count` frames, of which the first `before` are given.
+def second_difference_bands(count: int, before: int = 0, weights: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """The matrix D^T W D of second differences over `before + count` frames, of which the first `before` are given.
 
     Args:
         before: 0 to 2 frames, known already, that lie before the first one asked for.
+        weights: of each second difference, `(before + count - 2,)`; None: 1.
 
     Returns:
         Its diagonals `(count,)` among the frames asked for: the main one, that to the next frame, that to the second next.
@@ -22,7 +23,8 @@ def second_difference_bands(count: int, before: int = 0) -> tuple[Tensor, Tensor
     difference = torch.zeros(max(total - 2, 0), total, dtype=torch.float64)
     for row in range(len(difference)):
         difference[row, row : row + 3] = torch.tensor([1.0, -2.0, 1.0], dtype=torch.float64)
-    square = (difference.T @ difference)[before:, before:]
+    weighted = difference if weights is None else weights.to(difference)[:, None] * difference
+    square = (difference.T @ weighted)[before:, before:]
     diagonals = [square.diagonal(offset) if offset < count else square.new_zeros(0) for offset in range(3)]
     return tuple(torch.nn.functional.pad(diagonal, (0, count - len(diagonal))) for diagonal in diagonals)
 

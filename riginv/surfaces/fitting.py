@@ -43,7 +43,7 @@ class Schedule:
 
 
 FROM_SCRATCH = Schedule()
-FROM_NEAR = Schedule(steps=8, first_scale_mm=4.0, factor=0.6)
+FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, settled=0.01)
 
 
 class State(NamedTuple):
@@ -141,7 +141,7 @@ class Linearised:
         self.rows = pairs.rows(fit.surface)
         self.residual, self.weights = as_tensor(pairs.residual), as_tensor(pairs.weights)
         self.coefficients, jacobian = fit.surface.linearise(fit.controls(state.units))
-        columns = self.rows @ jacobian.dense()[0].float() * fit.span.float()
+        columns = jacobian.times(self.rows) * fit.span.float()
         if fit.moves:
             box = np.array([TURN] * 3 + [SHIFT_MM] * 3)
             self.motion_rows = as_tensor(pairs.motion_rows(fit.surface.centre) * box)

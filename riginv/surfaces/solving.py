@@ -85,7 +85,7 @@ class ScanSolver:
     def __post_init__(self) -> None:
         self.surface = RigSurface(self.rig, self.settings.samples, self.stillness)
         self.start = self.prior.mean.clamp(OFF_KINKS, 1 - OFF_KINKS)
-        first = self._fit(1.0)
+        first = self.fit_of(1.0)
         self.aligner = Aligner(self.surface, self.surface.posed(first.coefficients(self.start)))
         self.library = PoseLibrary.of(self.rig)
         self.hidden, self.fit_neutral = hidden_controls(first), first.neutral
@@ -96,9 +96,10 @@ class ScanSolver:
 
     def fit(self, target: Target) -> SurfaceFit:
         """The fit of a scan, with the prior as it counts beside so many measurements."""
-        return self._fit(independent_measurements(torch.from_numpy(target.points)))
+        return self.fit_of(independent_measurements(torch.from_numpy(target.points)))
 
-    def _fit(self, measurements: float) -> SurfaceFit:
+    def fit_of(self, measurements: float) -> SurfaceFit:
+        """The fit of a scan that holds so many independent measurements."""
         weighed: WeighedPrior = self.prior.weighed(self.settings.noise_mm, measurements)
         return SurfaceFit(self.surface, weighed, self.moves, self.settings.base)
 
