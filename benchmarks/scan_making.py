@@ -57,9 +57,7 @@ def make_scan(
     return points.astype(np.float32), triangles.astype(np.int64)
 
 
-def resampled(
-    vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def resampled(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """The same surface with `count` other triangles."""
     points, triangles = trimesh.remesh.subdivide(vertices, faces)
     edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)

@@ -39,7 +39,7 @@ def check_after(after: Mapping[str, Any], look: Mapping[str, Any]) -> None:
 
 def write_results(
     folder: Path,
-    clip: Clip,
+    clip: Clip | None,
     animation: Animation,
     errors: FrameErrors,
     config: Mapping[str, Any],
@@ -48,6 +48,7 @@ def write_results(
     """Write the curves, and what to look at, into a folder.
 
     Args:
+        clip: None: of scans, which have no mesh of the rig's to compare with: page and picture are left out.
         config: `formats`, `after` and `look` of riginv.invert.
         advance: told what is done.
 
@@ -65,6 +66,8 @@ def write_results(
         )
     advance("curves", 0)
     paths = write_formats(folder, curves, errors, config["formats"], after["swap_mouth"])
+    if clip is None:
+        return [path.name for path in paths], notes
     targets = _targets(clip, animation)
     if look["page"]:
         advance("page", 0)

@@ -71,6 +71,10 @@ class WeighedPrior:
     mean: Tensor
     precision: Tensor
 
+    def scaled(self, factor: float, dtype: torch.dtype) -> "WeighedPrior":
+        """The same, times a factor, in a dtype."""
+        return WeighedPrior(self.mean.to(dtype), (factor * self.precision).to(dtype))
+
     def cost(self, units: Tensor) -> Tensor:
         """`(mesh,)`, of controls `(mesh, control)`."""
         away = units - self.mean.to(units)

@@ -102,9 +102,7 @@ class _Window:
             target = self.load(frame)
             if target is not None:
                 state = self.result[frame].state
-                self.result[frame] = replace(
-                    self.result[frame], quality=quality(self.solver.fit(target), target, state)
-                )
+                self.result[frame] = replace(self.result[frame], quality=quality(self.solver.fit(target), target, state))
 
     def _reduce(self, frame: int) -> Reduced:
         target, found = self.load(frame), self.result[frame]

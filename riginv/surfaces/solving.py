@@ -34,6 +34,7 @@ class ScanSettings:
         starts: how many of these, at most.
         seen: the fraction of the rig's skin below which a frame is flagged as `little_seen`.
         lost_mm: mean distance of a scan from the rig above which a frame is flagged as `lost`.
+        ambiguous_mm: standard deviation of the skin's vertices that scan and prior leave, above which it is `ambiguous`.
     """
 
     samples: int = 1500
@@ -45,6 +46,7 @@ class ScanSettings:
     starts: int = 1
     seen: float = 0.25
     lost_mm: float = 1.0
+    ambiguous_mm: float = 0.7
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,10 @@ class ScanSolver:
     def fit(self, target: Target) -> SurfaceFit:
         """The fit of a scan, with the prior as it counts beside so many measurements."""
         return self.fit_of(independent_measurements(torch.from_numpy(target.points)))
+
+    def variance_per_measurement(self, target: Target) -> float:
+        """Of a scan, mm^2: what a prior in fractions of the ranges is weighed by."""
+        return self.settings.noise_mm**2 / max(independent_measurements(torch.from_numpy(target.points)), 1)
 
     def fit_of(self, measurements: float) -> SurfaceFit:
         """The fit of a scan that holds so many independent measurements."""
