@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from riginv.surfaces.matching import Target
 from riginv.surfaces.motion import Motion, fit_motion
-from riginv.surfaces.rig_surface import Posed, RigSurface
+from riginv.surfaces.triangles import TriangleMesh
 
 POINTS = 600  # of either side
 SCALES_MM = (40.0, 28.0, 20.0, 14.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0)
@@ -17,6 +17,9 @@ POINT_STEPS = 5  # of these, from point to point; the others from point to plane
 NORMALS_FROM = 3  # the step from which normals must agree
 AGREE = 0.5  # cosine between two normals
 WELL_MM = 5.0  # robust mean distance up to which an alignment needs no other try
+BETTER = 0.8  # times the distance that another try must come down to
+ASIDE = 0.35  # of the rig's size, that its middle may lie beside that of the scan
+ORIGIN = np.zeros(3)
 WIDE_MM = 10.0  # at which the distance of one point is cut off
 
 
@@ -25,7 +28,8 @@ class Alignment(NamedTuple):
 
     Attributes:
         motion: from the rig's frame to the scan's.
-        distance_mm: mean distance of the scan's points from the rig, none counted for more than `WIDE_MM`.
+        distance_mm: mean distance of the scan's points from the rig, or of the rig's from the scan where that is less, none
+            counted for more than `WIDE_MM`: either may show more than the other.
         turned: whether it was found only after turning the scan by right angles.
     """
 
@@ -35,38 +39,51 @@ class Alignment(NamedTuple):
 
 
 class Aligner:
-    """Aligns scans with one pose of a rig.
+    """Aligns scans with one mesh, such as a pose of a rig.
 
     Args:
-        rig: its surface.
-        posed: the pose.
+        mesh: the mesh.
+        outer: the vertices that can be seen from outside, `(outer,)`.
+        sampled: some of these, spread evenly, `(sample,)`.
+        stillness: how much each vertex counts, `(vertex,)`.
     """
 
-    def __init__(self, rig: RigSurface, posed: Posed) -> None:
-        some = rig.sampled[:: max(1, len(rig.sampled) // POINTS)]
-        mesh = posed.mesh
-        self.points, self.normals, self.weights = mesh.points[some], mesh.normals[some], rig.stillness[some]
-        outer = np.flatnonzero(rig.outer)
-        self.vertices, self.vertex_normals, self.vertex_weights = mesh.points[outer], mesh.normals[outer], rig.stillness[outer]
+    def __init__(self, mesh: TriangleMesh, outer: np.ndarray, sampled: np.ndarray, stillness: np.ndarray) -> None:
+        some = sampled[:: max(1, len(sampled) // POINTS)]
+        self.points, self.normals, self.weights = mesh.points[some], mesh.normals[some], stillness[some]
+        self.vertices, self.vertex_normals = mesh.points[outer], mesh.normals[outer]
+        self.vertex_weights = stillness[outer] * ~mesh.border_points[outer]  # a scan may go on beyond the border
         self.tree = cKDTree(self.vertices)
 
-    def align(self, target: Target) -> Alignment:
-        """From the scan's middle; and where that fails, from all turns by right angles."""
+    def align(self, target: Target, thorough: bool = False) -> Alignment:
+        """From the scan's middle; where that fails, from places beside it, and from all turns by right angles.
+
+        Args:
+            thorough: whether places beside the middle are tried in any case.
+        """
         scan = _Scan(target)
         best = self._settle(scan, self._centred(scan, np.eye(3)), False)
-        if best.distance_mm > WELL_MM:
-            for rotation in right_angles()[1:]:
-                found = self._settle(scan, self._centred(scan, rotation), True)
-                if found.distance_mm < 0.8 * best.distance_mm:
-                    best = found
+        tries = ((rotation, shift) for rotation in right_angles() for shift in self._shifts())
+        for number, (rotation, shift) in enumerate(tries):
+            turned = number >= len(self._shifts())
+            if best.distance_mm <= WELL_MM and (turned or not thorough):
+                break
+            found = self._settle(scan, self._centred(scan, rotation, shift), turned)
+            if found.distance_mm < (BETTER if turned else 1.0) * best.distance_mm:
+                best = found
         return best
+
+    def _shifts(self) -> list[np.ndarray]:
+        """Ways from the middle of the rig to that of a scan that shows more or less of it, mm."""
+        size = ASIDE * (self.vertices.max(axis=0) - self.vertices.min(axis=0)).max()
+        return [np.zeros(3), *(sign * size * axis for axis in np.eye(3)[[2, 1, 0]] for sign in (1.0, -1.0))]
 
     def distance(self, target: Target, motion: Motion) -> float:
         """How far the scan's points lie from the rig under a motion, mm."""
         return self._distance(_Scan(target), motion)
 
-    def _centred(self, scan: "_Scan", rotation: np.ndarray) -> Motion:
-        return Motion(rotation, scan.middle - rotation @ np.median(self.vertices, axis=0))
+    def _centred(self, scan: "_Scan", rotation: np.ndarray, shift: np.ndarray = ORIGIN) -> Motion:
+        return Motion(rotation, scan.middle - rotation @ (np.median(self.vertices, axis=0) - shift))
 
     def _settle(self, scan: "_Scan", motion: Motion, turned: bool) -> Alignment:
         for step, scale in enumerate(SCALES_MM):
@@ -95,7 +112,10 @@ class Aligner:
     def _distance(self, scan: "_Scan", motion: Motion) -> float:
         distance, nearest = self.tree.query(motion.undo(scan.points))
         alike = (self.vertex_normals[nearest] * motion.undo_direction(scan.normals)).sum(axis=1) > 0
-        return float(np.minimum(np.where(alike, distance, WIDE_MM), WIDE_MM).mean())
+        of_scan = np.minimum(np.where(alike, distance, WIDE_MM), WIDE_MM).mean()
+        distance, nearest = scan.tree.query(motion.apply(self.points))
+        alike = ((self.normals @ motion.rotation.T) * scan.all_normals[nearest]).sum(axis=1) > 0
+        return float(min(of_scan, np.minimum(np.where(alike, distance, WIDE_MM), WIDE_MM).mean()))
 
 
 class _Scan:

@@ -88,7 +88,8 @@ class ScanSolver:
         self.surface = RigSurface(self.rig, self.settings.samples, self.stillness)
         self.start = self.prior.mean.clamp(OFF_KINKS, 1 - OFF_KINKS)
         first = self.fit_of(1.0)
-        self.aligner = Aligner(self.surface, self.surface.posed(first.coefficients(self.start)))
+        mesh, outer = self.surface.posed(first.coefficients(self.start)).mesh, np.flatnonzero(self.surface.outer)
+        self.aligner = Aligner(mesh, outer, self.surface.sampled, self.surface.stillness)
         self.library = PoseLibrary.of(self.rig)
         self.hidden, self.fit_neutral = hidden_controls(first), first.neutral
 
