@@ -23,6 +23,7 @@ MEANINGS = {
     "outside_reach": "the rig cannot make this mesh",
     "not_converged": "solver steps, or more of them, would help (refine=N, solver.steps)",
     "lost": "the scan does not lie on the rig's surface",
+    "unexplained": "part of the scan is nowhere near the rig's surface",
     "little_seen": "the scan has seen little of the rig",
     "ambiguous": "scan and prior together leave the mesh unsure",
     "no_scan": "no scan of 50 points or more, or the frame was excluded",

@@ -16,7 +16,7 @@ SCALES_MM = (40.0, 28.0, 20.0, 14.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.
 POINT_STEPS = 5  # of these, from point to point; the others from point to plane
 NORMALS_FROM = 3  # the step from which normals must agree
 AGREE = 0.5  # cosine between two normals
-WELL_MM = 5.0  # robust mean distance up to which an alignment needs no other try
+WELL_MM, FAIRLY_MM = 5.0, 7.0  # robust mean distance up to which no turns are tried: of the same person, of somebody else
 BETTER = 0.8  # times the distance that another try must come down to
 ASIDE = 0.35  # of the rig's size, that its middle may lie beside that of the scan
 ORIGIN = np.zeros(3)
@@ -66,7 +66,7 @@ class Aligner:
         tries = ((rotation, shift) for rotation in right_angles() for shift in self._shifts())
         for number, (rotation, shift) in enumerate(tries):
             turned = number >= len(self._shifts())
-            if best.distance_mm <= WELL_MM and (turned or not thorough):
+            if best.distance_mm <= (FAIRLY_MM if thorough else WELL_MM) and (turned or not thorough):
                 break
             found = self._settle(scan, self._centred(scan, rotation, shift), turned)
             if found.distance_mm < (BETTER if turned else 1.0) * best.distance_mm:

@@ -145,7 +145,7 @@ def eliminated(fit: SurfaceFit, near: Linearised) -> Reduced:
     """The normal equations of the controls once rigid motion follows them as well as it can."""
     count, (_, gradient, hessian) = len(near.state.units), near.normal
     motion = hessian[count:, count:]
-    motion = motion + 1e-6 * motion.diagonal().mean() * torch.eye(len(motion), dtype=torch.float64)
+    motion = motion + 1e-9 * motion.diagonal().mean() * torch.eye(len(motion), dtype=torch.float64)
     ours, across = hessian[:count, :count] + fit.prior.precision, hessian[count:, :count]
     pull = gradient[:count] + fit.prior.gradient(near.state.units[None])[0]
     follow = -torch.linalg.solve(motion, torch.cat([gradient[count:, None], across], dim=1))

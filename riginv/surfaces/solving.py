@@ -34,6 +34,7 @@ class ScanSettings:
         starts: how many of these, at most.
         seen: the fraction of the rig's skin below which a frame is flagged as `little_seen`.
         lost_mm: mean distance of a scan from the rig above which a frame is flagged as `lost`.
+        unexplained: the fraction of a scan's points, explained, below which a frame is flagged as `unexplained`.
         ambiguous_mm: standard deviation of the skin's vertices that scan and prior leave, above which it is `ambiguous`.
     """
 
@@ -46,6 +47,7 @@ class ScanSettings:
     starts: int = 1
     seen: float = 0.25
     lost_mm: float = 1.0
+    unexplained: float = 0.95
     ambiguous_mm: float = 0.7
 
 
@@ -152,9 +154,10 @@ class ScanSolver:
         return other if one is None or other.quality.objective < one.quality.objective else one
 
     def flags(self, found: SolvedScan) -> list[str]:
-        """Why a frame is worth a look: `lost`, `little_seen`."""
+        """Why a frame is worth a look: `lost`, `unexplained`, `little_seen`."""
         named = {
             "lost": not found.quality.scan_mm < self.settings.lost_mm or found.quality.explained < 0.5,
+            "unexplained": found.quality.explained < self.settings.unexplained,
             "little_seen": found.quality.seen < self.settings.seen,
         }
         return [name for name, holds in named.items() if holds]

@@ -15,7 +15,7 @@ from riginv.surfaces.scans import ScanSequence
 from riginv.surfaces.solving import ScanSolver, SolvedScan
 from riginv.surfaces.uncertainty import Uncertainty, open_controls, uncertainty
 
-LOST, LITTLE_SEEN, AMBIGUOUS, NO_SCAN = "lost", "little_seen", "ambiguous", "no_scan"
+AMBIGUOUS, NO_SCAN = "ambiguous", "no_scan"
 LOOKED_AT = 24  # frames, spread over the clip, that tell which controls scans leave open
 
 
@@ -30,7 +30,7 @@ class ScanTrack:
             `(frame,)`; NaN where there is no scan.
         seen: the fraction of the rig's skin that each scan has seen, `(frame,)`.
         explained: the fraction of each scan's points that the rig explains, `(frame,)`.
-        flags: why each frame is worth a look: `lost`, `little_seen`, `ambiguous`, `no_scan`.
+        flags: why each frame is worth a look: `lost`, `unexplained`, `little_seen`, `ambiguous`, `no_scan`.
         open_controls: the names of controls that the scans do not determine: they stay where the prior has them.
         notes: whole sentences for the user.
     """
