@@ -1,17 +1,18 @@
 """A Gaussian over a rig's controls, in fractions of their ranges."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig import RigBackend
 
 RIDGE = 1e-4  # added to every variance: a control that never moved may still move by a hundredth of its range
-CELL_MM = 8.0  # measurements in one cell of this size share their errors, and count as one
+RADIUS_MM = 6.0  # within which measurements share their errors
+MOST_POINTS = 4000  # that are counted; of more every so-manieth tells as much
 
 
 @dataclass(frozen=True)
@@ -128,11 +129,14 @@ def blended(take: ControlPrior, default: ControlPrior, fraction: float = 0.9, le
     return ControlPrior(take.names, fraction * take.mean + rest * default.mean, covariance, source)
 
 
-def independent_measurements(points: Tensor, cell_mm: float = CELL_MM) -> int:
-    """How many of some measured points `(point, 3)`, mm, have errors of their own: the number of cells that hold any.
+def independent_measurements(points: Tensor, radius_mm: float = RADIUS_MM) -> float:
+    """How many of some measured points `(point, 3)`, mm, have errors of their own: neighbours share theirs.
 
-    Denser sampling of the same surface adds none, so that a prior means the same for a mesh and for a scan of it.
+    Points that lie apart count as 1 each; on a surface the number is its area over that of a disc, however densely it is
+    sampled, so that a prior means the same for a mesh, for a scan of it, and for markers.
     """
-    if not len(points) or not math.isfinite(float(points.abs().max())):
-        return 0
-    return len(torch.unique(torch.floor(points / cell_mm).long(), dim=0))
+    if not len(points):
+        return 0.0
+    known = points.double().cpu().numpy()
+    known = known[:: -(-len(known) // MOST_POINTS)]
+    return float((1 / cKDTree(known).query_ball_point(known, radius_mm, return_length=True)).sum())

@@ -17,6 +17,8 @@ START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e3
 TRIES = 3  # of more and more damping on one linearisation
 TURN, SHIFT_MM = 2.0, 200.0  # the extent of the box in which rigid motion steps: never met
 NOISE = 4.0  # times the typical distance of good pairs: the scale does not fall below
+OFF_KINK = 0.02  # of a control's range, either way from neutral
+SIDES_MM = 3.0  # the scale at which sides are chosen
 MIDDLE = 0.5  # of that box
 
 
@@ -31,6 +33,7 @@ class Schedule:
         reach: of a control's range, at most in one step.
         settled: a fit is done once the scale has come down and no control moves by more, of its range.
         degrees: between two normals, beyond which a pair counts nothing.
+        sides_at: the steps before which controls at a kink are put on the side that descends.
     """
 
     steps: int = 22
@@ -40,9 +43,10 @@ class Schedule:
     reach: float = 0.15
     settled: float = 0.002
     degrees: float = 60.0
+    sides_at: tuple[int, ...] = ()
 
 
-FROM_SCRATCH = Schedule()
+FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
 FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, settled=0.01)
 
 
@@ -101,6 +105,8 @@ class SurfaceFit:
         """Improve a state by the steps of a schedule."""
         state, damping, typical = start, START_DAMPING, 0.0
         for step in range(schedule.steps):
+            if step in schedule.sides_at:
+                state = self.take_sides(target, state, schedule)
             last = max(schedule.last_scale_mm, NOISE * typical)
             scale = max(last, schedule.first_scale_mm * schedule.factor**step)
             state, moved, damping, typical = self.step(target, state, scale, schedule, damping)
@@ -126,6 +132,19 @@ class SurfaceFit:
             return state, 0.0, damping, pairs.typical_mm
         moved = float(change[: len(state.units)].abs().max())
         return near.moved(change), moved, max(damping / 3, LEAST_DAMPING), pairs.typical_mm
+
+    def take_sides(self, target: Target, state: State, schedule: Schedule) -> State:
+        """A state whose two-sided controls near neutral, where many have a kink, stand on the side that helps more."""
+        kinks = (self.neutral > 0) & (self.neutral < 1) & ((state.units - self.neutral).abs() < OFF_KINK)
+        if not bool(kinks.any()):
+            return state
+        posed = self.surface.posed(self.coefficients(state.units))
+        pairs = match(self.surface, posed, target, state.motion, max(SIDES_MM, schedule.last_scale_mm), schedule.degrees)
+        sides = [torch.where(kinks, self.neutral + way, state.units) for way in (OFF_KINK, -OFF_KINK)]
+        rise, fall = (Linearised(self, State(units, state.motion), pairs).normal.gradient[: len(kinks)] for units in sides)
+        up, down = -rise, fall
+        units = torch.where(kinks & (up > 0) & (up >= down), sides[0], state.units)
+        return State(torch.where(kinks & (down > 0) & (down > up), sides[1], units), state.motion)
 
     def coefficients(self, units: Tensor) -> Tensor:
         """The rig's coefficients `(coefficient,)`."""

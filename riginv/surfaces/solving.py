@@ -39,7 +39,7 @@ class ScanSettings:
     """
 
     samples: int = 1500
-    noise_mm: float = 0.15
+    noise_mm: float = 0.1
     base: float = 1e-6
     from_scratch: Schedule = FROM_SCRATCH
     from_near: Schedule = FROM_NEAR
