@@ -1,4 +1,4 @@
-"""Scans made from meshes whose every vertex is known: other topology, only what cameras before the face see, noise, holes, motion.
+"""Scans made from meshes whose every vertex is known: other topology, what cameras see, noise, holes, motion.
 
 Only tests and benchmarks use this; it needs `fast-simplification` (`pip install 'riginv[test]'`).
 """

@@ -20,6 +20,7 @@ from riginv.errors import InputError
 from riginv.files import sha256, written_beside
 from riginv.inverse import load_inverse
 from riginv.inversion.results import check_after, write_results
+from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
 from riginv.inversion.scans import (
     SURFACE,
     PreparedScans,
@@ -29,7 +30,6 @@ from riginv.inversion.scans import (
     remarks_of,
     write_scan_table,
 )
-from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
 from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method
 from riginv.inversion.table import InversionProgress, show
 from riginv.locks import alone

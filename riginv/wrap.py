@@ -43,7 +43,7 @@ def run(config: DictConfig) -> None:
         distance_map(rig, found, surface).save(beside, format="PNG", optimize=True)
     mean = float(np.nanmean(found.distance_mm))
     console.print(
-        f"  {found.usable:.1%} of the outer vertices lie on the scan, {mean:.3g} mm from it on average; scale {found.scale:.3f}",
+        f"  {found.usable:.1%} of the outer vertices lie on the scan, at {mean:.3g} mm on average; scale {found.scale:.3f}",
         highlight=False,
     )
     console.print(f"  {out}, {picture}", highlight=False, markup=False)
@@ -68,7 +68,7 @@ def obj_text(vertices: np.ndarray, faces: np.ndarray) -> str:
 
 
 def distance_map(rig: RigBackend, found: Wrapped, surface: Any) -> Image.Image:
-    """The scan, the wrapped mesh, and its distance as heat; dark red from 1 mm, and where it does not lie on the scan."""
+    """The scan, the wrapped mesh, and its distance as heat: dark red from 1 mm, and where it is off the scan."""
     vertices = torch.from_numpy(found.vertices)
     camera = Camera(vertices)
     heat = heat_colors(torch.from_numpy(np.nan_to_num(found.distance_mm, nan=RED_MM)), RED_MM)

@@ -123,7 +123,13 @@ def test_the_rigs_own_mesh_is_taken_by_its_vertices(run, tmp_path):
     rig = ToyRig()
     np.savez(tmp_path / "take.npz", vertices=np.stack([posed_mesh(rig, CONTROLS)[0]] * 3).astype(np.float32), fps=30.0)
     done = run(
-        "invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got", "look.page=false", "look.sheet=false"
+        "invert",
+        "rig=toy",
+        f"--config-dir={CONF}",
+        f"clip={tmp_path / 'take.npz'}",
+        "out=got",
+        "look.page=false",
+        "look.sheet=false",
     )
     assert done.code == 0 and "vertices in the rig's own order taken" in done.text
 

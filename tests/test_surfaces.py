@@ -147,4 +147,8 @@ def test_smoothing_follows_the_frames_and_fills_a_gap(rig):
 
 def test_weighted_second_differences_leave_out_what_counts_nothing():
     main, near_by, far = second_difference_bands(6, 0, torch.tensor([1.0, 0, 0, 1]))
-    assert main.tolist() == [1, 4, 1, 1, 4, 1] and near_by.tolist() == [-2, -2, 0, -2, -2, 0] and far.tolist() == [1, 0, 0, 1, 0, 0]
+    assert (
+        main.tolist() == [1, 4, 1, 1, 4, 1]
+        and near_by.tolist() == [-2, -2, 0, -2, -2, 0]
+        and far.tolist() == [1, 0, 0, 1, 0, 0]
+    )

@@ -55,7 +55,7 @@ def _unit(scans: ScanSequence, unit: object, found: float, rig_mm: float, rig: s
             )
     if not rig_mm / FITS < found * mm < rig_mm * FITS:
         raise InputError(
-            f"{scans.path}: taken in {best} its scans measure {found * mm:.3g} mm, and rig '{rig}' {rig_mm:.3g} mm: give the unit "
+            f"{scans.path}: in {best} its scans measure {found * mm:.3g} mm, and rig '{rig}' {rig_mm:.3g} mm: give the unit "
             f"with reading.unit=mm, cm, m or millimetres to a unit as a number; or these are scans of something else"
         )
     if unit == "auto":

@@ -93,9 +93,9 @@ def _check(scans: ScanSequence, found: list[SolvedScan], solver: ScanSolver) -> 
     if all("lost" in solver.flags(each) for each in found):
         distance = min(each.quality.explained for each in found)
         raise InputError(
-            f"{scans.path}: none of its {len(found)} scans can be brought onto rig '{solver.rig.name}' (at most {distance:.0%} of a "
-            f"scan's points come near it): is it a scan of this rig's actor, in the unit that was taken, with normals that point "
-            f"outwards? reading.unit and reading.up say what the numbers mean"
+            f"{scans.path}: none of its {len(found)} scans can be brought onto rig '{solver.rig.name}' (at most {distance:.0%} "
+            f"of a scan's points come near it): is it a scan of this rig's actor, in the unit that was taken, with normals "
+            f"that point outwards? reading.unit and reading.up say what the numbers mean"
         )
 
 

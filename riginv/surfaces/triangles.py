@@ -142,7 +142,7 @@ class PointCloud(Surface):
         return oriented(normals, near, (normals * away).sum(axis=1))
 
     def closest(self, queries: np.ndarray) -> Hits:
-        distance, nearest = self.tree.query(queries)
+        _, nearest = self.tree.query(queries)
         normals = self.normals[nearest]
         height = ((queries - self.points[nearest]) * normals).sum(axis=1, keepdims=True)
         beside = queries - height * normals - self.points[nearest]

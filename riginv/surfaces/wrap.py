@@ -88,7 +88,7 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
     smoothness = _smoothness(faces, skin)
     for stiffness in settings.stiffness:
         mesh = TriangleMesh(rest + displacement, faces, border)
-        hits, weights, cosine = _draw(mesh, moving, scan, motion, scale, settings)
+        hits, weights = _draw(mesh, moving, scan, motion, scale, settings)
         weights = weights * drawn[moving]
         towards = inside(hits.points) - mesh.points[moving]
         normals = motion.undo_direction(hits.normals)
@@ -99,7 +99,7 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
         displacement[moving] = factor.solve(weights[:, None] * aim)
         displacement = _with_loose_parts(rest, faces, skin, displacement)
     local = rest + displacement
-    hits, weights, _ = _draw(TriangleMesh(local, faces, border), np.arange(len(rest)), scan, motion, scale, settings)
+    hits, weights = _draw(TriangleMesh(local, faces, border), np.arange(len(rest)), scan, motion, scale, settings)
     distance = np.where((weights > 0) & (hits.distance < settings.usable_mm) & drawn, hits.distance, np.nan)
     usable = float(np.isfinite(distance[outer]).mean())
     return Wrapped(motion.apply(scale * local), local, scale, motion, distance, usable)
@@ -107,13 +107,13 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
 
 def _draw(
     mesh: TriangleMesh, some: np.ndarray, scan: Surface, motion: Motion, scale: float, settings: WrapSettings
-) -> tuple[Hits, np.ndarray, np.ndarray]:
+) -> tuple[Hits, np.ndarray]:
     """The closest points of a scan to some vertices, in the scan's frame, and how much each draws."""
     hits = scan.closest(motion.apply(scale * mesh.points[some]))
     cosine = (mesh.normals[some] @ motion.rotation.T * hits.normals).sum(axis=1)
     typical = max(3 * float(np.median(hits.distance)), 1.0)
     good = (cosine > np.cos(np.radians(settings.degrees))) & ~hits.on_border
-    return hits, np.where(good, 1 / (1 + (hits.distance / typical) ** 2) ** 2, 0.0), cosine
+    return hits, np.where(good, 1 / (1 + (hits.distance / typical) ** 2) ** 2, 0.0)
 
 
 def _similarity(
@@ -124,12 +124,12 @@ def _similarity(
     found = Aligner(mesh, outer, sampled, np.ones(len(rest))).align(Target.of(scan, SAMPLES), thorough=True)
     if found.distance_mm > 0.8 * TOO_FAR_MM / 2:
         raise InputError(
-            f"the scan cannot be brought onto the mesh: its points stay {found.distance_mm:.1f} mm away and more: is it the same "
-            f"part of a person, in the unit that was taken, with normals that point outwards?"
+            f"the scan cannot be brought onto the mesh: its points stay {found.distance_mm:.1f} mm away and more: is it the "
+            f"same part of a person, in the unit that was taken, with normals that point outwards?"
         )
     scale, motion = 1.0, found.motion
     for _ in range(settings.similarity_rounds):
-        hits, weights, _ = _draw(mesh, sampled, scan, motion, scale, settings)
+        hits, weights = _draw(mesh, sampled, scan, motion, scale, settings)
         points = rest[sampled]
         motion, scale = _fit_similarity(points, hits.points, weights, scale)
     return scale, motion
