@@ -43,7 +43,7 @@ def run(config: DictConfig) -> None:
         distance_map(rig, found, surface).save(beside, format="PNG", optimize=True)
     mean = float(np.nanmean(found.distance_mm))
     console.print(
-        f"  {found.usable:.1%} of the outer vertices lie on the scan, at {mean:.3g} mm on average; scale {found.scale:.3f}",
+        f"  {found.usable:.1%} of the outer skin lies on the scan, at {mean:.3g} mm on average; scale {found.scale:.3f}",
         highlight=False,
     )
     console.print(f"  {out}, {picture}", highlight=False, markup=False)

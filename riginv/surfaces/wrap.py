@@ -12,6 +12,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from riginv.errors import InputError
 from riginv.surfaces.alignment import Aligner
@@ -22,7 +23,8 @@ from riginv.surfaces.triangles import Hits, Surface, TriangleMesh, border_edges
 
 SAMPLES = 1500
 FOLLOWED = 12  # vertices of the skin whose displacement a part that hangs free follows, such as an eyeball
-TOO_FAR_MM = 20.0  # robust distance at which a similarity is not taken for one
+TOO_FAR_MM = 8.0  # robust mean distance beyond which a scan is of something else
+WIDE_MM, SCALE_MM = 20.0, 5.0  # of Geman and McClure's weights, at least, at first and in the end
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class WrapSettings:
         usable_mm: the distance up to which a vertex counts as lying on the scan.
     """
 
-    similarity_rounds: int = 15
+    similarity_rounds: int = 25
     stiffness: tuple[float, ...] = (100.0, 50.0, 25.0, 12.0, 6.0, 3.0, 1.5, 0.8, 0.4, 0.2)
     normal_fraction: float = 0.9
     degrees: float = 60.0
@@ -54,7 +56,7 @@ class Wrapped(NamedTuple):
         scale: of the scan against the mesh.
         motion: from the mesh's frame, scaled, to the scan's.
         distance_mm: of each vertex from the scan, `(vertex,)`; NaN where it does not lie on it.
-        usable: the fraction of the outer vertices that lie on the scan.
+        usable: the fraction of the outer skin's vertices that lie on the scan.
     """
 
     vertices: np.ndarray
@@ -86,9 +88,10 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
     drawn = np.zeros(len(rest), bool)
     drawn[outer] = True
     smoothness = _smoothness(faces, skin)
-    for stiffness in settings.stiffness:
+    least = np.geomspace(WIDE_MM, SCALE_MM, len(settings.stiffness))
+    for stiffness, least_mm in zip(settings.stiffness, least):
         mesh = TriangleMesh(rest + displacement, faces, border)
-        hits, weights = _draw(mesh, moving, scan, motion, scale, settings)
+        hits, weights = _draw(mesh, moving, scan, motion, scale, settings, float(least_mm))
         weights = weights * drawn[moving]
         towards = inside(hits.points) - mesh.points[moving]
         normals = motion.undo_direction(hits.normals)
@@ -101,17 +104,23 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
     local = rest + displacement
     hits, weights = _draw(TriangleMesh(local, faces, border), np.arange(len(rest)), scan, motion, scale, settings)
     distance = np.where((weights > 0) & (hits.distance < settings.usable_mm) & drawn, hits.distance, np.nan)
-    usable = float(np.isfinite(distance[outer]).mean())
+    usable = float(np.isfinite(distance[drawn & skin]).mean())
     return Wrapped(motion.apply(scale * local), local, scale, motion, distance, usable)
 
 
 def _draw(
-    mesh: TriangleMesh, some: np.ndarray, scan: Surface, motion: Motion, scale: float, settings: WrapSettings
+    mesh: TriangleMesh,
+    some: np.ndarray,
+    scan: Surface,
+    motion: Motion,
+    scale: float,
+    settings: WrapSettings,
+    least_mm: float = SCALE_MM,
 ) -> tuple[Hits, np.ndarray]:
     """The closest points of a scan to some vertices, in the scan's frame, and how much each draws."""
     hits = scan.closest(motion.apply(scale * mesh.points[some]))
     cosine = (mesh.normals[some] @ motion.rotation.T * hits.normals).sum(axis=1)
-    typical = max(3 * float(np.median(hits.distance)), 1.0)
+    typical = max(3 * float(np.median(hits.distance)), least_mm)
     good = (cosine > np.cos(np.radians(settings.degrees))) & ~hits.on_border
     return hits, np.where(good, 1 / (1 + (hits.distance / typical) ** 2) ** 2, 0.0)
 
@@ -122,27 +131,39 @@ def _similarity(
     mesh = TriangleMesh(rest, faces)
     sampled = outer[farthest_points(rest[outer], SAMPLES)]
     found = Aligner(mesh, outer, sampled, np.ones(len(rest))).align(Target.of(scan, SAMPLES), thorough=True)
-    if found.distance_mm > 0.8 * TOO_FAR_MM / 2:
+    if found.distance_mm > TOO_FAR_MM:
         raise InputError(
             f"the scan cannot be brought onto the mesh: its points stay {found.distance_mm:.1f} mm away and more: is it the "
             f"same part of a person, in the unit that was taken, with normals that point outwards?"
         )
-    scale, motion = 1.0, found.motion
+    scale, motion, target = 1.0, found.motion, Target.of(scan, SAMPLES)
     for _ in range(settings.similarity_rounds):
         hits, weights = _draw(mesh, sampled, scan, motion, scale, settings)
-        points = rest[sampled]
-        motion, scale = _fit_similarity(points, hits.points, weights, scale)
+        ours, theirs, normals = motion.apply(scale * rest[sampled]), hits.points, hits.normals
+        back = mesh.closest(motion.undo(target.points) / scale)
+        other = motion.apply(scale * back.points)
+        cosine = (back.normals @ motion.rotation.T * target.normals).sum(axis=1)
+        good = (cosine > np.cos(np.radians(settings.degrees))) & ~back.on_border
+        distance = np.linalg.norm(other - target.points, axis=1)
+        further = np.where(good, 1 / (1 + (distance / SCALE_MM) ** 2) ** 2, 0.0)
+        pairs = zip((ours, theirs, normals, weights), (other, target.points, target.normals, further))
+        scale, motion = _similarity_step(*(np.concatenate(both) for both in pairs), scale, motion)
     return scale, motion
 
 
-def _fit_similarity(source: np.ndarray, target: np.ndarray, weights: np.ndarray, scale: float) -> tuple[Motion, float]:
-    """The similarity that brings points onto others, weighted least squares (Umeyama, 1991)."""
-    turned = fit_motion(source, target, weights)
-    total = max(weights.sum(), 1e-12)
-    here, there = source - weights @ source / total, target - weights @ target / total
-    along = (weights[:, None] * there * (here @ turned.rotation.T)).sum()
-    scale = float(along / max((weights[:, None] * here**2).sum(), 1e-12))
-    return Motion(turned.rotation, weights @ target / total - scale * turned.rotation @ (weights @ source / total)), scale
+def _similarity_step(
+    ours: np.ndarray, theirs: np.ndarray, normals: np.ndarray, weights: np.ndarray, scale: float, motion: Motion
+) -> tuple[float, Motion]:
+    """One step of weighted least squares of distances along normals, in rotation, shift and scale."""
+    centre = np.average(ours, axis=0, weights=weights + 1e-12)
+    away = ours - centre
+    rows = np.concatenate([np.cross(away, normals), normals, (away * normals).sum(axis=1, keepdims=True)], axis=1)
+    square = rows.T @ (weights[:, None] * rows)
+    change = np.linalg.solve(
+        square + 1e-6 * np.diag(square.diagonal()), rows.T @ (weights * ((theirs - ours) * normals).sum(1))
+    )
+    small, factor = Rotation.from_rotvec(change[:3]).as_matrix(), float(np.exp(change[6]))
+    return scale * factor, Motion(small @ motion.rotation, factor * small @ (motion.shift - centre) + centre + change[3:6])
 
 
 def _skin(rest: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> np.ndarray:
