@@ -11,7 +11,7 @@ import pytest
 import torch
 from hydra.core.global_hydra import GlobalHydra
 
-from riginv import check, compare, evaluate, export_onnx, invert, reproduce, sample, train
+from riginv import check, compare, evaluate, export_onnx, invert, learn_prior, reproduce, sample, train, wrap
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
@@ -25,6 +25,8 @@ COMMANDS = {
     "check": check.check,
     "compare": compare.compare,
     "invert": invert.invert,
+    "learn_prior": learn_prior.learn,
+    "wrap": wrap.run,
     "export_onnx": export_onnx.export_onnx,
     "reproduce": reproduce.reproduce,
     "sample": sample.sample,
@@ -101,6 +103,8 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
             "check",
             "invert",
             "sample",
+            "learn_prior",
+            "wrap",
         ):
             given.append(f"hydra.run.dir={target}")
         monkeypatch.setattr(sys, "argv", [f"riginv.{name}", *given])

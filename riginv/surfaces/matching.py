@@ -12,6 +12,9 @@ from riginv.surfaces.rig_surface import Posed, RigSurface
 from riginv.surfaces.triangles import Hits, Surface
 
 
+FROM_RIG = 0.15  # of the weight of all pairs, for those from the rig to the scan: closest points of a noisy scan are biased
+
+
 class Pairs(NamedTuple):
     """Pairs of points, in the rig's frame (before rigid motion).
 
@@ -91,7 +94,8 @@ def match(rig: RigSurface, posed: Posed, target: Target, motion: Motion, scale_m
     here = mesh.closest(points)
     from_scan = _pairs(here.points, here.normals, points, towards, here, scale_mm, degrees, here.corners, here.barycentric)
     joined = [np.concatenate(both) for both in zip(from_rig, from_scan)]
-    joined[6] = joined[6] / len(joined[6])
+    shares = np.repeat([FROM_RIG, 1 - FROM_RIG], [len(sampled), len(target.points)])
+    joined[6] = joined[6] * shares / shares.sum()
     return Pairs(*joined, from_rig=len(sampled))
 
 
