@@ -116,12 +116,11 @@ class Bench:
             seconds.append(took)
         errors = np.stack(found)
         neutral = (self.rig.rest_vertices - truth).norm(dim=2).mean()
-        print(
-            f"{name:9s} neutral {neutral:.2f}  optimum {best.mean():.3f}  found {errors.mean():.3f}  {errors.mean() / best.mean():.2f} x  "
-            f"median {np.median(errors / best):.2f} x  worst {errors.max():.2f} mm  lost {int((errors > LOST_MM).sum())} of "
-            f"{errors.size}  {np.mean(seconds):.2f} s a frame (seeds: {', '.join(f'{e.mean():.3f}' for e in errors)})",
-            flush=True,
-        )
+        ratio, lost = errors / best, int((errors > LOST_MM).sum())
+        print(f"{name:9s} neutral {neutral:.2f}, optimum {best.mean():.3f}, found {errors.mean():.3f} mm", end="")
+        print(f" ({', '.join(f'{each.mean():.3f}' for each in errors)} by seed)", end="")
+        print(f": {errors.mean() / best.mean():.2f} x, median {np.median(ratio):.2f} x, worst {errors.max():.2f} mm", end="")
+        print(f", {lost} of {errors.size} lost, {np.mean(seconds):.2f} s a frame", flush=True)
 
 
 def solved(solver: ScanSolver, scans: list, in_a_row: bool) -> tuple[list[SolvedScan], float]:

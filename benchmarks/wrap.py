@@ -82,12 +82,9 @@ def main() -> None:
     seconds = time.process_time() - started
     skin, distance = (rig.part == 0).numpy(), found.distance_mm
     differs = np.linalg.norm(found.local - rig.rest_vertices.numpy(), axis=1)[skin].mean()
-    print(
-        f"scan of {len(points):,} vertices; one core, {seconds:.1f} s of its time; the person differs by {differs:.1f} mm on average"
-    )
-    print(
-        f"  {found.usable:.1%} of the outer skin on the scan, at {np.nanmean(distance):.3f} mm on average, scale {found.scale:.3f}"
-    )
+    mean = np.nanmean(distance)
+    print(f"scan of {len(points):,} vertices, {differs:.1f} mm from the face on average; {seconds:.1f} s of one core's time")
+    print(f"  {found.usable:.1%} of the outer skin on the scan, at {mean:.3f} mm on average, scale {found.scale:.3f}")
     if len(sys.argv) > 1:
         distance_map(rig, found, surface).save(Path(sys.argv[1]))
 
