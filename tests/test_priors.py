@@ -8,11 +8,12 @@ from riginv.errors import InputError
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.priors.files import FACTS, NUMBERS, load_prior, save_prior
 from riginv.priors.performances import PoseLibrary, default_prior
-from riginv.priors.prior import WeighedPrior, blended, learn_prior
+from riginv.priors.prior import blended, learn_prior
 from riginv.priors.takes import controls_of
 from riginv.rig import Control
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
+from riginv.solvers.weighed_prior import WeighedPrior
 from tests.toys import ToyRig
 
 

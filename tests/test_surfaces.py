@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from riginv.priors.performances import default_prior
-from riginv.priors.prior import WeighedPrior, independent_measurements
+from riginv.priors.prior import independent_measurements
 from riginv.solvers.band import second_difference_bands
+from riginv.solvers.weighed_prior import WeighedPrior
 from riginv.surfaces.alignment import Aligner
 from riginv.surfaces.clip import ScanSmoothness, eliminated, smooth_scans
 from riginv.surfaces.fitting import TURN, Linearised, State, SurfaceFit

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from riginv.mesh_space import RigInMeshSpace
-from riginv.priors.prior import WeighedPrior
 from riginv.solvers.objective import CORNER, Linearised, Objective
+from riginv.solvers.weighed_prior import WeighedPrior
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,9 @@ from riginv.inversion.window import WindowInverter
 from riginv.inversion.wishes import Wishes, resolve_wishes
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.priors.files import load_prior
-from riginv.priors.prior import WeighedPrior, independent_measurements
+from riginv.priors.prior import independent_measurements
 from riginv.rig import LinearRig, RigBackend
+from riginv.solvers.weighed_prior import WeighedPrior
 
 NETWORK, REFINED, EACH_FRAME, WHOLE_CLIP = "network", "refined", "levenberg_marquardt", "clip"
 METHODS = (NETWORK, REFINED, EACH_FRAME, WHOLE_CLIP)

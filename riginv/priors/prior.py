@@ -9,6 +9,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig import RigBackend
+from riginv.solvers.weighed_prior import WeighedPrior
 
 RIDGE = 1e-4  # added to every variance: a control that never moved may still move by a hundredth of its range
 RADIUS_MM = 6.0  # within which measurements share their errors
@@ -58,32 +59,6 @@ class ControlPrior:
         numbers = controls.tolist()
         names = tuple(self.names[number] for number in numbers)
         return ControlPrior(names, self.mean[controls], self.covariance[controls][:, controls], self.source)
-
-
-@dataclass(frozen=True)
-class WeighedPrior:
-    """`0.5 (u - mean)' precision (u - mean)`, mm^2, for controls u in fractions of their ranges.
-
-    Attributes:
-        mean: `(control,)`.
-        precision: `(control, control)`, mm^2.
-    """
-
-    mean: Tensor
-    precision: Tensor
-
-    def scaled(self, factor: float, dtype: torch.dtype) -> "WeighedPrior":
-        """The same, times a factor, in a dtype."""
-        return WeighedPrior(self.mean.to(dtype), (factor * self.precision).to(dtype))
-
-    def cost(self, units: Tensor) -> Tensor:
-        """`(mesh,)`, of controls `(mesh, control)`."""
-        away = units - self.mean.to(units)
-        return 0.5 * (away * (away @ self.precision.to(units))).sum(dim=-1)
-
-    def gradient(self, units: Tensor) -> Tensor:
-        """`(mesh, control)`."""
-        return (units - self.mean.to(units)) @ self.precision.to(units)
 
 
 def learn_prior(rig: RigBackend, controls: Tensor, source: str = "", ridge: float = RIDGE) -> ControlPrior:

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.features import RigFeatures
-from riginv.priors.prior import WeighedPrior
 from riginv.solvers.distance import CORNER_MM, Distance, MeanDistance, squared_distance
+from riginv.solvers.weighed_prior import WeighedPrior
 
 PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
 SPARSE = 0.1  # the share of entries below which a metric is kept as a sparse matrix

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.priors.prior import WeighedPrior
 from riginv.solvers.box_step import box_step, damped
+from riginv.solvers.weighed_prior import WeighedPrior
 from riginv.surfaces.matching import Pairs, Target, as_tensor, match
 from riginv.surfaces.motion import Motion
 from riginv.surfaces.rig_surface import RigSurface

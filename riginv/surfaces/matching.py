@@ -11,7 +11,6 @@ from riginv.surfaces.motion import Motion
 from riginv.surfaces.rig_surface import Posed, RigSurface
 from riginv.surfaces.triangles import Hits, Surface
 
-
 FROM_RIG = 0.15  # of the weight of all pairs, for those from the rig to the scan: closest points of a noisy scan are biased
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import torch
 
 from riginv.priors.performances import STRONG, PoseLibrary
-from riginv.priors.prior import ControlPrior, WeighedPrior, independent_measurements
+from riginv.priors.prior import ControlPrior, independent_measurements
 from riginv.rig import LinearRig
+from riginv.solvers.weighed_prior import WeighedPrior
 from riginv.surfaces.alignment import Aligner
 from riginv.surfaces.fitting import FROM_NEAR, FROM_SCRATCH, Schedule, State, SurfaceFit
 from riginv.surfaces.matching import Target
