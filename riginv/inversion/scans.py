@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from riginv.array_files import DAMAGED_ZIP
 from riginv.clips.clip import excluded_frames
 from riginv.clips.open import open_sequence
 from riginv.clips.options import FrameOptions, ReadingOptions
@@ -73,13 +74,15 @@ def open_scans(path: str, rig: RigBackend, reading: ReadingOptions) -> ScanSeque
 
 def _is_ragged(path: str) -> bool:
     given = Path(path)
-    if given.suffix.lower() != ".npz" or not given.is_file():
+    if given.suffix.lower() != ".npz":
         return False
     try:
+        if not given.is_file():  # a pipe might never start
+            return False
         with zipfile.ZipFile(given) as archive:
             return "offsets.npy" in archive.namelist()
-    except (zipfile.BadZipFile, OSError):
-        return False
+    except (*DAMAGED_ZIP, OSError, ValueError):
+        return False  # whoever opens it says so
 
 
 @dataclass(frozen=True)
