@@ -43,9 +43,9 @@ def load_prior(folder: Path, rig: LinearRig) -> ControlPrior:
         raise InputError(f"{folder / FACTS}: no prior of this version of riginv: learn it again with riginv.learn_prior")
     try:
         check_rig(str(folder), facts["rig"], rig)
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise InputError(f"{folder / FACTS}: damaged ({in_short(error)}): learn the prior again") from None
     path, count = folder / NUMBERS, len(rig.controls)
     try:

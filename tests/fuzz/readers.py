@@ -31,6 +31,7 @@ from rigs.gltf import GltfRig
 from rigs.shapes import ShapesRig
 from tests import sculpts
 from tests.clips import performance, write_animated_glb, write_mdd, write_npz, write_obj, write_pc2, write_usd
+from tests.fuzz import surfaces
 from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint
 from tests.fuzz.tally import Target
 from tests.test_bundle import rewrite_sums
@@ -281,5 +282,7 @@ READERS: dict[str, Make] = {
     "vertex regions": _regions,
     "vertex numbers": _picked,
     "config folder": _configs,
+    "ragged scans": surfaces.ragged,
+    "prior": surfaces.prior,
 }
 IN_PROCESSES = ("clip .usda", "clip .usdc")  # each case costs one process, a damaged one three
