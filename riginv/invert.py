@@ -25,11 +25,21 @@ from riginv.inverse import load_inverse
 from riginv.inversion.reach import with_reach
 from riginv.inversion.results import check_after, write_results
 from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
+from riginv.inversion.scans import (
+    SURFACE,
+    PreparedScans,
+    chosen_correspondence,
+    frame_errors,
+    prepare_scans,
+    remarks_of,
+    write_scan_table,
+)
 from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method
 from riginv.inversion.table import InversionProgress, show
 from riginv.locks import alone
 from riginv.recorded_rig import RecordedRig
-from riginv.rig import RigBackend
+from riginv.rig import LinearRig, RigBackend
+from riginv.surfaces.tracking import track_scans
 
 
 def invert(config: DictConfig) -> None:
@@ -47,9 +57,16 @@ def invert(config: DictConfig) -> None:
         raise InputError(f"formats is {plain['formats']!r}, expected a list: formats=[csv,glb]")
     check_formats(true_rig, plain["formats"])
     check_after(plain["after"], plain["look"])
-    clip, notes = open_clip(str(plain["clip"]), true_rig, *clip_options(plain))
+    reading, frames = clip_options(plain)
+    correspondence, said = chosen_correspondence(plain, true_rig, reading)
+    if correspondence == SURFACE:
+        show_rig(true_rig, plain["rig"])
+        invert_surface(plain, rig, true_rig, prepare_scans(plain, rig, reading, frames, said), out)
+        return
+    clip, notes = open_clip(str(plain["clip"]), true_rig, reading, frames)
     described = show_clip(clip)
     show_rig(true_rig, plain["rig"])
+    notes = [*said, *notes]
     parts = build_parts(plain, clip, rig, true_rig, inverse)
     with alone(out), InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
         free_folder(out)
@@ -70,6 +87,24 @@ def invert(config: DictConfig) -> None:
             files, remarks = write_results(beside, clip, animation, errors, plain, progress.advance)
     remarks += [f"warning: {warning}" for warning in describe(clip).new_warnings(described)]
     show(animation, errors, true_rig, out, files, remarks)
+
+
+def invert_surface(config: dict[str, Any], rig: LinearRig, true_rig: RigBackend, scans: PreparedScans, out: Path) -> None:
+    """Invert a clip of scans by their surfaces, and leave the folder `out`."""
+    numbers = scans.frame_numbers
+    with alone(out), InversionProgress(len(numbers), scans.notes) as progress:
+        free_folder(out)
+        track = track_scans(scans.solver, scans.scans, scans.meaning, scans.rows, scans.smoothness, progress.advance)
+        facts, source = made_by(config, SURFACE), Path(config["clip"]).name
+        motion = track.motion if scans.solver.moves else None
+        animation = Animation(true_rig, track.controls, scans.meaning.fps, numbers, motion, source, facts)
+        errors, remarks = frame_errors(track, numbers), remarks_of(track)
+        with written_beside(out) as beside:
+            beside.mkdir()
+            files, more = write_results(beside, None, animation, errors, config, progress.advance)
+            files += write_scan_table(beside, track, numbers)
+    rows = ("scan's points from the rig", "rig's skin from the scan")
+    show(animation, errors, true_rig, out, files, [*remarks, *more], "mean surface distances", rows)
 
 
 def free_folder(out: Any) -> Path:

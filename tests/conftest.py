@@ -11,7 +11,20 @@ import pytest
 import torch
 from hydra.core.global_hydra import GlobalHydra
 
-from riginv import check, compare, contact_sheet, evaluate, export_onnx, inspect, invert, reproduce, sample, train
+from riginv import (
+    check,
+    compare,
+    contact_sheet,
+    evaluate,
+    export_onnx,
+    inspect,
+    invert,
+    learn_prior,
+    reproduce,
+    sample,
+    train,
+    wrap,
+)
 from riginv.cli.command import command
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
@@ -31,6 +44,8 @@ COMMANDS = {
     "contact_sheet": contact_sheet.contact_sheet,
     "inspect": inspect.inspect,
     "invert": invert.invert,
+    "learn_prior": learn_prior.learn,
+    "wrap": wrap.run,
     "export_onnx": export_onnx.export_onnx,
     "reproduce": reproduce.reproduce,
     "sample": sample.sample,
@@ -39,7 +54,19 @@ COMMANDS = {
     "export_dna": export_dna.export,
     "gui_dna": gui_dna.gui,
 }
-LEAVE_NO_FOLDER = ("check", "contact_sheet", "inspect", "invert", "sample", "copy_dna", "evaluate_dna", "export_dna", "gui_dna")
+LEAVE_NO_FOLDER = (
+    "check",
+    "contact_sheet",
+    "inspect",
+    "invert",
+    "learn_prior",
+    "sample",
+    "wrap",
+    "copy_dna",
+    "evaluate_dna",
+    "export_dna",
+    "gui_dna",
+)
 SMALL = [
     "rig=toy",
     f"--config-dir={ROOT / 'tests/conf'}",

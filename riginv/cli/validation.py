@@ -52,6 +52,7 @@ RULES: dict[str, Check] = {
     "methods.*.knots": ("a whole number of at least 2", lambda value: _is_whole(value) and value >= 2),
     "methods.*steps": AT_LEAST_1,
     "judging.*": AT_LEAST_1,
+    "noise_mm": POSITIVE,
     "noise.radius_mm": POSITIVE,
     "noise.*": NOT_NEGATIVE,
     "trainer.max_steps": AT_LEAST_1,

@@ -51,7 +51,7 @@ class Clip(MeshSet):
         self.sequence, self.meaning, self.offset = sequence, meaning, int(np.argmax(inside))
         controls = None if sequence.controls is None else torch.from_numpy(sequence.controls[inside])
         super().__init__("clip", meaning.fps, controls, torch.tensor(numbers[inside]))
-        self.excluded = _excluded(sequence.path, self.frame_numbers, exclude)
+        self.excluded = excluded_frames(sequence.path, self.frame_numbers, exclude)
         self.motion_check = MotionCheck(self.frame_numbers, meaning.fps, bool(meaning.unit_source))
 
     def __len__(self) -> int:
@@ -78,7 +78,12 @@ class Clip(MeshSet):
             )
 
 
-def _excluded(path: str, numbers: Tensor, exclude: Sequence[Any]) -> Tensor:
+def excluded_frames(path: str, numbers: Tensor, exclude: Sequence[Any]) -> Tensor:
+    """Which of the frames with some numbers `(frame,)` are named by `frames.exclude`.
+
+    Raises:
+        InputError: an entry is no frame or span of the clip, or none is left.
+    """
     gone = torch.zeros(len(numbers), dtype=torch.bool)
     if not isinstance(exclude, list | tuple):
         raise InputError(f"frames.exclude is {exclude!r}, expected a list of frames: frames.exclude=[17,120-135]")

@@ -70,6 +70,12 @@ class Jacobian:
         outer[:, self.pattern.rows, self.pattern.columns] = self.values
         return outer @ self.inner
 
+    def times(self, rows: Tensor) -> Tensor:
+        """Rows `(row, coefficient)` times the Jacobian of a batch of one: `(row, control)`."""
+        if self.pattern is None:
+            return rows @ self.inner[0]
+        return (self.pattern.transposed(self.values, apart=False) @ rows.T).T @ self.inner[0]
+
     def pull(self, gradient: Tensor) -> Tensor:
         """A gradient `(batch, coefficient)` as one of the controls, `(batch, control)`."""
         if self.pattern is not None:

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from riginv.mesh_space import RigInMeshSpace
 from riginv.solvers.objective import CORNER, Linearised, Objective
+from riginv.solvers.weighed_prior import WeighedPrior
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,16 @@ class PreferringObjective(Objective):
     with a and b as far from neutral as the controls are, in shares of their ranges.
     """
 
-    def __init__(self, rig: RigInMeshSpace, prior: float, sparsity: float, preferences: Preferences) -> None:
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        prior: float,
+        sparsity: float,
+        preferences: Preferences,
+        learned: WeighedPrior | None = None,
+    ) -> None:
         dearness = preferences.dearness.to(rig.linear_map)
-        super().__init__(rig, prior * dearness, sparsity * dearness)
+        super().__init__(rig, prior * dearness, sparsity * dearness, learned=learned)
         self.symmetric, self.exclusive = preferences.symmetric.T, preferences.exclusive.T
         self.together = preferences.symmetric_mm2 * self.vertex_count
         self.apart = preferences.exclusive_mm2 * self.vertex_count

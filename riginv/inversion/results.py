@@ -41,7 +41,7 @@ def check_after(after: Mapping[str, Any], look: Mapping[str, Any]) -> None:
 
 def write_results(
     folder: Path,
-    clip: Clip,
+    clip: Clip | None,
     animation: Animation,
     errors: FrameErrors,
     config: Mapping[str, Any],
@@ -50,6 +50,7 @@ def write_results(
     """Write the curves, and what to look at, into a folder.
 
     Args:
+        clip: None: of scans, which have no mesh of the rig's to compare with: page and picture are left out.
         config: `formats`, `after` and `look` of riginv.invert.
         advance: told what is done.
 
@@ -67,8 +68,11 @@ def write_results(
             f"{reduction.worst_mm:.3g} mm from where a key at every frame has it"
         )
     advance("curves", 0)
-    described = describe(clip)
-    paths = write_formats(folder, curves, errors, config["formats"], after["swap_mouth"], described.as_json())
+    described = None if clip is None else describe(clip)
+    read = None if described is None else described.as_json()
+    paths = write_formats(folder, curves, errors, config["formats"], after["swap_mouth"], read)
+    if described is None:
+        return [path.name for path in paths], notes
     targets = _targets(clip, animation)
     if look["page"]:
         advance("page", 0)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from torch import Tensor
@@ -23,7 +24,10 @@ from riginv.inversion.weighted_space import weighted_space
 from riginv.inversion.window import WindowInverter
 from riginv.inversion.wishes import Wishes, resolve_wishes
 from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.priors.files import load_prior
+from riginv.priors.prior import independent_measurements
 from riginv.rig import LinearRig, RigBackend
+from riginv.solvers.weighed_prior import WeighedPrior
 
 NETWORK, REFINED, EACH_FRAME, WHOLE_CLIP = "network", "refined", "levenberg_marquardt", "clip"
 METHODS = (NETWORK, REFINED, EACH_FRAME, WHOLE_CLIP)
@@ -148,8 +152,21 @@ def build_solver(
     held = HeldRig(rig.rig, wishes.free.nonzero()[:, 0], wishes.held)
     space = rig.space if weights is None else weighted_space(rig.rig, weights)
     objective = PreferringObjective(
-        RigInMeshSpace(held, space), options["prior"], options["sparsity"], wishes.preferences_of_free()
+        RigInMeshSpace(held, space),
+        options["prior"],
+        options["sparsity"],
+        wishes.preferences_of_free(),
+        _learned(config, rig, held, weights),
     )
     network = ByNetwork(inverse, wishes) if inverse is not None and method != EACH_FRAME else None
     steps = (config["refine"] or REFINE_STEPS) if network else options["steps"]
     return BySolver(objective, network, steps, options["key_starts"], options["descent_steps"])
+
+
+def _learned(config: Config, rig: RigInMeshSpace, held: HeldRig, weights: Tensor | None) -> WeighedPrior | None:
+    """The prior that a config names, among the free controls, as it counts beside the vertices that are believed."""
+    if config.get("prior") is None:
+        return None
+    rest = rig.rig.rest_vertices if weights is None else rig.rig.rest_vertices[weights > 0]
+    measurements = independent_measurements(rest.cpu())
+    return load_prior(Path(str(config["prior"])), rig.rig).of(held.free.cpu()).weighed(config["noise_mm"], measurements)

@@ -23,6 +23,11 @@ MEANINGS = {
     "outside_training_range": "the mesh is unlike those that the network was trained on",
     "outside_reach": "the rig cannot make this mesh",
     "not_converged": "more solver steps would lower the error (refine=N, solver.steps)",
+    "lost": "the scan does not lie on the rig's surface",
+    "unexplained": "part of the scan is nowhere near the rig's surface",
+    "little_seen": "the scan has seen little of the rig",
+    "ambiguous": "scan and prior together leave the mesh unsure",
+    "no_scan": "no scan of 50 points or more, or the frame was excluded",
     "missing_vertices": "some vertices are not known, or the frame was excluded",
 }
 
@@ -55,16 +60,23 @@ class InversionProgress(Bar):
 
 
 def show(
-    animation: Animation, errors: FrameErrors, judge: RigBackend, folder: Path, files: Sequence[str], notes: Sequence[str]
+    animation: Animation,
+    errors: FrameErrors,
+    judge: RigBackend,
+    folder: Path,
+    files: Sequence[str],
+    notes: Sequence[str],
+    measure: str = "vertex errors",
+    rows: Sequence[str] = ("mean over a frame's vertices", "worst vertex of a frame"),
 ) -> None:
     """Show how good the frames are, which to look at, and what was written."""
     console = Console()
     known = ~errors.mean_mm.isnan()
-    title = f"{escape(animation.source)}: {len(animation):,} frames at {animation.fps:g} a second, vertex errors in mm"
+    title = f"{escape(animation.source)}: {len(animation):,} frames at {animation.fps:g} a second, {measure} in mm"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
     for heading in ("", "mean", "median", "95 % below", "worst frame"):
         table.add_column(heading, justify="right" if heading else "left")
-    for name, values in (("mean error of a frame", errors.mean_mm), ("largest error of a frame", errors.max_mm)):
+    for name, values in zip(rows, (errors.mean_mm, errors.max_mm)):
         table.add_row(name, *_figures(values[known]))
     if errors.neutral_mm is not None:
         table.add_row("neutral in its place", *_figures(errors.neutral_mm[known]))

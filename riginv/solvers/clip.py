@@ -5,14 +5,14 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from riginv.solvers.band import second_difference_bands, second_differences, solve_band, usual_steps
+from riginv.solvers.band import second_difference_bands, second_differences, usual_steps
+from riginv.solvers.band_step import band_box_step
 from riginv.solvers.box_step import FLOOR
 from riginv.solvers.levenberg_marquardt import LEAST_DAMPING, MOST_DAMPING, START_DAMPING
 from riginv.solvers.objective import Linearised, Objective
 
 WINDOW, LOOKAHEAD = 192, 48  # frames that are kept of a window, and those solved beyond them so that its end knows what comes
 PIECE = 128
-ROUNDS = 2  # of solving and pinning what leaves the box
 TRIES = 4  # of more and more damping on one linearisation
 
 
@@ -154,27 +154,4 @@ class _Window:
         diagonal = hessian.diagonal(dim1=1, dim2=2)
         floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + 1e-6
         blocks = hessian.double() + torch.diag_embed(damping[:, None] * (diagonal + floor) + main[:, None])
-        free = ~(((at <= 0) & (gradient > 0)) | ((at >= 1) & (gradient < 0)))
-        step = torch.zeros_like(at)
-        for _ in range(ROUNDS):
-            pinned = torch.where(free, 0.0, step).double()
-            rest = gradient + (blocks @ pinned[..., None])[..., 0]
-            rest[1:] += near[:-1, None] * pinned[:-1]
-            rest[:-1] += near[:-1, None] * pinned[1:]
-            rest[2:] += far[:-2, None] * pinned[:-2]
-            rest[:-2] += far[:-2, None] * pinned[2:]
-            both = free[:, :, None] & free[:, None]
-            reduced = torch.where(both, blocks, 0.0)
-            reduced.diagonal(dim1=1, dim2=2).add_(~free)
-            to_next = near[:, None] * (free & torch.roll(free, -1, 0))
-            to_second = far[:, None] * (free & torch.roll(free, -2, 0))
-            solved = solve_band(reduced, to_next, to_second, torch.where(free, -rest, 0.0))
-            if solved is None:
-                return torch.zeros_like(at)
-            target = at + torch.where(free, solved, pinned).to(at)
-            step = target.clamp(0, 1) - at
-            leaving = free & ((target < 0) | (target > 1))
-            if not bool(leaving.any()):
-                break
-            free = free & ~leaving
-        return step
+        return band_box_step(blocks, near, far, gradient, at)

@@ -16,6 +16,7 @@ from torch import Tensor
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.features import RigFeatures
 from riginv.solvers.distance import CORNER_MM, Distance, MeanDistance, squared_distance
+from riginv.solvers.weighed_prior import WeighedPrior
 
 PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
 SPARSE = 0.1  # the share of entries below which a metric is kept as a sparse matrix
@@ -47,6 +48,7 @@ class Objective:
         prior: mm^2 for one control that leaves neutral by its whole range; or as much for each, `(control,)`.
         sparsity: the same, in proportion to the way.
         dtype: to compute in; that of the rig unless given.
+        learned: how likely controls are together (`riginv.priors`), on top of these; None: nothing is known.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class Objective:
         prior: float | Tensor = PRIOR,
         sparsity: float | Tensor = 0.0,
         dtype: torch.dtype | None = None,
+        learned: WeighedPrior | None = None,
     ) -> None:
         self.rig = rig
         self.vertex_count = rig.space.vertex_count
@@ -64,6 +67,7 @@ class Objective:
         self.map = rig.linear_map.to(dtype)
         self.metric = _metric(rig, self.map)
         self.rest = rig.neutral_coefficients.to(dtype)
+        self.learned = None if learned is None else learned.scaled(self.vertex_count, dtype)
         self.distance: Callable[[Tensor], Distance] = squared_distance
         self.lower = rig.rig.lower.to(dtype)
         self.span = rig.rig.upper.to(dtype) - self.lower
@@ -124,6 +128,8 @@ class Objective:
         if weights is not None:
             distance, slope, hessian = weights * distance, weights[:, None] * slope, weights[:, None, None] * hessian
         hessian.diagonal(dim1=1, dim2=2).add_(curvature)
+        if self.learned is not None:
+            hessian = hessian + self.learned.precision
         return Linearised(cost + distance, gradient + slope, hessian)
 
     def _residual(self, coefficients: Tensor, coordinates: Tensor) -> Tensor:
@@ -138,6 +144,8 @@ class Objective:
         away = units - self.neutral
         cost, gradient = 0.5 * (self.prior * away.square()).sum(dim=1), self.prior * away
         curvature = torch.zeros_like(away) + self.prior
+        if self.learned is not None:  # its curvature is no diagonal: `linearise` adds it
+            cost, gradient = cost + self.learned.cost(units), gradient + self.learned.gradient(units)
         if self.is_sparse:
             rounded = (away.square() + CORNER**2).sqrt()
             inside = (self.neutral > 0) & (self.neutral < 1)

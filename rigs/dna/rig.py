@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from riginv.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.errors import InputError
 from riginv.geometry.jacobian import Jacobian, forward_jacobian
 from riginv.geometry.skeleton import Skeleton
 from riginv.rig import LinearRig, RigBackend
-from rigs.arkit import arkit_targets
 from rigs.dna.control_sets import Kind, control_set
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
@@ -138,11 +138,15 @@ class LinearDnaRig(DnaRig, LinearRig):
     def forward(self, controls: Tensor) -> Tensor:
         return LinearRig.forward(self, controls)
 
+    def arkit_parts(self) -> dict[str, ArkitParts]:
+        return arkit_parts(self._primary_names)
+
     def arkit_deltas(self) -> dict[str, Tensor]:
-        if not self.has_blendshapes:
-            return {}
-        index_of = {name: number for number, name in enumerate(self.coefficient_names[: self.primary_count])}
-        return {arkit: self.basis[index_of[name]] for arkit, name in arkit_targets(list(index_of)).items()}
+        return arkit_deltas(self.arkit_parts(), dict(zip(self._primary_names, self.basis)))
+
+    @property
+    def _primary_names(self) -> list[str]:
+        return list(self.coefficient_names[: self.primary_count]) if self.has_blendshapes else []
 
 
 def _check_arguments(controls: str | None, lod: int, meshes: Sequence[str], unit_mm: float | None) -> None:

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from rigs.arkit import ARKIT_NAMES
 
+from riginv.arkit import ARKIT_NAMES
 from riginv.errors import InputError
 from riginv.fitted_rig import FittedRig
 from riginv.geometry.interpolation import coefficients_from, telling_vertices

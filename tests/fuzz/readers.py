@@ -40,7 +40,7 @@ from tests.clips import (
     write_skinned_usd,
     write_usd,
 )
-from tests.fuzz import characters
+from tests.fuzz import characters, surfaces
 from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint
 from tests.fuzz.tally import Target
 from tests.test_bundle import rewrite_sums
@@ -307,6 +307,8 @@ READERS: dict[str, Make] = {
     "vertex regions": _regions,
     "vertex numbers": _picked,
     "config folder": _configs,
+    "ragged scans": surfaces.ragged,
+    "prior": surfaces.prior,
 }
 IN_PROCESSES = (
     "clip .usda",

@@ -1,0 +1,144 @@
+"""Controls from scans of another topology, against the take that they were made of: the rows of issue 18.
+
+    python benchmarks/scans.py TAKE.csv [row ...]      rows: a, b, none, run, noisy-run; all unless named
+    SEEDS=1 FRAMES=40 RUN=90 python benchmarks/scans.py take.csv a
+
+TAKE.csv is a Live Link Face recording, whose 52 curves are added linearly to the default face: meshes near the rig's reach, but
+not in it. The prior is learned from the take's first half; frames of the second half are judged by their true vertices, in the
+rig's own frame, over all 8,447 of them. `x` is over the best same-topology answer (Levenberg-Marquardt from three starts).
+Scans keep 40 % of the faces, no vertex, and only what 24 cameras before the face see.
+
+a           as they are, prior from the other half of the take
+b           0.3 mm of noise, 20 % cut out as holes, turned by 20 degrees and moved by 50 mm, the same prior
+none        as a, without any take: the default prior
+run         90 frames in a row, each from the one before and then all at once, scans as a
+noisy-run   the same with noise and holes
+Seconds are of one core's time (`time.process_time`), which other processes beside it lengthen.
+"""
+
+import os
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from scan_making import Degradation, make_scan
+from torch import Tensor
+
+from riginv.clips.live_link import live_link_clip
+from riginv.inversion.stillness import stillness
+from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.priors.performances import default_prior
+from riginv.priors.prior import ControlPrior, blended, learn_prior
+from riginv.priors.takes import controls_of
+from riginv.solvers.every_mesh import solve_meshes
+from riginv.solvers.objective import Objective
+from riginv.surfaces.clip import ScanSmoothness, smooth_scans
+from riginv.surfaces.solving import ScanSolver, SolvedScan
+from riginv.surfaces.triangles import TriangleMesh
+from rigs.face import FaceRig
+
+CLEAN = Degradation()
+NOISY = Degradation(noise_mm=0.3, holes=0.2, degrees=20, shift_mm=50)
+SEEDS, FRAMES, RUN = (int(os.environ.get(*pair)) for pair in (("SEEDS", "3"), ("FRAMES", "40"), ("RUN", "90")))
+LOST_MM = 1.5  # mean error of a frame that counts as lost
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table: how scans are spoilt, which prior, and whether the frames follow one another."""
+
+    how: Degradation
+    take_prior: bool = True
+    in_a_row: bool = False
+
+
+ROWS = {
+    "a": Row(CLEAN),
+    "b": Row(NOISY),
+    "none": Row(CLEAN, take_prior=False),
+    "run": Row(CLEAN, in_a_row=True),
+    "noisy-run": Row(replace(NOISY, degrees=0, shift_mm=0), in_a_row=True),
+}
+
+
+class Bench:
+    """The face, the take, and the priors, each made once."""
+
+    def __init__(self, take: Path) -> None:
+        self.rig = FaceRig()
+        self.clip, self.faces = live_link_clip(take, self.rig), self.rig.faces.numpy()
+        self.half = len(self.clip) // 2
+        self.without = default_prior(self.rig)
+        learned = learn_prior(self.rig, controls_of(take, self.rig, 0, self.half - 1), "the first half")
+        self.learned = blended(learned, self.without)
+        self.stillness = stillness(self.rig).numpy()
+        self.objective = Objective(RigInMeshSpace(self.rig, MeshSpace.from_rig(self.rig)))
+
+    def truth(self, frames: np.ndarray) -> Tensor:
+        return torch.cat([self.clip.vertices(frame, frame + 1) for frame in frames.tolist()])
+
+    @torch.no_grad()
+    def best(self, truth: Tensor) -> np.ndarray:
+        """The error of the best same-topology answers, `(frame,)`."""
+        found = solve_meshes(self.objective, self.objective.rig.space.encode(truth), 3, 60, descent_steps=60)
+        return self.errors(self.objective.own_units(found.units), truth)
+
+    @torch.no_grad()
+    def errors(self, controls: Tensor, truth: Tensor) -> np.ndarray:
+        return (self.rig(controls) - truth).norm(dim=2).mean(dim=1).numpy()
+
+    def solver(self, prior: ControlPrior) -> ScanSolver:
+        return ScanSolver(self.rig, prior, stillness=self.stillness)
+
+    def run(self, name: str) -> None:
+        """Measure a row and print it."""
+        row = ROWS[name]
+        start = self.half + 985
+        frames = (
+            np.arange(start, start + RUN)
+            if row.in_a_row
+            else np.linspace(self.half + 10, len(self.clip) - 10, FRAMES).astype(int)
+        )
+        truth = self.truth(frames)
+        best, found, seconds = self.best(truth), [], []
+        for seed in range(SEEDS):
+            solver = self.solver(self.learned if row.take_prior else self.without)
+            scans = [
+                make_scan(mesh.numpy(), self.faces, row.how, np.random.default_rng([seed, int(frame)]))
+                for mesh, frame in zip(truth, frames)
+            ]
+            answers, took = solved(solver, scans, row.in_a_row)
+            controls = torch.stack([solver.fit_of(1.0).controls(answer.state.units) for answer in answers])
+            found.append(self.errors(controls, truth))
+            seconds.append(took)
+        errors = np.stack(found)
+        neutral = (self.rig.rest_vertices - truth).norm(dim=2).mean()
+        ratio, lost = errors / best, int((errors > LOST_MM).sum())
+        print(f"{name:9s} neutral {neutral:.2f}, optimum {best.mean():.3f}, found {errors.mean():.3f} mm", end="")
+        print(f" ({', '.join(f'{each.mean():.3f}' for each in errors)} by seed)", end="")
+        print(f": {errors.mean() / best.mean():.2f} x, median {np.median(ratio):.2f} x, worst {errors.max():.2f} mm", end="")
+        print(f", {lost} of {errors.size} lost, {np.mean(seconds):.2f} s a frame", flush=True)
+
+
+def solved(solver: ScanSolver, scans: list, in_a_row: bool) -> tuple[list[SolvedScan], float]:
+    """The answers, and the seconds of a core's time that each took."""
+
+    def target(number: int) -> object:
+        return solver.target(TriangleMesh(*scans[number]))
+
+    started, before, answers = time.process_time(), None, []
+    for number in range(len(scans)):
+        before = solver.solve(target(number), before if in_a_row else None)
+        answers.append(before)
+    if in_a_row:
+        answers = smooth_scans(solver, target, answers, ScanSmoothness())
+    return answers, (time.process_time() - started) / len(scans)
+
+
+if __name__ == "__main__":
+    bench = Bench(Path(sys.argv[1]))
+    for row_name in sys.argv[2:] or ROWS:
+        bench.run(row_name)

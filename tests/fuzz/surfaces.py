@@ -1,0 +1,51 @@
+"""Files of scans and priors, whole, with what reads them."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from riginv.clips.options import ReadingOptions
+from riginv.priors.files import load_prior, save_prior
+from riginv.priors.prior import ControlPrior, learn_prior
+from riginv.surfaces.meaning import meaning_of_scans
+from riginv.surfaces.scans import RaggedArrays
+from riginv.surfaces.triangles import Surface
+from tests.fuzz.tally import Target
+from tests.scans import resampled, write_ragged
+from tests.toys import ToyRig
+
+
+def _rig() -> ToyRig:
+    return ToyRig(detail=1)
+
+
+def read_scans(path: Path) -> list[Surface]:
+    """As the command does: opened, measured, and made into surfaces one by one."""
+    scans = RaggedArrays(path)
+    meaning = meaning_of_scans(scans, _rig(), ReadingOptions())
+    found = [scans.scan(number).cleaned() for number in range(len(scans))]
+    surfaces = [scan.surface(meaning.mm, np.eye(3)) for scan in found if scan is not None]
+    assert all(np.isfinite(surface.points).all() for surface in surfaces)
+    return surfaces
+
+
+def read_prior(folder: Path) -> ControlPrior:
+    """As a solver takes it: with the inverse of its covariance."""
+    prior = load_prior(folder, _rig())
+    assert bool(torch.isfinite(prior.precision).all())
+    return prior
+
+
+def ragged(folder: Path) -> Target:
+    """A clip of two scans."""
+    meshes = [resampled(_rig(), torch.full((7,), 0.2), seed) for seed in range(2)]
+    write_ragged(folder / "scans.npz", [(mesh.points, mesh.faces) for mesh in meshes])
+    return Target([folder / "scans.npz"], lambda: read_scans(folder / "scans.npz"))
+
+
+def prior(folder: Path) -> Target:
+    """A learned prior."""
+    rig = _rig()
+    save_prior(folder / "prior", learn_prior(rig, rig.lower + (rig.upper - rig.lower) * torch.rand(30, 7)), rig, 30)
+    return Target(sorted((folder / "prior").iterdir()), lambda: read_prior(folder / "prior"))
