@@ -14,7 +14,7 @@ FLOORS = [
     {"arguments", "files"},
     {"locks", "seals"},
     {"cache"},
-    {"array_files", "build"},
+    {"array_files", "build", "kernels"},
     {"geometry"},
     {"rig"},
     {"mesh_space"},

@@ -3,10 +3,18 @@
 import torch
 from torch import Tensor
 
-from riginv.geometry.blendshapes import combination_slopes, combination_weights, screen, screen_slopes
+from riginv.geometry.blendshapes import (
+    combination_pull,
+    combination_slopes,
+    combination_weights,
+    screen,
+    screen_pull,
+    screen_slopes,
+)
+from riginv.geometry.columns import add_to_columns
 from riginv.geometry.curves import Curve, curves_and_slopes, evaluate_curves, pack_curves
 from riginv.geometry.jacobian import Jacobian, Pattern
-from riginv.rig import LinearRig
+from riginv.rig import LinearRig, Pull
 from rigs.arkit import ARKIT_NAMES
 from rigs.face.build import face_geometry
 from rigs.face.controls import build_controls
@@ -88,6 +96,37 @@ class FaceRig(LinearRig):
         primary = primary * yielding.index_select(1, self.region_of_shape)
         between = evaluate_curves(self.inbetween_curves.to(controls), primary.index_select(1, self.inbetween_shape))
         return torch.cat([primary, between, combination_weights(primary, self.combination_members)], dim=1)
+
+    @torch.no_grad()
+    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+        """As `coefficients`, step by step, and the same steps backwards."""
+        driven, rise = curves_and_slopes(self.driver_curves.to(controls), controls.index_select(1, self.driver_control))
+        screened = screen(driven, self.driver_of_shape)
+        close = screened.index_select(1, self.ceiling_shape)
+        under, under_slope = curves_and_slopes(self.ceiling_curves.to(controls), screened.index_select(1, self.ceiling_under))
+        held = screened.index_copy(1, self.ceiling_shape, torch.minimum(close, under))
+        taken = self.capacity_taken.to(controls)
+        yielding, yield_slope = curves_and_slopes(self.limit_curves.to(controls), held @ taken)
+        factor = yielding.index_select(1, self.region_of_shape)
+        primary = held * factor
+        between, bump_slope = curves_and_slopes(
+            self.inbetween_curves.to(controls), primary.index_select(1, self.inbetween_shape)
+        )
+        members, counts = self.combination_members, (primary.shape[1], between.shape[1], len(self.combination_members))
+
+        def pull(gradient: Tensor) -> Tensor:
+            of_primary, of_between, of_combined = gradient.split(counts, dim=1)
+            pulled = combination_pull(primary, members, of_combined).add_(of_primary)
+            add_to_columns(pulled, self.inbetween_shape, of_between, bump_slope)
+            of_yielding = add_to_columns(torch.zeros_like(yielding), self.region_of_shape, pulled, held)
+            pulled = torch.addmm(pulled * factor, of_yielding * yield_slope, taken.T)
+            of_close, free = pulled.index_select(1, self.ceiling_shape), close <= under
+            pulled.index_copy_(1, self.ceiling_shape, torch.where(free, of_close, 0.0))
+            add_to_columns(pulled, self.ceiling_under, torch.where(free, 0.0, of_close), under_slope)
+            of_driven = screen_pull(driven, self.driver_of_shape, pulled)
+            return add_to_columns(torch.zeros_like(controls), self.driver_control, of_driven, rise)
+
+        return torch.cat([primary, between, combination_weights(primary, members)], dim=1), pull
 
     @torch.no_grad()
     def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
