@@ -1,5 +1,6 @@
 """The baseline of Holden et al. 2015: the same network, trained on poses of the rig with the loss on their controls."""
 
+import torch
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
@@ -12,7 +13,9 @@ class HoldenModule(RigModule):
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
         controls = self.network(batch["coordinates"])
-        return self.learn(mse_loss(controls, batch["controls"]), self.rig(controls), batch["coordinates"])
+        with torch.no_grad():
+            found = self.rig(controls)
+        return self.learn(mse_loss(controls, batch["controls"]), found, batch["coordinates"])
 
     def results(self, batch: PoseBatch) -> Tensor:
         return self.true_rig(self.network(batch["coordinates"]))

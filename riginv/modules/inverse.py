@@ -1,12 +1,13 @@
 """The paper's inverse: a network from meshes to controls, with the loss on the mesh that the rig makes of them (Sec. 3.3)."""
 
+import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.losses import MeanDistanceLoss
+from riginv.losses import LengthLoss, MeanDistanceLoss
 from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import OptimizerFactory, RigModule, ScheduleFactory
-from riginv.networks.inverse import InverseNetwork
+from riginv.networks.inverse import Answer, InverseNetwork
 from riginv.sampling.meshes import PoseBatch
 
 
@@ -41,9 +42,40 @@ class InverseModule(RigModule):
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
         target = batch["coordinates"]
-        *before, last = self.network.answers(target)
-        loss = sum(self.loss(answer.coordinates, target) for answer in before) + self.last_loss(last.coordinates, target)
-        return self.learn(loss, last.coordinates, target)
+        answers = self.network.answers(target)
+        losses = [*(self.loss for _ in answers[1:]), self.last_loss]
+        values, gradients = zip(*(value_and_gradient(loss, answer) for loss, answer in zip(losses, answers)))
+        loss = _Summed.apply(sum(values), *gradients, *(answer.raw for answer in answers))
+        return self.learn(loss, answers[-1].found, target)
 
     def results(self, batch: PoseBatch) -> Tensor:
         return self.true_rig(self.network(batch["coordinates"]))
+
+
+def value_and_gradient(loss: nn.Module, answer: Answer) -> tuple[Tensor, Tensor]:
+    """The loss of an answer, and its gradient `(batch, control)` by the raw outputs, neither with a graph.
+
+    The rig is not differentiated anew: a loss that looks at the length of each error alone has the gradient that the network's
+    next stage sees, times a number for each mesh; that of any other loss is pulled through the rig.
+    """
+    if isinstance(loss, LengthLoss):
+        share = 2 / len(answer.squares) * loss.slopes(answer.squares)
+        return loss.of_squares(answer.squares).mean(), share[:, None] * answer.gradient
+    with torch.enable_grad():
+        found = answer.found.detach().requires_grad_()
+        value = loss(found, answer.target)
+    return value.detach(), answer.pull(torch.autograd.grad(value, found)[0])
+
+
+class _Summed(torch.autograd.Function):
+    """A value whose gradients by raw outputs are known already."""
+
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, value: Tensor, *gradients_and_raws: Tensor) -> Tensor:
+        ctx.save_for_backward(*gradients_and_raws[: len(gradients_and_raws) // 2])
+        return value.clone()
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, scale: Tensor) -> tuple[Tensor | None, ...]:
+        gradients = ctx.saved_tensors
+        return None, *(None for _ in gradients), *(scale * gradient for gradient in gradients)
