@@ -15,7 +15,12 @@ class LengthLoss(nn.Module, ABC):
 
     Args:
         vertex_count: of the full mesh, so that the value is that of the full mesh.
+
+    Attributes:
+        mean_of_meshes: the loss of a batch is the mean over its meshes, so that its parts can be computed apart.
     """
+
+    mean_of_meshes = True
 
     def __init__(self, vertex_count: int) -> None:
         super().__init__()
@@ -67,6 +72,7 @@ class MeanDistanceLoss(nn.Module):
         vertices: how many are picked, once for all.
     """
 
+    mean_of_meshes = True
     frame: Tensor
 
     def __init__(self, frame: Tensor, vertices: int) -> None:
@@ -90,6 +96,7 @@ class CoefficientLoss(nn.Module):
         vertex_count: of the full mesh.
     """
 
+    mean_of_meshes = True
     sizes: Tensor
 
     def __init__(self, linear_map: Tensor, vertex_count: int) -> None:

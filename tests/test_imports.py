@@ -14,7 +14,7 @@ FLOORS = [
     {"arguments", "files"},
     {"locks", "seals"},
     {"cache"},
-    {"array_files", "build", "kernels"},
+    {"array_files", "build", "kernels", "threads"},
     {"geometry"},
     {"rig"},
     {"mesh_space"},

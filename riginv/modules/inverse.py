@@ -40,13 +40,15 @@ class InverseModule(RigModule):
         self.loss = loss
         self.last_loss = MeanDistanceLoss(rig.space.frame, sampled_vertices) if sampled_vertices else loss
 
-    def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
-        target = batch["coordinates"]
-        answers = self.network.answers(target)
+    @property
+    def losses(self) -> list[nn.Module]:
+        return [self.loss, self.last_loss]
+
+    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+        answers = self.network.answers(batch["coordinates"])
         losses = [*(self.loss for _ in answers[1:]), self.last_loss]
         values, gradients = zip(*(value_and_gradient(loss, answer) for loss, answer in zip(losses, answers)))
-        loss = _Summed.apply(sum(values), *gradients, *(answer.raw for answer in answers))
-        return self.learn(loss, answers[-1].found, target)
+        return _Summed.apply(sum(values), *gradients, *(answer.raw for answer in answers)), answers[-1].found
 
     def results(self, batch: PoseBatch) -> Tensor:
         return self.true_rig(self.network(batch["coordinates"]))
