@@ -186,7 +186,7 @@ class LinearRig(RigBackend):
             found = self.coefficients(given)
             rows = torch.eye(found.shape[1]).to(found)[:, None].expand(-1, len(controls), -1)
             slopes = torch.autograd.grad(found, given, rows, is_grads_batched=True)[0]
-        return found.detach(), Jacobian(slopes.transpose(0, 1))
+        return found.detach(), Jacobian(inner=slopes.transpose(0, 1))
 
     def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
         """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their pull: a vector-Jacobian product.
@@ -235,7 +235,7 @@ def _finite_differences(rig: LinearRig, controls: Tensor) -> tuple[Tensor, Jacob
     step = torch.where(controls + step <= rig.upper.to(controls), step, -step)
     found = rig.coefficients(controls)
     moved = [rig.coefficients(controls + step * column) for column in torch.eye(len(rig.controls)).to(controls)]
-    return found, Jacobian((torch.stack(moved, dim=2) - found[:, :, None]) / step[:, None])
+    return found, Jacobian(inner=(torch.stack(moved, dim=2) - found[:, :, None]) / step[:, None])
 
 
 def _check_names(rig: str, controls: Sequence[Control]) -> None:

@@ -13,6 +13,9 @@ from riginv.geometry.curves import curves_and_slopes, evaluate_curves, pack_curv
 from riginv.kernels.build import LEVELS, CompilationError, compile_library, find_compiler
 from riginv.kernels.library import kernels, kernels_for, pure_torch
 from riginv.rig import LinearRig
+from riginv.solvers.band import Band, second_difference_bands
+from riginv.solvers.box_step import box_step, foreseen_change
+from riginv.threads import Workers
 from tests.conftest import ROOT
 from tests.test_curves import random_curves
 
@@ -119,6 +122,54 @@ def test_what_kernels_cannot_compute_is_left_to_torch():
         assert kernels_for(values, other) is None
     with pure_torch():
         assert kernels_for(values) is None
+
+
+@needs_kernels
+@pytest.mark.parametrize("controls", [1, 7, 64, 137])
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_steps_in_the_box_equal_those_of_pure_torch(controls, dtype):
+    matrix = torch.randn(12, controls, 2 * controls, dtype=torch.float64)
+    matrix = (matrix @ matrix.mT / controls).to(dtype)
+    gradient, at = torch.randn(12, controls, dtype=dtype), torch.rand(12, controls, dtype=dtype).mul(1.4).sub(0.2).clamp(0, 1)
+    diagonal = torch.rand(12, controls, dtype=dtype)
+    tolerance = {"rtol": 1e-8, "atol": 1e-10} if dtype == torch.float64 else {"rtol": 1e-3, "atol": 2e-4}
+    for matrices, added in ((matrix, diagonal), (matrix, None), (matrix[:1].expand(12, -1, -1), diagonal)):
+        found, pure = both(box_step, matrices, gradient, at, added)
+        torch.testing.assert_close(found, pure, **tolerance)
+        assert ((at + found) >= -1e-6).all() and ((at + found) <= 1 + 1e-6).all()
+    for value, pure in (both(foreseen_change, matrix, gradient, found),):
+        torch.testing.assert_close(value, pure, rtol=1e-4 if dtype == torch.float32 else 1e-12, atol=1e-4)
+
+
+@needs_kernels
+def test_a_matrix_that_is_not_positive_definite_is_tried_in_float64_and_then_left():
+    nearly = torch.tensor([[1.0, 1.0], [1.0, 1.0 + 1e-9]], dtype=torch.float32)[None]
+    other = -torch.eye(2)[None]
+    gradient, at = torch.tensor([[-0.1, 0.1]]), torch.full((1, 2), 0.5)
+    for matrix in (nearly, other):
+        found, pure = both(box_step, matrix, gradient, at)
+        assert torch.equal(found, pure) and (found == 0).all()
+    close = torch.tensor([[1.0, 1.0 - 3e-8], [1.0 - 3e-8, 1.0]])[None]  # singular in float32's arithmetic, not in float64's
+    found, pure = both(box_step, close + 6e-8 * torch.eye(2), gradient, at)
+    torch.testing.assert_close(found, pure)
+
+
+@needs_kernels
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 5, 8, 9, 40])
+@pytest.mark.parametrize("controls", [1, 5, 40])
+def test_banded_systems_equal_those_of_pure_torch(frames, controls):
+    blocks = torch.randn(frames, controls, controls, dtype=torch.float64)
+    blocks = blocks @ blocks.mT
+    main, near, far = (2 * band for band in second_difference_bands(frames, frames % 3))
+    free = torch.rand(frames, controls) < 0.6
+    free[1:2], free[2:3] = False, True  # a frame in which nothing is free, and one in which all is
+    diagonal = torch.rand(frames, controls, dtype=torch.float64) + main[:, None] + 0.1
+    band = Band(blocks, diagonal, near, far, torch.randn(frames, controls, dtype=torch.float64), free)
+    found, pure = both(band.solve, lambda tasks: [task() for task in tasks])
+    torch.testing.assert_close(found, pure, rtol=1e-9, atol=1e-9)
+    assert (found[~free] == 0).all() and torch.equal(Band(*band).solve(Workers(2).run), found)
+    indefinite = band._replace(blocks=blocks - 1000 * torch.eye(controls, dtype=torch.float64))
+    assert (indefinite.solve(Workers(2).run) is None) == bool(free.any())
 
 
 @pytest.mark.skipif(find_compiler() is None, reason="no C compiler")

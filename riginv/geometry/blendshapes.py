@@ -71,12 +71,18 @@ def combination_pull(weights: Tensor, members: Tensor, gradient: Tensor) -> Tens
 
 def screen_slopes(activations: Tensor, sources: Tensor) -> Tensor:
     """The derivative `(batch, shape, slot)` of each shape of `screen` by the driver in each slot; 0 in empty slots."""
+    compiled = kernels_for(activations, sources)
+    if compiled is not None:
+        return _slopes(compiled, activations, sources, True)
     padded = torch.cat([activations, activations.new_zeros(activations.shape[0], 1)], dim=1)
     return _products_of_others(1 - padded[:, sources]) * (sources >= 0)
 
 
 def combination_slopes(weights: Tensor, members: Tensor) -> Tensor:
     """The derivative `(batch, combination, slot)` of each of `combination_weights` by the weight of each member."""
+    compiled = kernels_for(weights, members)
+    if compiled is not None:
+        return _slopes(compiled, weights, members, False)
     padded = torch.cat([weights, weights.new_ones(weights.shape[0], 1)], dim=1)
     return _products_of_others(padded[:, members]) * (members >= 0)
 
@@ -114,11 +120,19 @@ def _pull(factors: Tensor, members: Tensor, gradient: Tensor, complement: bool) 
         entries = (slopes * gradient[:, :, None]).flatten(1)  # 0 in empty slots, which may then stand for any column
         return add_to_columns(torch.zeros_like(factors), members.flatten().clamp_min(0), entries)
     factors, gradient = plain_rows(factors), plain_rows(gradient)
-    pulled = torch.empty_like(factors)
+    pulled = factors.new_empty(factors.shape)
     products, slots = members.shape
-    given = (factors, factors.shape[1], members.contiguous(), products, slots, int(complement))
+    given = (factors, factors.stride(0), factors.shape[1], members.contiguous(), products, slots, int(complement))
     compiled.call("products_pull", factors.dtype, *given, gradient, gradient.stride(0), pulled, len(factors))
     return pulled
+
+
+def _slopes(compiled: Kernels, factors: Tensor, members: Tensor, complement: bool) -> Tensor:
+    factors, (products, slots) = plain_rows(factors), members.shape
+    slopes = factors.new_empty(len(factors), products, slots)
+    given = (factors, factors.stride(0), factors.shape[1], members.contiguous(), products, slots, int(complement))
+    compiled.call("products_slopes", factors.dtype, *given, slopes, len(factors))
+    return slopes
 
 
 def _combined(compiled: Kernels, factors: Tensor, members: Tensor, complement: bool) -> Tensor:
@@ -131,7 +145,7 @@ def _multiplied(compiled: Kernels, factors: Tensor, members: Tensor, complement:
     factors = plain_rows(factors)
     products, slots = members.shape
     result = factors.new_empty(len(factors), products)
-    given = (factors, factors.shape[1], members.contiguous(), products, slots, int(complement))
+    given = (factors, factors.stride(0), factors.shape[1], members.contiguous(), products, slots, int(complement))
     compiled.call("products", factors.dtype, *given, result, products, len(factors))
     return result
 

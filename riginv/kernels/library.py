@@ -35,11 +35,14 @@ class Kernels:
         self.library = ctypes.CDLL(str(path))  # calls release Python's lock: threads compute at the same time
         self.functions: dict[tuple[str, torch.dtype], ctypes._CFuncPtr] = {}
 
-    def call(self, name: str, dtype: torch.dtype, *arguments: Tensor | int | None) -> None:
+    def call(self, name: str, dtype: torch.dtype, *arguments: Tensor | int | None) -> int:
         """Call a kernel by its name in the source, in float32 or float64.
 
         Args:
             arguments: tensors are passed as the addresses of their first numbers.
+
+        Returns:
+            0, or what else the kernel says by a number above 1.
         """
         function = self.functions.get((name, dtype))
         if function is None:
@@ -51,8 +54,10 @@ class Kernels:
             else ctypes.c_int64(value)
             for value in arguments
         ]
-        if function(*given):
+        code = function(*given)
+        if code == 1:
             raise MemoryError(f"kernel {name}: out of memory")
+        return code
 
 
 @contextmanager

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from riginv.solvers.band import second_difference_bands, solve_band
+from riginv.solvers.band import Band, second_difference_bands
 from riginv.solvers.box_step import FLOOR
 from riginv.solvers.levenberg_marquardt import LEAST_DAMPING, MOST_DAMPING, START_DAMPING
 from riginv.solvers.objective import Linearised, Objective
 
 WINDOW, LOOKAHEAD = 192, 48  # frames that are kept of a window, and those solved beyond them so that its end knows what comes
-PIECE = 128
+PIECE = 64
 ROUNDS = 2  # of solving and pinning what leaves the box
 TRIES = 4  # of more and more damping on one linearisation
 
@@ -101,14 +101,14 @@ class _Window:
         return at
 
     def _linearise(self, at: Tensor) -> Linearised:
-        pieces = [self.objective.linearise(*piece) for piece in self._pieces(at)]
+        pieces = self.objective.at_once([lambda piece=piece: self.objective.linearise(*piece) for piece in self._pieces(at)])
         near = Linearised(*(torch.cat(parts) for parts in zip(*pieces)))
         for values in near:
             values[~self.seen] = 0
         return near
 
     def _cost(self, at: Tensor) -> Tensor:
-        pieces = [self.objective.cost(*piece) for piece in self._pieces(at)]
+        pieces = self.objective.at_once([lambda piece=piece: self.objective.cost(*piece) for piece in self._pieces(at)])
         return torch.where(self.seen, torch.cat(pieces), 0.0)
 
     def _pieces(self, at: Tensor) -> Iterator[tuple[Tensor, ...]]:
@@ -136,22 +136,17 @@ class _Window:
         main, near, far = self.bands
         diagonal = hessian.diagonal(dim1=1, dim2=2)
         floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + 1e-6
-        blocks = hessian.double() + torch.diag_embed(damping[:, None] * (diagonal + floor) + main[:, None])
+        added, blocks = (damping[:, None] * (diagonal + floor) + main[:, None]).double(), hessian.double()
         free = ~(((at <= 0) & (gradient > 0)) | ((at >= 1) & (gradient < 0)))
         step = torch.zeros_like(at)
         for _ in range(ROUNDS):
             pinned = torch.where(free, 0.0, step).double()
-            rest = gradient + (blocks @ pinned[..., None])[..., 0]
+            rest = gradient + (blocks @ pinned[..., None])[..., 0] + added * pinned
             rest[1:] += near[:-1, None] * pinned[:-1]
             rest[:-1] += near[:-1, None] * pinned[1:]
             rest[2:] += far[:-2, None] * pinned[:-2]
             rest[:-2] += far[:-2, None] * pinned[2:]
-            both = free[:, :, None] & free[:, None]
-            reduced = torch.where(both, blocks, 0.0)
-            reduced.diagonal(dim1=1, dim2=2).add_(~free)
-            to_next = near[:, None] * (free & torch.roll(free, -1, 0))
-            to_second = far[:, None] * (free & torch.roll(free, -2, 0))
-            solved = solve_band(reduced, to_next, to_second, torch.where(free, -rest, 0.0))
+            solved = Band(blocks, added, near, far, -rest, free).solve(self.objective.at_once)
             if solved is None:
                 return torch.zeros_like(at)
             target = at + torch.where(free, solved, pinned).to(at)

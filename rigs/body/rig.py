@@ -108,7 +108,7 @@ class BodyRig(LinearRig):
         worlds = self._worlds(frames @ turns @ frames.mT, controls[:, self.moves])
         slopes = self.slopes(worlds, frames @ euler_axes(angles, turns))
         slopes[:, self.moves, :, :, 3] = torch.eye(3).to(controls)[:, None]
-        return worlds[:, self.skinned].flatten(1), Jacobian(slopes.flatten(2).transpose(1, 2))
+        return worlds[:, self.skinned].flatten(1), Jacobian(inner=slopes.flatten(2).transpose(1, 2))
 
     def joint_transforms(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the transforms `(batch, joint, 3, 4)` of all joints in the world, mm."""

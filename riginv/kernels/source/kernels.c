@@ -26,23 +26,24 @@ typedef int64_t Index;
 /* The digest of the source that this was compiled from. */
 API const char *riginv_source(void) { return RIGINV_SOURCE; }
 
-#define REAL float
-#define NAME(name) name##_f32
-#define EPSILON FLT_EPSILON
-#define FABS fabsf
-#define SQRT sqrtf
-#include "curves.h"
-#include "products.h"
+/* float64 first: float32 falls back to it. */
+#define REAL double
+#define NAME(name) name##_f64
+#define EPSILON DBL_EPSILON
+#define FABS fabs
+#define SQRT sqrt
+#include "all.h"
+#include "band.h"
 #undef REAL
 #undef NAME
 #undef EPSILON
 #undef FABS
 #undef SQRT
 
-#define REAL double
-#define NAME(name) name##_f64
-#define EPSILON DBL_EPSILON
-#define FABS fabs
-#define SQRT sqrt
-#include "curves.h"
-#include "products.h"
+#define EXACT
+#define REAL float
+#define NAME(name) name##_f32
+#define EPSILON FLT_EPSILON
+#define FABS fabsf
+#define SQRT sqrtf
+#include "all.h"

@@ -13,7 +13,7 @@ static inline void NAME(pad)(const REAL *row, Index factors, Index complement, R
  *
  * complement: 1 minus the product of 1 minus the factors.
  */
-API int NAME(products)(const REAL *given, Index factors, const Index *members, Index products, Index slots, Index complement,
+API int NAME(products)(const REAL *given, Index given_ld, Index factors, const Index *members, Index products, Index slots, Index complement,
                        REAL *results, Index results_ld, Index batch) {
     REAL *padded = malloc(sizeof(REAL) * (size_t)(factors + 1));
     int32_t *places = malloc(sizeof(int32_t) * (size_t)(products * slots + 1));
@@ -22,7 +22,7 @@ API int NAME(products)(const REAL *given, Index factors, const Index *members, I
         places[place] = (int32_t)(members[place] < 0 ? factors : members[place]);
     for (Index row = 0; row < batch; row++) {
         REAL *result = results + row * results_ld;
-        NAME(pad)(given + row * factors, factors, complement, padded);
+        NAME(pad)(given + row * given_ld, factors, complement, padded);
         for (Index product = 0; product < products; product++) {
             const int32_t *place = places + product * slots;
             REAL value = 1;
@@ -36,7 +36,7 @@ API int NAME(products)(const REAL *given, Index factors, const Index *members, I
 }
 
 /* A gradient (batch, product) of results as one (batch, factor) of what is given. */
-API int NAME(products_pull)(const REAL *given, Index factors, const Index *members, Index products, Index slots,
+API int NAME(products_pull)(const REAL *given, Index given_ld, Index factors, const Index *members, Index products, Index slots,
                             Index complement, const REAL *gradient, Index gradient_ld, REAL *pulled, Index batch) {
     REAL *padded = malloc(sizeof(REAL) * (size_t)(2 * (factors + 1) + slots));
     int32_t *places = malloc(sizeof(int32_t) * (size_t)(products * slots + 1));
@@ -46,7 +46,7 @@ API int NAME(products_pull)(const REAL *given, Index factors, const Index *membe
         places[place] = (int32_t)(members[place] < 0 ? factors : members[place]);
     for (Index row = 0; row < batch; row++) {
         const REAL *wanted = gradient + row * gradient_ld;
-        NAME(pad)(given + row * factors, factors, complement, padded);
+        NAME(pad)(given + row * given_ld, factors, complement, padded);
         memset(sums, 0, sizeof(REAL) * (size_t)(factors + 1));
         for (Index product = 0; product < products; product++) {
             const int32_t *place = places + product * slots;
@@ -72,6 +72,31 @@ API int NAME(products_pull)(const REAL *given, Index factors, const Index *membe
     }
     free(padded);
     free(places);
+    return 0;
+}
+
+/* The derivative (batch, product, slot) of each product by the factor in each slot; 0 in empty slots. */
+API int NAME(products_slopes)(const REAL *given, Index given_ld, Index factors, const Index *members, Index products,
+                              Index slots, Index complement, REAL *slopes, Index batch) {
+    REAL *padded = malloc(sizeof(REAL) * (size_t)(factors + 1));
+    if (!padded) return 1;
+    for (Index row = 0; row < batch; row++) {
+        NAME(pad)(given + row * given_ld, factors, complement, padded);
+        for (Index product = 0; product < products; product++) {
+            const Index *member = members + product * slots;
+            REAL *slope = slopes + (row * products + product) * slots, value = 1;
+            for (Index slot = 0; slot < slots; slot++) {
+                slope[slot] = value;
+                value *= padded[member[slot] < 0 ? factors : member[slot]];
+            }
+            value = 1;
+            for (Index slot = slots - 1; slot >= 0; slot--) {
+                slope[slot] = member[slot] < 0 ? 0 : slope[slot] * value;
+                value *= padded[member[slot] < 0 ? factors : member[slot]];
+            }
+        }
+    }
+    free(padded);
     return 0;
 }
 
