@@ -30,6 +30,7 @@ from riginv.inversion.capture import open_capture
 from riginv.judge import build_judge, check_same_controls
 from riginv.mesh_space import RigInMeshSpace
 from riginv.modules.base import RigModule
+from riginv.modules.halves import HALVES
 from riginv.modules.holden import HoldenModule
 from riginv.modules.inverse import InverseModule
 from riginv.networks.base import RigNetwork
@@ -41,10 +42,11 @@ from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise
 from riginv.sampling.noise import CaptureNoise
 from riginv.sampling.seeds import generator_at
 from riginv.store.training import reading_store, rig_of_store
+from riginv.threads import Workers
 
 Config = dict[str, Any]
 CALIBRATION_MESHES = 1024
-NOT_LIGHTNINGS = ("precision", "compile", "starts_processes")  # keys of a trainer
+NOT_LIGHTNINGS = ("precision", "compile", "starts_processes", "threads")  # keys of a trainer
 BFLOAT16 = "bf16-mixed"
 NOT_OPTIONS = ("network", "loss", "optimizer", "schedule", "cpu_steps")  # of a model; the rest are numbers of its module
 
@@ -127,7 +129,16 @@ def build_module(config: Config, rig: RigInMeshSpace, true_rig: RigBackend) -> R
     module = module_class(rig, network, *losses, *learning, **options)
     module.true_rig = rig.rig if isinstance(true_rig, RecordedRig) else true_rig
     module.stop_below_lr = config["stop_below_lr"]
+    module.workers = build_workers(config["trainer"])
     return module
+
+
+def build_workers(trainer: Config) -> Workers | None:
+    """The threads that compute a training step; None where there are several processes, one for each core."""
+    if trainer.get("devices", 1) != 1 or trainer.get("num_nodes", 1) != 1:
+        return None
+    chosen = trainer.get("threads", "auto")
+    return Workers(None if chosen == "auto" else chosen, most=HALVES)
 
 
 def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:

@@ -1,5 +1,7 @@
 """Losses in mesh coordinates: each equals, constant aside, a loss on all vertices (`riginv.mesh_space`)."""
 
+from abc import ABC, abstractmethod
+
 import torch
 from torch import Tensor, nn
 
@@ -8,12 +10,17 @@ from riginv.sampling.seeds import generator_at
 EPSILON_MM = 0.01  # keeps the root's gradient finite where the error vanishes
 
 
-class SquaredVertexLoss(nn.Module):
-    """The paper's: the mean squared error of the vertices' coordinates, mm^2.
+class LengthLoss(nn.Module, ABC):
+    """A loss that looks at nothing but the length of each mesh's error: its gradient is the error itself, times a number.
 
     Args:
         vertex_count: of the full mesh, so that the value is that of the full mesh.
+
+    Attributes:
+        mean_of_meshes: the loss of a batch is the mean over its meshes, so that its parts can be computed apart.
     """
+
+    mean_of_meshes = True
 
     def __init__(self, vertex_count: int) -> None:
         super().__init__()
@@ -21,23 +28,38 @@ class SquaredVertexLoss(nn.Module):
 
     def forward(self, coordinates: Tensor, target: Tensor) -> Tensor:
         """Both `(batch, coordinate)`; a scalar."""
-        return (coordinates - target).square().sum(dim=1).mean() / (3 * self.vertex_count)
+        return self.of_squares((coordinates - target).square().sum(dim=1)).mean()
+
+    @abstractmethod
+    def of_squares(self, squares: Tensor) -> Tensor:
+        """The loss of each mesh `(batch,)`, of which `forward` is the mean, from the squared length of its error `(batch,)`."""
+
+    @abstractmethod
+    def slopes(self, squares: Tensor) -> Tensor:
+        """The derivative `(batch,)` of `of_squares`."""
 
 
-class VertexDistanceLoss(nn.Module):
+class SquaredVertexLoss(LengthLoss):
+    """The paper's: the mean squared error of the vertices' coordinates, mm^2."""
+
+    def of_squares(self, squares: Tensor) -> Tensor:
+        return squares / (3 * self.vertex_count)
+
+    def slopes(self, squares: Tensor) -> Tensor:
+        return torch.full_like(squares, 1 / (3 * self.vertex_count))
+
+
+class VertexDistanceLoss(LengthLoss):
     """The root mean square distance of the vertices, mm, averaged over the meshes.
 
     Unlike the squared error it asks as much of a nearly neutral mesh as of a wild one.
     """
 
-    def __init__(self, vertex_count: int) -> None:
-        super().__init__()
-        self.vertex_count = vertex_count
+    def of_squares(self, squares: Tensor) -> Tensor:
+        return (squares / self.vertex_count + EPSILON_MM**2).sqrt()
 
-    def forward(self, coordinates: Tensor, target: Tensor) -> Tensor:
-        """Both `(batch, coordinate)`; a scalar."""
-        squared = (coordinates - target).square().sum(dim=1) / self.vertex_count
-        return (squared + EPSILON_MM**2).sqrt().mean()
+    def slopes(self, squares: Tensor) -> Tensor:
+        return 0.5 / (self.vertex_count * self.of_squares(squares))
 
 
 class MeanDistanceLoss(nn.Module):
@@ -50,6 +72,7 @@ class MeanDistanceLoss(nn.Module):
         vertices: how many are picked, once for all.
     """
 
+    mean_of_meshes = True
     frame: Tensor
 
     def __init__(self, frame: Tensor, vertices: int) -> None:
@@ -73,6 +96,7 @@ class CoefficientLoss(nn.Module):
         vertex_count: of the full mesh.
     """
 
+    mean_of_meshes = True
     sizes: Tensor
 
     def __init__(self, linear_map: Tensor, vertex_count: int) -> None:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.rig import LinearRig
+from riginv.rig import LinearRig, Pull
 
 SEARCHED_VERTICES = 3000  # that the number of components is searched by
 RANK_TOLERANCE = 1e-6  # of the largest singular value; directions below it are noise of a float32 basis
@@ -141,6 +141,12 @@ class RigInMeshSpace(nn.Module):
     def forward(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to mesh coordinates `(batch, coordinate)`; 0 at the neutral controls."""
         return self.coordinates_of(self.rig.coefficients(controls))
+
+    @torch.no_grad()
+    def coordinates_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+        """As `forward`, without a graph, and the function that maps a gradient `(batch, coordinate)` to one of the controls."""
+        coefficients, pull = self.rig.coefficients_and_pull(controls)
+        return self.coordinates_of(coefficients), lambda gradient: pull(gradient @ self.linear_map.T)
 
     def coordinates_of(self, coefficients: Tensor) -> Tensor:
         """Coefficients `(batch, coefficient)` to mesh coordinates `(batch, coordinate)`."""

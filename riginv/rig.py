@@ -1,7 +1,7 @@
 """What a rig is: named, bounded controls and a rest mesh, and a function from the controls to the vertices (paper, Eq. 1)."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -12,7 +12,9 @@ from riginv.errors import InputError, printable
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.jacobian import Jacobian
 from riginv.geometry.skeleton import Skeleton
+from riginv.kernels.library import pure_torch
 
+Pull = Callable[[Tensor], Tensor]
 STEP = 1e-3  # of a control's range, between the two ends of a finite difference
 
 
@@ -196,12 +198,27 @@ class LinearRig(RigBackend):
         """
         if not self.differentiable:
             return _finite_differences(self, controls)
-        with torch.enable_grad():
+        with torch.enable_grad(), pure_torch():  # the gradients of all coefficients are taken at once, as no kernel can
             given = controls.detach().requires_grad_()
             found = self.coefficients(given)
             rows = torch.eye(found.shape[1]).to(found)[:, None].expand(-1, len(controls), -1)
             slopes = torch.autograd.grad(found, given, rows, is_grads_batched=True)[0]
-        return found.detach(), Jacobian(slopes.transpose(0, 1))
+        return found.detach(), Jacobian(inner=slopes.transpose(0, 1))
+
+    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+        """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their pull: a vector-Jacobian product.
+
+        The pull maps a gradient `(batch, coefficient)` to one of the controls, `(batch, control)`. Neither has a graph. This is
+        automatic differentiation, or for a rig that is not differentiable finite differences; a rig that knows a faster way
+        answers in its place.
+        """
+        if not self.differentiable:
+            found, jacobian = self.coefficient_jacobian(controls)
+            return found, jacobian.pull
+        with torch.enable_grad():
+            given = controls.detach().requires_grad_()
+            found = self.coefficients(given)
+        return found.detach(), lambda gradient: torch.autograd.grad(found, given, gradient, retain_graph=True)[0]
 
     def neutral_coefficients(self) -> Tensor:
         """The coefficients `(1, coefficient)` of the rest mesh."""
@@ -235,7 +252,7 @@ def _finite_differences(rig: LinearRig, controls: Tensor) -> tuple[Tensor, Jacob
     step = torch.where(controls + step <= rig.upper.to(controls), step, -step)
     found = rig.coefficients(controls)
     moved = [rig.coefficients(controls + step * column) for column in torch.eye(len(rig.controls)).to(controls)]
-    return found, Jacobian((torch.stack(moved, dim=2) - found[:, :, None]) / step[:, None])
+    return found, Jacobian(inner=(torch.stack(moved, dim=2) - found[:, :, None]) / step[:, None])
 
 
 def _check_names(rig: str, controls: Sequence[Control]) -> None:

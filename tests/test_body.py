@@ -16,9 +16,7 @@ from riginv.sampling.controls import SparseControls
 from riginv.sampling.seeds import generator_at
 from rigs.body import BodyRig
 from rigs.body.build import body_geometry
-from rigs.body.keys import bone_axes
 from rigs.body.rig import joint_angles
-from rigs.body.walk import two_bones
 
 FLIPPED = re.compile(r"root_(move_x|turn|roll)|(spine\d?|neck|head)_(side|twist)|jaw_side")
 SLOW_CLAUSES = "gradients equal"  # on all vertices: half a minute; test_gradients looks at the coefficients instead
@@ -161,24 +159,6 @@ def test_an_untrained_inverse_is_near_and_judged_by_the_mesh_at_half_turn_and_gi
     assert errors[8:12].max() < 15  # at the half turn
     assert errors.max() < 120 and errors.median() < 30  # of 600 mm and more for neutral
     assert (network(torch.zeros(1, 912)) == 0).all()
-
-
-def test_two_bones_reach_what_they_can():
-    start = torch.zeros(3, 3, dtype=torch.float64)
-    target = torch.tensor([[5.0, 0, 0], [0, -6, 0], [0, 90, 0]], dtype=torch.float64)
-    pole = torch.tensor([[0.0, 1, 0], [0, 0, 3], [1, 0, 0]], dtype=torch.float64)
-    first, second = torch.tensor(4.0).double(), torch.tensor(3.0).double()
-    middle, end = two_bones(start, target, pole, first, second)
-    assert torch.allclose((middle - start).norm(dim=1), first) and torch.allclose((end - middle).norm(dim=1), second)
-    assert torch.allclose(end[:2], target[:2]) and torch.allclose(end[2], torch.tensor([0, 7.0, 0]).double(), atol=1e-2)
-    assert (((middle - start) * (pole - start)).sum(dim=1) > 0).all()
-
-
-@pytest.mark.parametrize("roll", [0.0, 0.7, -2.0])
-def test_axes_of_a_bone_are_blenders(roll):
-    up = bone_axes(np.array([0.0, 3.0, 0.0]), roll)  # up here is z in Blender: the shortest way turns y onto it about x
-    assert np.allclose(up[:, 1], [0, 1, 0]) and np.allclose(up.T @ up, np.eye(3))
-    assert np.allclose(up[:, 0], [np.cos(roll), 0, -np.sin(roll)])
 
 
 def test_the_walk_walks(body):

@@ -7,14 +7,14 @@ import trimesh
 from scipy import sparse
 
 from riginv.arkit import ARKIT_NAMES
-from rigs.face.assets import read_base_mesh
-from rigs.face.build import PARTS, build_geometry, face_geometry
+from rigs.face.build import build_geometry, face_geometry
 from rigs.face.controls import build_controls
 from rigs.face.inbetweens import bump
 from rigs.face.limits import CAPACITY, CEILINGS, cost, limit_curve, region
-from rigs.face.mesh import build_face_mesh
-from rigs.face.shapes import ARKIT_SPLIT, arkit_targets, primary_names
-from rigs.face.subdivision import loop_matrix, unique_edges
+from rigs.face.parts import PARTS
+from rigs.face.shapes import ARKIT_FOLDER, ARKIT_SPLIT, primary_names
+from rigs.geometry.anny.subdivision import loop_matrix, unique_edges
+from rigs.geometry.asset import FaceSource, read_asset
 from tests.test_curves import reference
 
 
@@ -71,9 +71,9 @@ def test_the_weights_equal_a_plain_evaluation(face):
 
 
 def test_an_arkit_control_at_1_gives_its_arkit_shape_and_nothing_else(face):
-    base = read_base_mesh()
-    mesh = build_face_mesh(base)
-    whole = {name: torch.from_numpy(deltas).float() for name, deltas in arkit_targets(base, mesh).items()}
+    source = FaceSource(read_asset())
+    targets = {name: source.carried(source.target(f"{ARKIT_FOLDER}/{name}.target")) for name in ARKIT_NAMES}
+    whole = {name: torch.from_numpy(deltas).float() for name, deltas in targets.items()}
     for name, deltas in face.arkit_deltas().items():
         torch.testing.assert_close(deltas, whole[name], atol=2e-4, rtol=0)
     controls = torch.stack([torch.tensor([float(control == name) for control in face.control_names]) for name in ARKIT_NAMES])

@@ -14,7 +14,7 @@ FLOORS = [
     {"arguments", "files"},
     {"locks", "seals"},
     {"cache"},
-    {"array_files", "build", "text_numbers"},
+    {"array_files", "build", "text_numbers", "kernels", "threads"},
     {"meshes"},
     {"geometry"},
     {"rig"},

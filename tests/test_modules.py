@@ -1,5 +1,6 @@
 """Each module can learn 64 poses by heart, and refuses what it cannot train."""
 
+import copy
 from functools import partial
 
 import pytest
@@ -52,6 +53,35 @@ def test_a_module_learns_64_poses_by_heart(name, share, toy):
         error = root_mean_square_mm(found, batch["coordinates"], 162)
     neutral = root_mean_square_mm(torch.zeros_like(batch["coordinates"]), batch["coordinates"], 162)
     assert error < share * neutral
+
+
+class Cubes(torch.nn.Module):
+    """A loss that knows nothing of lengths."""
+
+    def forward(self, coordinates, target):
+        return (coordinates - target).abs().pow(3).mean()
+
+
+@pytest.mark.parametrize(
+    "loss", [VertexDistanceLoss(162), SquaredVertexLoss(162), Cubes()], ids=lambda loss: type(loss).__name__
+)
+@pytest.mark.parametrize("sampled_vertices", [0, 50])
+def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_rig(loss, sampled_vertices, face_in_space):
+    rig = copy.deepcopy(face_in_space).double()
+    network = StagedInverse(rig, hidden=[32], width=16, gate=8).double()
+    module = InverseModule(rig, network, loss, ADAM, CONSTANT, sampled_vertices)
+    batch = RigPoses(rig, PlausibleControls(rig)).sample(6, generator_at(0, "step"))
+    target = batch["coordinates"]
+    network.calibrate(target)
+    module.log = lambda *args, **kwargs: None
+    module.training_step(batch, 0).backward()
+    answers = network.answers(target)
+    losses = [*(loss for _ in answers[1:]), module.last_loss]
+    total = sum(loss(answer.coordinates, target) for loss, answer in zip(losses, answers))
+    for part in network.learned_parts():
+        weights = list(part.parameters())
+        for weight, expected in zip(weights, torch.autograd.grad(total, weights, retain_graph=True)):
+            torch.testing.assert_close(weight.grad, expected, rtol=1e-8, atol=1e-12)
 
 
 def test_validation_asks_the_true_rig(toy):

@@ -9,7 +9,7 @@ from riginv.baselines.pieces import in_pieces
 from riginv.data.mesh_sets import MeshSet
 from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
-from riginv.solvers.box_step import box_step, damped
+from riginv.solvers.box_step import box_step, damping_diagonal
 from riginv.solvers.objective import PRIOR
 
 PIECE = 64  # meshes at a time
@@ -66,7 +66,9 @@ class TabulatedGaussNewton(Method):
         at = self.objective.neutral.expand(len(coordinates), -1).clone()
         for _ in range(self.steps):
             near = self.objective.linearise(at, coordinates)
-            step = box_step(damped(near.hessian, torch.full_like(near.cost, DAMPING)), near.gradient, at)
+            step = box_step(
+                near.hessian, near.gradient, at, damping_diagonal(near.hessian, torch.full_like(near.cost, DAMPING))
+            )
             waiting = torch.ones_like(near.cost, dtype=torch.bool)
             for _ in range(HALVINGS):
                 better = waiting & (self.objective.cost(at + step, coordinates) < near.cost)

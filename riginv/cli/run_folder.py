@@ -31,7 +31,8 @@ CHECKPOINT, CHECKPOINT_BEFORE = "checkpoints/last.ckpt", "checkpoints/before.ckp
 BUNDLE, SURROGATE = "bundle", "surrogate"
 CONFIG_SUM = "# SHA-256 of the lines above: "
 NOT_PART_OF_A_RUN = ("resume", "verbose")
-HOW_MANY = ("trainer.devices", "trainer.num_nodes")  # may change when a run is resumed: what is learned does not depend on it
+# May change when a run is resumed: what is learned does not depend on it.
+HOW_MANY = ("trainer.devices", "trainer.num_nodes", "trainer.threads")
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 LONGEST = 120  # characters of a folder's name
 WAIT_SECONDS = 0.2

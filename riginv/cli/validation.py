@@ -60,6 +60,7 @@ RULES: dict[str, Check] = {
     "trainer.num_nodes": AT_LEAST_1,
     "trainer.precision": ("32-true, or bf16-mixed: what learns in bfloat16", lambda value: value in ("32-true", "bf16-mixed")),
     "trainer.compile": BOOLEAN,
+    "trainer.threads": ("auto, or a whole number of at least 1", lambda value: value == "auto" or AT_LEAST_1[1](value)),
     "trainer.starts_processes": BOOLEAN,
     "trainer.log_every_n_steps": AT_LEAST_1,
     "model.cpu_steps": AT_LEAST_1,

@@ -3,6 +3,10 @@
 import torch
 from torch import Tensor
 
+from riginv.geometry.columns import add_to_columns
+from riginv.kernels.autograd import pure_gradients
+from riginv.kernels.library import Kernels, kernels_for, plain_rows
+
 
 def screen(activations: Tensor, sources: Tensor) -> Tensor:
     """Several drivers of one shape, combined as 1 - (1 - a)(1 - b)...: one alone passes through, none exceeds 1.
@@ -16,6 +20,9 @@ def screen(activations: Tensor, sources: Tensor) -> Tensor:
     Returns:
         `(batch, shape)` in [0, 1].
     """
+    compiled = kernels_for(activations, sources)
+    if compiled is not None:
+        return _combined(compiled, activations, sources, True)
     padded = torch.cat([activations, activations.new_zeros(activations.shape[0], 1)], dim=1)
     remaining = 1 - _pick(padded, sources[:, 0])
     for slot in sources.T[1:]:
@@ -33,6 +40,9 @@ def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
     Returns:
         `(batch, combination)`.
     """
+    compiled = kernels_for(weights, members)
+    if compiled is not None:
+        return _combined(compiled, weights, members, False)
     padded = torch.cat([weights, weights.new_ones(weights.shape[0], 1)], dim=1)
     product = _pick(padded, members[:, 0])
     for slot in members.T[1:]:
@@ -49,20 +59,32 @@ def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
     return smallest
 
 
+def screen_pull(activations: Tensor, sources: Tensor, gradient: Tensor) -> Tensor:
+    """A gradient `(batch, shape)` of what `screen` gives, as one `(batch, driver)` of the activations."""
+    return _pull(activations, sources, gradient, True)
+
+
+def combination_pull(weights: Tensor, members: Tensor, gradient: Tensor) -> Tensor:
+    """A gradient `(batch, combination)` of what `combination_weights` gives, as one `(batch, shape)` of the weights."""
+    return _pull(weights, members, gradient, False)
+
+
 def screen_slopes(activations: Tensor, sources: Tensor) -> Tensor:
     """The derivative `(batch, shape, slot)` of each shape of `screen` by the driver in each slot; 0 in empty slots."""
+    compiled = kernels_for(activations, sources)
+    if compiled is not None:
+        return _slopes(compiled, activations, sources, True)
     padded = torch.cat([activations, activations.new_zeros(activations.shape[0], 1)], dim=1)
-    remaining = 1 - padded[:, sources]
-    slots = range(sources.shape[1])
-    others = [remaining[:, :, [other for other in slots if other != slot]].prod(dim=2) for slot in slots]
-    return torch.stack(others, dim=2) * (sources >= 0)
+    return _products_of_others(1 - padded[:, sources]) * (sources >= 0)
 
 
 def combination_slopes(weights: Tensor, members: Tensor) -> Tensor:
-    """The derivative `(batch, combination, 3)` of each of `combination_weights` by the weight of each member."""
+    """The derivative `(batch, combination, slot)` of each of `combination_weights` by the weight of each member."""
+    compiled = kernels_for(weights, members)
+    if compiled is not None:
+        return _slopes(compiled, weights, members, False)
     padded = torch.cat([weights, weights.new_ones(weights.shape[0], 1)], dim=1)
-    first, second, third = (padded[:, member] for member in members.T)
-    return torch.stack([second * third, first * third, first * second], dim=2) * (members >= 0)
+    return _products_of_others(padded[:, members]) * (members >= 0)
 
 
 def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tensor:
@@ -82,3 +104,67 @@ def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tens
 def _pick(padded: Tensor, places: Tensor) -> Tensor:
     """As `padded[:, places]`, whose gradient takes far longer; -1 is the last column."""
     return padded.index_select(1, places % padded.shape[1])
+
+
+def _products_of_others(factors: Tensor) -> Tensor:
+    """For each factor `(batch, product, slot)` the product of the others of its product."""
+    slots = range(factors.shape[2])
+    others = [factors[:, :, [other for other in slots if other != slot]].prod(dim=2) for slot in slots]
+    return torch.stack(others, dim=2)
+
+
+def _pull(factors: Tensor, members: Tensor, gradient: Tensor, complement: bool) -> Tensor:
+    compiled = kernels_for(factors, members, gradient)
+    if compiled is None:
+        slopes = (screen_slopes if complement else combination_slopes)(factors, members)
+        entries = (slopes * gradient[:, :, None]).flatten(1)  # 0 in empty slots, which may then stand for any column
+        return add_to_columns(torch.zeros_like(factors), members.flatten().clamp_min(0), entries)
+    factors, gradient = plain_rows(factors), plain_rows(gradient)
+    pulled = factors.new_empty(factors.shape)
+    products, slots = members.shape
+    given = (factors, factors.stride(0), factors.shape[1], members.contiguous(), products, slots, int(complement))
+    compiled.call("products_pull", factors.dtype, *given, gradient, gradient.stride(0), pulled, len(factors))
+    return pulled
+
+
+def _slopes(compiled: Kernels, factors: Tensor, members: Tensor, complement: bool) -> Tensor:
+    factors, (products, slots) = plain_rows(factors), members.shape
+    slopes = factors.new_empty(len(factors), products, slots)
+    given = (factors, factors.stride(0), factors.shape[1], members.contiguous(), products, slots, int(complement))
+    compiled.call("products_slopes", factors.dtype, *given, slopes, len(factors))
+    return slopes
+
+
+def _combined(compiled: Kernels, factors: Tensor, members: Tensor, complement: bool) -> Tensor:
+    if factors.requires_grad and torch.is_grad_enabled():
+        return _CompiledProducts.apply(factors, members, complement, compiled)
+    return _multiplied(compiled, factors, members, complement)
+
+
+def _multiplied(compiled: Kernels, factors: Tensor, members: Tensor, complement: bool) -> Tensor:
+    factors = plain_rows(factors)
+    products, slots = members.shape
+    result = factors.new_empty(len(factors), products)
+    given = (factors, factors.stride(0), factors.shape[1], members.contiguous(), products, slots, int(complement))
+    compiled.call("products", factors.dtype, *given, result, products, len(factors))
+    return result
+
+
+class _CompiledProducts(torch.autograd.Function):
+    """`combination_weights`, and as the complement `screen`, by a kernel."""
+
+    @staticmethod
+    def forward(
+        ctx: torch.autograd.function.FunctionCtx, factors: Tensor, members: Tensor, complement: bool, compiled: Kernels
+    ) -> Tensor:
+        ctx.save_for_backward(factors, members)
+        ctx.complement = complement
+        return _multiplied(compiled, factors, members, complement)
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None, None]:
+        factors, members = ctx.saved_tensors
+        if torch.is_grad_enabled():
+            combine = screen if ctx.complement else combination_weights
+            return pure_gradients(lambda given: combine(given, members), factors, gradient), None, None, None
+        return _pull(factors, members, gradient, ctx.complement), None, None, None

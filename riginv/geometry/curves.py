@@ -14,6 +14,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from riginv.kernels.autograd import pure_gradients
+from riginv.kernels.library import Kernels, kernels_for, plain_rows, pure_torch
+
 ITERATIONS = 24  # of bracketed Newton, at most; typical curves need 4, vertical tangents more
 PLAIN = 3  # steps of Newton's without bracketing, before it is seen what they leave
 FIXED = 12  # of them where they cannot be counted
@@ -63,6 +66,11 @@ def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
         `(batch, curve)`; differentiable in `inputs`. At a key the slope is that of the segment to its right, at the ends
         that of the end segments, so that a control at its limit still has a gradient.
     """
+    compiled = kernels_for(table, inputs)
+    if compiled is not None:
+        if inputs.requires_grad and torch.is_grad_enabled():
+            return _CompiledCurves.apply(inputs, table, compiled)
+        return _solved(compiled, table, inputs)[0]
     x, (start, width, a, b, c, d, e, f, g) = _segments(table, inputs)
     t = _solve(a, b, c, (x - start) / width)
     return ((d * t + e) * t + f) * t + g
@@ -71,6 +79,9 @@ def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
 @torch.no_grad()
 def curves_and_slopes(table: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
     """The value of each curve at its own input, and its slope there, both `(batch, curve)`; as `evaluate_curves`."""
+    compiled = kernels_for(table, inputs)
+    if compiled is not None:
+        return _solved(compiled, table, inputs)
     x, (start, width, a, b, c, d, e, f, g) = _segments(table, inputs)
     t = _solve(a, b, c, (x - start) / width)
     along = ((3 * a * t + 2 * b) * t + c).clamp_min(torch.finfo(t.dtype).eps) * width
@@ -83,9 +94,37 @@ def fixed_iterations(count: int = FIXED) -> Iterator[None]:
     """Within it every curve is solved in `count` steps, without a look at how far it is: for tracing, which has no values."""
     token = _fixed.set(count)
     try:
-        yield
+        with pure_torch():
+            yield
     finally:
         _fixed.reset(token)
+
+
+class _CompiledCurves(torch.autograd.Function):
+    """`evaluate_curves` by a kernel, which gives the slopes along with the values."""
+
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, inputs: Tensor, table: Tensor, compiled: Kernels) -> Tensor:
+        values, slopes = _solved(compiled, table, inputs)
+        ctx.save_for_backward(inputs, table, slopes)
+        return values
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None]:
+        inputs, table, slopes = ctx.saved_tensors
+        if torch.is_grad_enabled():
+            return pure_gradients(lambda given: evaluate_curves(table, given), inputs, gradient), None, None
+        return gradient * slopes, None, None
+
+
+def _solved(compiled: Kernels, table: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """The values and slopes of curves by a kernel."""
+    inputs = plain_rows(inputs)
+    (batch, curves), segments = inputs.shape, table.shape[1]
+    values, slopes = (inputs.new_empty(batch, curves) for _ in range(2))
+    given = (table.contiguous(), curves, segments, inputs, inputs.stride(0))
+    compiled.call("curves", inputs.dtype, *given, values, curves, slopes, curves, batch)
+    return values, slopes
 
 
 def _segments(table: Tensor, inputs: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:

@@ -3,7 +3,7 @@
 from torch import Tensor
 
 from riginv.geometry.jacobian import Jacobian
-from riginv.rig import LinearRig
+from riginv.rig import LinearRig, Pull
 
 
 class HeldRig(LinearRig):
@@ -34,7 +34,11 @@ class HeldRig(LinearRig):
 
     def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
         found, jacobian = self.rig.coefficient_jacobian(self.all_controls(controls))
-        return found, Jacobian(jacobian.inner[..., self.free], jacobian.values, jacobian.pattern)
+        return found, jacobian.of_controls(self.free)
+
+    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+        found, pull = self.rig.coefficients_and_pull(self.all_controls(controls))
+        return found, lambda gradient: pull(gradient).index_select(1, self.free)
 
     def neutral_coefficients(self) -> Tensor:
         """Those of the rest mesh, which the held controls may not be at."""

@@ -1,5 +1,6 @@
 """What the Lightning modules share: an optimiser for the network alone, a guard, and validation in mm."""
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -12,12 +13,15 @@ from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 from torchmetrics import MeanMetric
 
 from riginv.errors import InputError, NonFiniteLossError
+from riginv.kernels.library import why_not
 from riginv.losses import root_mean_square_mm
 from riginv.mesh_space import RigInMeshSpace
 from riginv.metrics import VertexError
+from riginv.modules.halves import can_be_halved, in_halves, worth_halving
 from riginv.modules.processes import check_normalisation, over_processes, share_a_batch
 from riginv.rig import RigBackend
 from riginv.sampling.meshes import PoseBatch
+from riginv.threads import Workers
 
 OptimizerFactory = Callable[[Iterable[nn.Parameter]], Optimizer]
 ScheduleFactory = Callable[[Optimizer], LRScheduler | ReduceLROnPlateau]
@@ -35,12 +39,14 @@ class RigModule(L.LightningModule, ABC):
     Attributes:
         kind: of bundle that it makes: `inverse` (meshes to controls) or `forward` (a surrogate).
         true_rig: what validation asks; the rig itself unless another one is set.
+        workers: threads that compute halves of a batch; None: batches are computed whole.
         stop_below_lr: training ends once the schedule has brought the learning rate below this (paper: 1e-6); None: never.
     """
 
     kind = "inverse"
     true_rig: RigBackend
     stop_below_lr: float | None = None
+    workers: Workers | None = None
 
     def __init__(
         self, rig: RigInMeshSpace, network: nn.Module, make_optimizer: OptimizerFactory, make_schedule: ScheduleFactory
@@ -54,12 +60,42 @@ class RigModule(L.LightningModule, ABC):
         self.errors: list[VertexError] = []
 
     @abstractmethod
+    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+        """The mean loss over the meshes of a batch, and the coordinates that were found for it, without a graph."""
+
+    @property
+    def losses(self) -> list[nn.Module]:
+        """All that `loss_and_found` asks."""
+        return [self.loss]
+
+    def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
+        loss, found = self._in_halves(batch) if self.halved else self.loss_and_found(batch)
+        return self.learn(loss, found, batch["coordinates"])
+
+    def _in_halves(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+        weights = [weight for weight in self.network.parameters() if weight.requires_grad]
+        if not worth_halving(len(batch["coordinates"]), weights):
+            return self.loss_and_found(batch)
+        return in_halves(self.loss_and_found, batch, weights, self.workers)
+
+    @functools.cached_property
+    def halved(self) -> bool:
+        """Whether batches that are worth it are computed in halves."""
+        return self.workers is not None and can_be_halved(self.network, self.losses)
+
+    @abstractmethod
     def results(self, batch: PoseBatch) -> Tensor:
         """The meshes `(batch, vertex, 3)`, mm, that come of a batch; of controls it is the true rig that makes them."""
 
     def setup(self, stage: str) -> None:
         if self.trainer.world_size > 1:
             check_normalisation(self.network, self.trainer.strategy.root_device)
+
+    def on_train_start(self) -> None:
+        if self.halved and self.device.type == "cpu" and self.trainer.is_global_zero:
+            self.workers.look()
+            missing = why_not()
+            print(f"training on {self.workers.describe()}{f'; no compiled kernels: {missing}' if missing else ''}", flush=True)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Raises InputError where a checkpoint is of another network."""

@@ -32,13 +32,13 @@ class ForwardModule(RigModule):
         self.loss, self.coefficient_share = loss, coefficient_share
         self.coefficient_loss = CoefficientLoss(rig.linear_map, rig.space.vertex_count)
 
-    def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
+    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         coefficients, neutral = self.coefficients(batch["controls"])
         coordinates = (coefficients - neutral) @ self.rig.linear_map
         loss = self.loss(coordinates, batch["coordinates"])
         if self.coefficient_share and self.rig.rig.has_blendshapes:
             loss = loss + self.coefficient_share * self.coefficient_loss(coefficients, batch["coefficients"])
-        return self.learn(loss, coordinates, batch["coordinates"])
+        return loss, coordinates.detach()
 
     def coefficients(self, controls: Tensor) -> tuple[Tensor, Tensor]:
         """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and `(1, coefficient)` at neutral."""

@@ -1,6 +1,7 @@
 """The baseline of Holden et al. 2015: the same network, trained on poses of the rig with the loss on their controls."""
 
-from torch import Tensor
+import torch
+from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
 from riginv.modules.base import RigModule
@@ -10,9 +11,15 @@ from riginv.sampling.meshes import PoseBatch
 class HoldenModule(RigModule):
     """Trains an inverse by regression onto the controls that made each mesh; needs no gradient through the rig."""
 
-    def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
+    @property
+    def losses(self) -> list[nn.Module]:
+        return []
+
+    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         controls = self.network(batch["coordinates"])
-        return self.learn(mse_loss(controls, batch["controls"]), self.rig(controls), batch["coordinates"])
+        with torch.no_grad():
+            found = self.rig(controls)
+        return mse_loss(controls, batch["controls"]), found
 
     def results(self, batch: PoseBatch) -> Tensor:
         return self.true_rig(self.network(batch["coordinates"]))

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.control_maps import ControlMap
-from riginv.networks.inverse import Answer, DirectInverse
+from riginv.networks.inverse import DirectInverse
 from riginv.networks.mlp import Anchored
 from riginv.networks.surrogate import ControlMLP
 
@@ -58,10 +58,6 @@ class UnboundedInverse(DirectInverse):
 
     def forward(self, coordinates: Tensor) -> Tensor:
         return super().forward(coordinates).clamp(self.control_map.lower, self.control_map.upper)
-
-    def answers(self, coordinates: Tensor) -> list[Answer]:
-        controls = self.control_map(self.network(coordinates))
-        return [Answer(controls, self.rig)]
 
 
 class UnboundedSurrogate(ControlMLP):

@@ -25,6 +25,14 @@ class ControlMap(nn.Module, ABC):
         self.register_buffer("upper", rig.upper, persistent=False)
         self.register_buffer("neutral", rig.neutral_controls, persistent=False)
 
+    def with_slopes(self, raw: Tensor) -> tuple[Tensor, Tensor]:
+        """The controls, and the derivative of each by its own raw output, both `(batch, control)` and without a graph."""
+        with torch.enable_grad():
+            given = raw.detach().requires_grad_()
+            controls = self.forward(given)
+            slopes = torch.autograd.grad(controls.sum(), given)[0]
+        return controls.detach(), slopes
+
     @abstractmethod
     def raw_of(self, controls: Tensor) -> Tensor:
         """Raw outputs that map to controls `(batch, control)`, or near them where these lie at their limits or beyond."""
@@ -36,6 +44,12 @@ class RangeTanh(ControlMap):
     def forward(self, raw: Tensor) -> Tensor:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
         return middle + half * torch.tanh(raw)
+
+    @torch.no_grad()
+    def with_slopes(self, raw: Tensor) -> tuple[Tensor, Tensor]:
+        middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
+        bent = torch.tanh(raw)
+        return middle + half * bent, half * (1 - bent.square())
 
     def raw_of(self, controls: Tensor) -> Tensor:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
@@ -54,15 +68,31 @@ class NeutralStart(ControlMap):
         super().__init__(rig)
         one_way = torch.where(self.neutral <= self.lower, 1.0, torch.where(self.neutral >= self.upper, -1.0, 0.0))
         self.register_buffer("one_way", one_way.to(self.lower), persistent=False)
+        # Both kinds in one: scale * max(tanh(direction * raw - depth) + edge, least), with a scale for either sign of raw.
+        two_sided, edge = one_way == 0, math.tanh(DEPTH)
+        whole = one_way * (self.upper - self.lower) / (1 + edge)
+        buffers = {
+            "direction": torch.where(two_sided, 1.0, one_way),
+            "depth": torch.where(two_sided, 0.0, DEPTH),
+            "edge": torch.where(two_sided, 0.0, edge),
+            "least": torch.where(two_sided, -torch.inf, 0.0),
+            "above": torch.where(two_sided, self.upper - self.neutral, whole),
+            "below": torch.where(two_sided, self.neutral - self.lower, whole),
+        }
+        for name, values in buffers.items():
+            self.register_buffer(name, values.to(self.lower), persistent=False)
 
     def forward(self, raw: Tensor) -> Tensor:
-        above, below = self.upper - self.neutral, self.neutral - self.lower
-        two_sided = torch.where(raw >= 0, above, below) * torch.tanh(raw)
-        edge = math.tanh(DEPTH)
-        tail = (torch.tanh(self.one_way * raw - DEPTH) + edge) / (1 + edge)
-        limited = tail + (tail.clamp_min(0) - tail).detach()
-        one_sided = self.one_way * (above + below) * limited
-        return self.neutral + torch.where(self.one_way == 0, two_sided, one_sided)
+        bent = torch.tanh(self.direction * raw - self.depth) + self.edge
+        limited = bent + (torch.maximum(bent, self.least) - bent).detach()
+        return self.neutral + torch.where(raw >= 0, self.above, self.below) * limited
+
+    @torch.no_grad()
+    def with_slopes(self, raw: Tensor) -> tuple[Tensor, Tensor]:
+        tail = torch.tanh(self.direction * raw - self.depth)
+        scale = torch.where(raw >= 0, self.above, self.below)
+        controls = self.neutral + scale * torch.maximum(tail + self.edge, self.least)
+        return controls, scale * self.direction * (1 - tail.square())
 
     def raw_of(self, controls: Tensor) -> Tensor:
         above, below = self.upper - self.neutral, self.neutral - self.lower

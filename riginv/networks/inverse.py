@@ -3,7 +3,6 @@
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -11,31 +10,71 @@ from torch import Tensor, nn
 from riginv.errors import InputError
 from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.base import RigNetwork
-from riginv.networks.control_maps import CONTROL_MAPS
+from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
 from riginv.networks.correction import Correction
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import Anchored, mlp
+from riginv.rig import Pull
 
 START_GAIN = 0.3  # of the last layer: answers start close to neutral
 CORRECTION_GAIN = 0.02  # of the last layer where a guess stands before the first perceptron: they start close to that
 
 
-@dataclass(frozen=True)
 class Answer:
     """One attempt at the controls.
 
-    Attributes:
-        controls: `(batch, control)`.
-        rig: which they are of.
+    Everything about it is computed when it is first asked for. What has no graph costs no automatic differentiation: to learn
+    from an answer, `raw` and a gradient of it are enough (`riginv.modules.inverse`).
+
+    Args:
+        raw: the network's raw outputs `(batch, control)`, with its graph.
+        target: the mesh coordinates `(batch, coordinate)` that were asked for.
+        control_map: from raw outputs to controls.
+        rig: which the controls are of.
     """
 
-    controls: Tensor
-    rig: RigInMeshSpace
+    def __init__(self, raw: Tensor, target: Tensor, control_map: ControlMap, rig: RigInMeshSpace) -> None:
+        self.raw, self.target, self.control_map, self.rig = raw, target, control_map, rig
+
+    @functools.cached_property
+    def controls(self) -> Tensor:
+        """`(batch, control)`, with a graph from the network."""
+        return self.control_map(self.raw)
 
     @functools.cached_property
     def coordinates(self) -> Tensor:
-        """What the rig makes of them, `(batch, coordinate)`; it is posed when this is first asked for."""
+        """What the rig makes of them, `(batch, coordinate)`, with a graph from the network."""
         return self.rig(self.controls)
+
+    @functools.cached_property
+    def _posed(self) -> tuple[Tensor, Tensor, Pull]:
+        controls, slopes = self.control_map.with_slopes(self.raw.detach())
+        return slopes, *self.rig.coordinates_and_pull(controls)
+
+    @property
+    def found(self) -> Tensor:
+        """As `coordinates`, without a graph."""
+        return self._posed[1]
+
+    @functools.cached_property
+    def error(self) -> Tensor:
+        """What the rig makes of them less what was asked for, `(batch, coordinate)`, without a graph."""
+        return self.found - self.target
+
+    @functools.cached_property
+    def squares(self) -> Tensor:
+        """The squared length of each error, `(batch,)`, without a graph."""
+        return self.error.square().sum(dim=1)
+
+    def pull(self, gradient: Tensor) -> Tensor:
+        """A gradient of the coordinates `(batch, coordinate)` as one of the raw outputs, `(batch, control)`; no graph."""
+        slopes, _, pull = self._posed
+        return slopes * pull(gradient)
+
+    @functools.cached_property
+    def gradient(self) -> Tensor:
+        """Of half the squared error, by the raw outputs, `(batch, control)`, without a graph."""
+        return self.pull(self.error)
 
 
 class InverseNetwork(RigNetwork, ABC):
@@ -58,6 +97,10 @@ class InverseNetwork(RigNetwork, ABC):
 
     def calibrate(self, coordinates: Tensor) -> None:
         """Look at a sample of what will come `(batch, coordinate)`, before training, to set fixed scales."""
+
+    def answer(self, raw: Tensor, target: Tensor) -> Answer:
+        """The answer that raw outputs `(batch, control)` are to mesh coordinates `(batch, coordinate)`."""
+        return Answer(raw, target, self.control_map, self.rig)
 
     def forward(self, coordinates: Tensor) -> Tensor:
         return self.answers(coordinates)[-1].controls
@@ -85,7 +128,7 @@ class DirectInverse(InverseNetwork):
         return [self.network]
 
     def answers(self, coordinates: Tensor) -> list[Answer]:
-        return [Answer(self.forward(coordinates), self.rig)]
+        return [self.answer(self.network(coordinates), coordinates)]
 
     def forward(self, coordinates: Tensor) -> Tensor:
         return self.control_map(self.network(coordinates))
@@ -144,8 +187,8 @@ class StagedInverse(InverseNetwork):
 
     def calibrate(self, coordinates: Tensor) -> None:
         self.coordinate_scale.copy_(_size(coordinates))
-        raw = torch.zeros(len(coordinates), len(self.rig.rig.controls), device=coordinates.device, dtype=coordinates.dtype)
-        gradient = self._gradient(raw.requires_grad_(), self.rig(self.control_map(raw)) - coordinates)
+        raw = coordinates.new_zeros(len(coordinates), len(self.rig.rig.controls))
+        gradient = self.answer(raw, coordinates).gradient
         if self.features:
             self.features.calibrate(self.rig, coordinates)
             self.gradient_scale.copy_(gradient.square().mean(dim=0).sqrt().clamp_min(1e-12))
@@ -155,55 +198,45 @@ class StagedInverse(InverseNetwork):
     def learned_parts(self) -> list[nn.Module]:
         return [*self.stages, *self.corrections]
 
-    @torch.enable_grad()  # the gradient through the rig is an input: it is needed when nothing is trained too
     def answers(self, coordinates: Tensor) -> list[Answer]:
         seen = self._look(coordinates)
+        before = self._guess(seen, coordinates) if self.features else None
         result: list[Answer] = []
-        raw, answer = self._guess(seen) if self.features else (None, None)
         for stage in [*self.stages, *self.corrections]:
-            raw = stage(seen) if raw is None else self._corrected(stage, raw, answer, seen, coordinates)
-            if not raw.requires_grad:
-                raw = raw.requires_grad_()
-            controls = self.control_map(raw)
-            answer = Answer(controls, self.rig)
-            result.append(answer)
+            raw = stage(seen) if before is None else self._corrected(stage, before, seen)
+            before = self.answer(raw, coordinates)
+            result.append(before)
         return result
 
-    def _corrected(self, stage: nn.Module, raw: Tensor, answer: Answer, seen: Tensor, coordinates: Tensor) -> Tensor:
+    def _corrected(self, stage: nn.Module, answer: Answer, seen: Tensor) -> Tensor:
         """Raw outputs `(batch, control)`, corrected by a stage that sees what the answer to them left."""
-        error = answer.coordinates - coordinates
-        gradient = self._gradient(raw, error) / self.gradient_scale
-        before = raw.detach()
-        left = self.features.left(coordinates, answer.coordinates) if self.features else -error / self.coordinate_scale
-        left, squashed = left.detach(), torch.tanh(0.3 * before)
+        before, gradient = answer.raw.detach(), answer.gradient / self.gradient_scale
+        if self.features:
+            left = self.features.left(answer.target, answer.found)
+        else:
+            left = answer.error / -self.coordinate_scale
+        squashed = torch.tanh(0.3 * before)
         if isinstance(stage, Correction):
             return before + stage(left, gradient, squashed)
         return before + stage(torch.cat([seen, left, gradient, squashed], dim=1))
 
-    def _guess(self, features: Tensor) -> tuple[Tensor, Answer]:
-        """The raw outputs and the answer that stand before the first perceptron, where the rig offers features."""
-        raw = self.control_map.raw_of(self.features.guess(features)).detach().requires_grad_()
-        controls = self.control_map(raw)
-        return raw, Answer(controls, self.rig)
+    def _guess(self, features: Tensor, coordinates: Tensor) -> Answer:
+        """The answer that stands before the first perceptron, where the rig offers features."""
+        return self.answer(self.control_map.raw_of(self.features.guess(features)), coordinates)
 
     def forward(self, coordinates: Tensor) -> Tensor:
         """The last answer; after a guess from features the best one of each mesh, for there a correction may fail."""
         answers = self.answers(coordinates)
-        controls = self._best(answers, coordinates) if self.features else answers[-1].controls
-        return controls if torch.is_grad_enabled() else controls.detach()
+        return self._best(answers) if self.features else answers[-1].controls
 
-    def _best(self, answers: list[Answer], coordinates: Tensor) -> Tensor:
-        errors = torch.stack([(answer.coordinates - coordinates).square().sum(dim=1) for answer in answers])
+    def _best(self, answers: list[Answer]) -> Tensor:
+        errors = torch.stack([answer.squares for answer in answers])
         best = errors.argmin(dim=0)
         return torch.stack([answer.controls for answer in answers])[best, torch.arange(best.shape[0], device=best.device)]
 
     def _look(self, coordinates: Tensor) -> Tensor:
         """What the perceptrons see of a mesh, `(batch, number)`."""
         return self.features(coordinates) if self.features else coordinates / self.coordinate_scale
-
-    def _gradient(self, raw: Tensor, error: Tensor) -> Tensor:
-        """The gradient `(batch, control)` of half the squared error with respect to the raw outputs."""
-        return torch.autograd.grad(0.5 * error.square().sum(), raw, retain_graph=True)[0]
 
 
 def _size(values: Tensor) -> Tensor:

@@ -39,7 +39,7 @@ MAKE_NO_FIGURES = (  # files and folders of the package that no result of a step
     ),
     *("report", "tables", "claims", "paper", "machine", "preflight", "running", "workers", "plan", "recipes", "expected"),
 )
-DISTRIBUTIONS = ("torch", "numpy", "scipy", "lightning", "anny")
+DISTRIBUTIONS = ("torch", "numpy", "scipy", "lightning")
 NETWORK_BYTES = 30_000_000  # of the largest network's weights
 SPARE = 1.2
 

@@ -1,9 +1,12 @@
 """Block-banded systems: a matrix for every frame, and the curvature of curves, which ties each frame to four neighbours."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+from riginv.kernels.library import Kernels, kernels_for
 
 TO_NEXT, TO_SECOND = -4.0, 1.0  # the second difference's square couples frames so, away from the ends of a clip
 LONGEST_GAP = 12.0  # times the usual distance of frames, across which curves are still smooth; beyond it they begin anew
@@ -99,3 +102,98 @@ def solve_band(blocks: Sequence[Tensor] | Tensor, next_to: Tensor, second_to: Te
         rest = forward[frame] - halves[frame][:, :-1] @ found[frame + 1 : frame + 3].flatten()
         found[frame] = torch.linalg.solve_triangular(factors[frame].T, rest[:, None], upper=True)[:, 0]
     return found[:frames]
+
+
+AtOnce = Callable[[list[Callable[[], int]]], list[int]]  # runs tasks, perhaps at the same time, and gives their results
+
+
+def in_turn(tasks: list[Callable[[], int]]) -> list[int]:
+    """Tasks one after the other."""
+    return [task() for task in tasks]
+
+
+class Band(NamedTuple):
+    """A block-banded system in which some unknowns are held at 0; all in float64.
+
+    Attributes:
+        blocks: `(frame, control, control)`, the diagonal blocks.
+        diagonal: `(frame, control)`, what is added to their diagonals.
+        near, far: `(frame,)`: the coupling of each control with itself in the next frame and in the second next.
+        right: `(frame, control)`.
+        free: `(frame, control)`, which unknowns are not held.
+    """
+
+    blocks: Tensor
+    diagonal: Tensor
+    near: Tensor
+    far: Tensor
+    right: Tensor
+    free: Tensor
+
+    def solve(self, at_once: AtOnce) -> Tensor | None:
+        """The unknowns `(frame, control)`, or None where the matrix of the free ones is not positive definite.
+
+        Frames are eliminated from both ends towards the middle.
+
+        Args:
+            at_once: runs two tasks, perhaps at the same time, and gives their results.
+        """
+        compiled = kernels_for(self.blocks, self.diagonal, self.right)
+        return self._solve_in_torch() if compiled is None else _TwoChains(self, compiled).solve(at_once)
+
+    def _solve_in_torch(self) -> Tensor | None:
+        both = self.free[:, :, None] & self.free[:, None]
+        reduced = torch.where(both, self.blocks + torch.diag_embed(self.diagonal), 0.0)
+        reduced.diagonal(dim1=1, dim2=2).add_(~self.free)
+        to_next = self.near[:, None] * (self.free & torch.roll(self.free, -1, 0))
+        to_second = self.far[:, None] * (self.free & torch.roll(self.free, -2, 0))
+        found = solve_band(reduced, to_next, to_second, torch.where(self.free, self.right, 0.0))
+        return None if found is None else torch.where(self.free, found, 0.0)
+
+
+class _TwoChains:
+    """The frames before the middle two, and those behind them, by kernels."""
+
+    def __init__(self, band: Band, compiled: Kernels) -> None:
+        self.compiled, (frames, self.controls) = compiled, band.right.shape
+        sizes = band.free.sum(dim=1)
+        self.starts = torch.cat([sizes.new_zeros(1), sizes.cumsum(0)])
+        self.numbers = band.free.nonzero()[:, 1].contiguous()
+        tensors = (band.blocks, band.diagonal, band.near, band.far, band.right)
+        self.system = (*(values.contiguous() for values in tensors), self.starts, self.numbers, self.controls)
+        self.middle = max(frames - 2, 0) // 2, (max(frames - 2, 0) // 2 + 1 if frames > 1 else -1)
+        first, second = self.middle
+        before, behind = list(range(first)), list(range(frames - 1, max(first, second), -1))
+        self.chains = [torch.tensor([*before, first, second]), torch.tensor([*behind, second, first])]
+        self.stores = [self._store(chain, [*sizes.tolist(), 0]) for chain in self.chains]
+        self.corrections = [band.right.new_zeros(3, self.controls, self.controls) for _ in self.chains]
+        self.pulled = [band.right.new_zeros(2, self.controls) for _ in self.chains]
+
+    def solve(self, at_once: AtOnce) -> Tensor | None:
+        if any(at_once([lambda: self._eliminate(0), lambda: self._eliminate(1)])):
+            return None
+        found = self.system[0].new_zeros(len(self.starts) - 1, self.controls)
+        taken = (self.corrections[0], self.pulled[0], self.corrections[1], self.pulled[1])
+        if self.compiled.call("band_middle", torch.float64, *self.system, *self.middle, *taken, found):
+            return None
+        at_once([lambda: self._substitute(0, found), lambda: self._substitute(1, found)])
+        return found
+
+    def _eliminate(self, number: int) -> int:
+        chain, (store, offsets) = self.chains[number], self.stores[number]
+        given = (*self.system, chain, len(chain) - 2, store, offsets, self.corrections[number], self.pulled[number])
+        return self.compiled.call("band_eliminate", torch.float64, *given)
+
+    def _substitute(self, number: int, found: Tensor) -> int:
+        chain, (store, offsets) = self.chains[number], self.stores[number]
+        given = (self.starts, self.numbers, self.controls, chain, len(chain) - 2, store, offsets, found)
+        return self.compiled.call("band_substitute", torch.float64, *given)
+
+    def _store(self, chain: Tensor, sizes: list[int]) -> tuple[Tensor, Tensor]:
+        """Room for the factors of a chain, and where those of each frame begin: L, its inverse diagonal, its couplings."""
+        offsets, total = [], 0
+        for frame, near, far in zip(*(chain[shift : len(chain) - 2 + shift].tolist() for shift in range(3))):
+            offsets.append(total)
+            size, apart = sizes[frame], -(-sizes[frame] // 8) * 8
+            total += -(-size // 4) * 4 * apart + apart + size * (-(-(sizes[near] + sizes[far] + 1) // 8) * 8)
+        return torch.empty(total, dtype=torch.float64), torch.tensor(offsets, dtype=torch.int64)

@@ -3,18 +3,31 @@
 import torch
 from torch import Tensor
 
+from riginv.kernels.library import Kernels, kernels_for
+
 ROUNDS = 3  # of solving and pinning what leaves the box
 FLOOR = 1e-3  # of the mean curvature: what damps a control that does nothing
 
 
-def damped(hessian: Tensor, damping: Tensor) -> Tensor:
-    """Hessians `(mesh, control, control)` with Marquardt's damping `(mesh,)`, relative to their diagonals."""
+def damping_diagonal(hessian: Tensor, damping: Tensor) -> Tensor:
+    """What Marquardt's damping `(mesh,)` adds to the diagonals `(mesh, control)` of Hessians, relative to them."""
     diagonal = hessian.diagonal(dim1=1, dim2=2)
     floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + torch.finfo(hessian.dtype).tiny
-    return hessian + torch.diag_embed(damping[:, None] * (diagonal + floor))
+    return damping[:, None] * (diagonal + floor)
 
 
-def box_step(matrix: Tensor, gradient: Tensor, at: Tensor) -> Tensor:
+def foreseen_change(hessian: Tensor, gradient: Tensor, step: Tensor) -> Tensor:
+    """How the quadratic model of each mesh changes by a step, `(mesh,)`: below 0 where it helps."""
+    compiled = kernels_for(hessian, gradient, step)
+    if compiled is None:
+        return (gradient * step).sum(dim=1) + 0.5 * (step * (hessian @ step[..., None])[..., 0]).sum(dim=1)
+    result = gradient.new_empty(len(gradient))
+    given = (hessian.contiguous(), gradient.contiguous(), step.contiguous(), result, gradient.shape[1], len(gradient))
+    compiled.call("foreseen", gradient.dtype, *given)
+    return result
+
+
+def box_step(matrix: Tensor, gradient: Tensor, at: Tensor, diagonal: Tensor | None = None) -> Tensor:
     """The step `(mesh, control)` that minimises a quadratic model over the box from 0 to 1, nearly.
 
     Controls at a limit that the gradient pushes outward stay; the others are solved for, those that would leave the box are
@@ -22,10 +35,16 @@ def box_step(matrix: Tensor, gradient: Tensor, at: Tensor) -> Tensor:
     definite in its own precision it is taken apart in float64; a frame for which that fails too stays where it is.
 
     Args:
-        matrix: `(mesh, control, control)`, damped.
+        matrix: `(mesh, control, control)`.
         gradient: `(mesh, control)`.
         at: where the controls stand, `(mesh, control)` in [0, 1].
+        diagonal: what is added to those of the matrices, `(mesh, control)`, such as damping.
     """
+    compiled = kernels_for(matrix, gradient, at)
+    if compiled is not None:
+        return _compiled(compiled, matrix, gradient, at, diagonal)
+    if diagonal is not None:
+        matrix = matrix + torch.diag_embed(diagonal)
     free = ~(((at <= 0) & (gradient > 0)) | ((at >= 1) & (gradient < 0)))
     target = at + torch.where(free, _solve(matrix, torch.where(free, -gradient, 0.0), free), 0.0)
     step = target.clamp(0, 1) - at
@@ -40,6 +59,17 @@ def box_step(matrix: Tensor, gradient: Tensor, at: Tensor) -> Tensor:
         rest = torch.where(some, -gradient[rows] - (here @ pinned[..., None])[..., 0], 0.0)
         target[rows] = at[rows] + torch.where(some, _solve(here, rest, some), pinned)
         step[rows] = target[rows].clamp(0, 1) - at[rows]
+    return step
+
+
+def _compiled(compiled: Kernels, matrix: Tensor, gradient: Tensor, at: Tensor, diagonal: Tensor | None) -> Tensor:
+    meshes, controls = gradient.shape
+    shared = matrix.stride(0) == 0 or meshes == 1
+    matrix = matrix[0].contiguous() if shared else matrix.contiguous()
+    step = torch.empty_like(gradient, memory_format=torch.contiguous_format)
+    added = None if diagonal is None else diagonal.to(gradient).contiguous()
+    given = (matrix, 0 if shared else controls * controls, added, gradient.contiguous(), at.contiguous(), step)
+    compiled.call("box_step", gradient.dtype, *given, controls, ROUNDS, meshes)
     return step
 
 

@@ -12,7 +12,7 @@ from riginv.solvers.levenberg_marquardt import LEAST_DAMPING, MOST_DAMPING, STAR
 from riginv.solvers.objective import Linearised, Objective
 
 WINDOW, LOOKAHEAD = 192, 48  # frames that are kept of a window, and those solved beyond them so that its end knows what comes
-PIECE = 128
+PIECE = 64
 TRIES = 4  # of more and more damping on one linearisation
 
 
@@ -116,14 +116,14 @@ class _Window:
         return at
 
     def _linearise(self, at: Tensor) -> Linearised:
-        pieces = [self.objective.linearise(*piece) for piece in self._pieces(at)]
+        pieces = self.objective.at_once([lambda piece=piece: self.objective.linearise(*piece) for piece in self._pieces(at)])
         near = Linearised(*(torch.cat(parts) for parts in zip(*pieces)))
         for values in near:
             values[~self.seen] = 0
         return near
 
     def _cost(self, at: Tensor) -> Tensor:
-        pieces = [self.objective.cost(*piece) for piece in self._pieces(at)]
+        pieces = self.objective.at_once([lambda piece=piece: self.objective.cost(*piece) for piece in self._pieces(at)])
         return torch.where(self.seen, torch.cat(pieces), 0.0)
 
     def _pieces(self, at: Tensor) -> Iterator[tuple[Tensor, ...]]:
@@ -153,5 +153,5 @@ class _Window:
         main, near, far = self.bands
         diagonal = hessian.diagonal(dim1=1, dim2=2)
         floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + 1e-6
-        blocks = hessian.double() + torch.diag_embed(damping[:, None] * (diagonal + floor) + main[:, None])
-        return band_box_step(blocks, near, far, gradient, at)
+        added = (damping[:, None] * (diagonal + floor) + main[:, None]).double()
+        return band_box_step(hessian.double(), added, near, far, gradient, at, self.objective.at_once)

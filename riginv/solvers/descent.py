@@ -22,19 +22,18 @@ def descend(rig: RigInMeshSpace, start: Tensor, coordinates: Tensor, steps: int,
     unit = ((start - backend.lower) / span).detach().clone().requires_grad_()  # every control runs from 0 to 1: one rate fits
     optimizer = torch.optim.Adam([unit], lr=lr)
     best, least = start.clone(), torch.full_like(start[:, 0], torch.inf)
-    with torch.enable_grad():
+    with torch.no_grad():
         for step in range(steps + 1):
             controls = backend.lower + span * unit
-            errors = (rig(controls) - coordinates).square().sum(dim=1)
-            better = errors.detach() < least
-            best = torch.where(better[:, None], controls.detach(), best)
-            least = torch.where(better, errors.detach(), least)
+            found, pull = rig.coordinates_and_pull(controls)
+            residual = found - coordinates
+            errors = residual.square().sum(dim=1)
+            better = errors < least
+            best = torch.where(better[:, None], controls, best)
+            least = torch.where(better, errors, least)
             if step == steps:
                 break
-            optimizer.zero_grad()
-            (errors.sum() / rig.space.vertex_count).backward()
-            unit.grad.nan_to_num_()
+            unit.grad = (2 / rig.space.vertex_count * span * pull(residual)).nan_to_num_()
             optimizer.step()
-            with torch.no_grad():
-                unit.clamp_(0, 1)
+            unit.clamp_(0, 1)
     return best.clamp(backend.lower, backend.upper)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from riginv.solvers.box_step import box_step, damped
+from riginv.solvers.box_step import box_step, damping_diagonal, foreseen_change
 from riginv.solvers.objective import Linearised, Objective
 
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
@@ -13,6 +13,7 @@ TOLERANCE = 1e-4  # a mesh has converged once steps lower its objective by less 
 IDLE = 3  # such steps in a row; a step that fails raises the damping and is one of them
 LEAST_GAIN = 5e-7  # mm^2 of half the mean squared distance: a step that gains less is the last one, 0.001 mm from the end
 REACH = 0.1  # of a control's range, at most in one step: longer ones land in a rig's saturations
+FEWEST, MOST = 8, 64  # meshes that one thread solves at a time
 TRIES = 3  # of more and more damping on one linearisation, before the step counts as failed
 
 
@@ -74,6 +75,19 @@ def levenberg_marquardt(
         weights: what the distance of each mesh counts against prior and sparsity, `(mesh,)`; 1 for all unless given.
     """
     coordinates = coordinates.to(start)
+    given = (coordinates, start) if weights is None else (coordinates, start, weights)
+    size = max(FEWEST, min(MOST, -(-len(start) // 2)))
+    parts = list(zip(*(values.split(size) for values in given)))
+    found = objective.at_once(
+        [lambda part=part: _solve(objective, part[0], part[1], steps, tolerance, *part[2:]) for part in parts]
+    )
+    return Solution(**{name: torch.cat([getattr(part, name) for part in found]) for name in vars(found[0])})
+
+
+@torch.no_grad()
+def _solve(
+    objective: Objective, coordinates: Tensor, start: Tensor, steps: int, tolerance: float, weights: Tensor | None = None
+) -> Solution:
     skipped = ~torch.isfinite(coordinates).all(dim=1)
     best = torch.where(skipped[:, None], objective.neutral, start.clamp(0, 1))
     cost = torch.full_like(best[:, 0], torch.nan)
@@ -112,9 +126,9 @@ def _improve(
     raise_by = 4.0
     for _ in range(TRIES):
         gradient, hessian = near.gradient[trying], near.hessian[trying]
-        step = box_step(damped(hessian, damping[trying]), gradient, at[trying]).clamp(-REACH, REACH)
+        step = box_step(hessian, gradient, at[trying], damping_diagonal(hessian, damping[trying])).clamp(-REACH, REACH)
         found = objective.cost(at[trying] + step, *(values[trying] for values in target))
-        foreseen = -(gradient * step).sum(dim=1) - 0.5 * (step * (hessian @ step[..., None])[..., 0]).sum(dim=1)
+        foreseen = -foreseen_change(hessian, gradient, step)
         better = found < cost[trying]
         kept = trying[better]
         ratio = ((near.cost[kept] - found[better]) / foreseen[better].clamp_min(torch.finfo(at.dtype).tiny)).clamp(max=1.5)

@@ -7,8 +7,8 @@ itself leaves fewer controls in use. All of it is taken times the number of vert
 
 import copy
 import functools
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -17,8 +17,10 @@ from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.features import RigFeatures
 from riginv.solvers.distance import CORNER_MM, Distance, MeanDistance, squared_distance
 from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.threads import workers
 
 PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
+Result = TypeVar("Result")
 SPARSE = 0.1  # the share of entries below which a metric is kept as a sparse matrix
 CORNER = 1e-3  # of a range: how round the corner of the distance from neutral is
 
@@ -88,6 +90,10 @@ class Objective:
         other.distance = MeanDistance(self.rig.space.frame.to(self.map), corner_mm)
         return other
 
+    def at_once(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
+        """The results of tasks that ask this objective, as many at once as cores are free and the rig can be asked at once."""
+        return workers().run(tasks) if self.rig.rig.differentiable else [task() for task in tasks]
+
     def units(self, controls: Tensor) -> Tensor:
         """Controls in their own units as shares of their ranges."""
         return (controls.to(self.map) - self.lower) / self.span
@@ -110,10 +116,10 @@ class Objective:
 
     @torch.no_grad()
     def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
-        """The gradient `(mesh, control)` of the objective, for the price of a Jacobian."""
-        found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
-        pull = self.distance(self._residual(found, coordinates)).pull
-        return self.span * jacobian.pull(pull @ self.map.T) + self._preference(units)[1]
+        """The gradient `(mesh, control)` of the objective."""
+        found, pull = self.rig.rig.coefficients_and_pull(self.lower + self.span * units)
+        of_residual = self.distance(self._residual(found, coordinates)).pull
+        return self.span * pull(of_residual @ self.map.T) + self._preference(units)[1]
 
     @torch.no_grad()
     def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
@@ -121,10 +127,11 @@ class Objective:
         found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
         distance, pull, share = self.distance(self._residual(found, coordinates))
         cost, gradient, curvature = self._preference(units)
-        hessian = jacobian.gram(self.metric) * self.span * self.span[:, None]
+        jacobian = jacobian.scaled(self.span)
+        hessian = jacobian.gram(self.metric)
         if share is not None:
             hessian = share[:, None, None] * hessian
-        slope = self.span * jacobian.pull(pull @ self.map.T)
+        slope = jacobian.pull(pull @ self.map.T)
         if weights is not None:
             distance, slope, hessian = weights * distance, weights[:, None] * slope, weights[:, None, None] * hessian
         hessian.diagonal(dim1=1, dim2=2).add_(curvature)

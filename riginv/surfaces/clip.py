@@ -135,9 +135,9 @@ class _Window:
         pull[:-2] += second
         blocks = torch.stack([each.hessian for each in reduced])
         diagonal = blocks.diagonal(dim1=1, dim2=2)
-        blocks = blocks + torch.diag_embed(DAMPING * diagonal + main[:, None])
+        added = DAMPING * diagonal + main[:, None]
         gradient = torch.stack([each.gradient for each in reduced]) + pull[self.before :]
-        step = band_box_step(blocks, near, far, gradient, units).clamp(-self.how.reach, self.how.reach)
+        step = band_box_step(blocks, added, near, far, gradient, units).clamp(-self.how.reach, self.how.reach)
         for frame, change, each in zip(self.frames, step, reduced):
             self.result[frame] = replace(self.result[frame], state=_moved(self.solver, self.result[frame].state, change, each))
 

@@ -12,7 +12,7 @@ from riginv.geometry.skeleton import Skeleton
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig import LinearRig, Motion
 from rigs.body.axes import LAST
-from rigs.body.build import body_geometry, skeleton_of
+from rigs.body.build import body_geometry
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
 from rigs.body.skeleton import KEPT
@@ -86,9 +86,8 @@ class BodyRig(LinearRig):
 
     @torch.no_grad()
     def motion(self) -> Motion:
-        """The walk that the package `anny` carries, 101 frames (`rigs.body.walk`)."""
-        skeleton = skeleton_of(body_geometry(), self.joint_names)
-        rotations, move = (values.to(self.rest_vertices) for values in walk(skeleton))
+        """A walk of 101 frames (`rigs.body.walk`)."""
+        rotations, move = (values.to(self.rest_vertices) for values in walk())
         change = self.coefficients_of(rotations, move) - self.neutral_coefficients()
         return Motion("walk", FPS, apply_deltas(self.rest_vertices, self.basis, change))
 
@@ -108,7 +107,7 @@ class BodyRig(LinearRig):
         worlds = self._worlds(frames @ turns @ frames.mT, controls[:, self.moves])
         slopes = self.slopes(worlds, frames @ euler_axes(angles, turns))
         slopes[:, self.moves, :, :, 3] = torch.eye(3).to(controls)[:, None]
-        return worlds[:, self.skinned].flatten(1), Jacobian(slopes.flatten(2).transpose(1, 2))
+        return worlds[:, self.skinned].flatten(1), Jacobian(inner=slopes.flatten(2).transpose(1, 2))
 
     def joint_transforms(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the transforms `(batch, joint, 3, 4)` of all joints in the world, mm."""

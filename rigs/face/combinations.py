@@ -5,7 +5,6 @@ exceeds the `ORDER`-norm of the pushes, vertex by vertex.
 """
 
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,15 +15,8 @@ SAMPLE = 8  # every so manieth vertex decides which combinations are worth havin
 SHORTLIST = 2000  # pairs that share the most moving skin, among which the overshoot decides
 
 
-class Combination(NamedTuple):
-    """A correction whose weight is the product of the weights of its two or three shapes."""
-
-    shapes: tuple[str, ...]
-    deltas: np.ndarray
-
-
-def build_combinations(primaries: dict[str, np.ndarray], together: list[set[str]], apart: set[str]) -> list[Combination]:
-    """The combinations that repair the most, spread over the shapes.
+def choose_combinations(primaries: dict[str, np.ndarray], together: list[set[str]], apart: set[str]) -> list[tuple[str, ...]]:
+    """The combinations that repair the most, spread over the shapes: the names of the two or three shapes of each.
 
     Args:
         primaries: deltas `(vertex, 3)`, mm, by name.
@@ -43,8 +35,8 @@ def build_combinations(primaries: dict[str, np.ndarray], together: list[set[str]
 
     chosen = set(pairs)
     candidates = [triple for triple in combinations(names, 3) if all(pair in chosen for pair in combinations(triple, 2))]
-    triples = _strongest({triple: _repair(triple, sampled) for triple in candidates}, TRIPLES, TRIPLES_PER_SHAPE)
-    return [Combination(shapes, _repair(shapes, primaries)) for shapes in (*pairs, *triples)]
+    triples = _strongest({triple: repair(triple, sampled) for triple in candidates}, TRIPLES, TRIPLES_PER_SHAPE)
+    return [*pairs, *triples]
 
 
 def overshoot(deltas: list[np.ndarray]) -> np.ndarray:
@@ -56,7 +48,7 @@ def overshoot(deltas: list[np.ndarray]) -> np.ndarray:
     return -excess[..., None] * direction
 
 
-def _repair(shapes: tuple[str, ...], deltas: dict[str, np.ndarray]) -> np.ndarray:
+def repair(shapes: tuple[str, ...], deltas: dict[str, np.ndarray]) -> np.ndarray:
     """The deltas of a combination: the overshoot of its shapes, less what the pairs among them repair already."""
     result = overshoot([deltas[name] for name in shapes])
     if len(shapes) == 3:

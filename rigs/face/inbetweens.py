@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riginv.geometry.curves import Curve, Key
-from rigs.face.mesh import FaceMesh
+from rigs.face.parts import PARTS
 
 COUNT = 150
 JAW_HINGE = np.array([0.0, 705.0, 22.0])  # mm; the jaw turns about the line through it along x
@@ -17,12 +17,11 @@ class InBetween(NamedTuple):
 
     shape: str
     place: float
-    curve: Curve
     deltas: np.ndarray
 
 
 def build_inbetweens(
-    primaries: dict[str, np.ndarray], rest: np.ndarray, normals: np.ndarray, mesh: FaceMesh
+    primaries: dict[str, np.ndarray], rest: np.ndarray, normals: np.ndarray, parts: np.ndarray
 ) -> list[InBetween]:
     """One in-between for each primary shape, and a second one for those whose paths bend the most.
 
@@ -30,25 +29,25 @@ def build_inbetweens(
         primaries: deltas `(vertex, 3)`, mm, by name.
         rest: `(vertex, 3)`, mm.
         normals: `(vertex, 3)`, unit length, smooth.
+        parts: of each vertex, a number in `PARTS`, `(vertex,)`.
     """
     middle = {}
     for name, deltas in primaries.items():
-        middle[name] = path_offset(rest, deltas, 0.5, *pivots(name, rest, normals, mesh))
+        middle[name] = path_offset(rest, deltas, 0.5, *pivots(name, rest, normals, parts))
     bend = {name: float(np.sqrt((offset**2).sum(axis=1).mean())) for name, offset in middle.items()}
     twice = sorted(bend, key=lambda name: -round(bend[name], 6))[: COUNT - len(primaries)]
     result = []
     for name, deltas in primaries.items():
-        places = (1 / 3, 2 / 3) if name in twice else (0.5,)
-        for place in places:
-            offset = path_offset(rest, deltas, place, *pivots(name, rest, normals, mesh))
-            result.append(InBetween(name, place, bump(place, len(places)), offset))
+        for place in (1 / 3, 2 / 3) if name in twice else (0.5,):
+            around = pivots(name, rest, normals, parts)
+            result.append(InBetween(name, place, path_offset(rest, deltas, place, *around) if place != 0.5 else middle[name]))
     return result
 
 
-def pivots(shape: str, rest: np.ndarray, normals: np.ndarray, mesh: FaceMesh) -> tuple[np.ndarray, np.ndarray]:
+def pivots(shape: str, rest: np.ndarray, normals: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What each vertex turns about on its way: centres `(vertex, 3)`, mm, and the axes that count, `(3,)` of 0 and 1."""
     if shape.startswith(("eye", "lid")):
-        ball = rest[mesh.parts == ("left_eye" if shape.endswith("Left") else "right_eye")]
+        ball = rest[parts == PARTS.index("left_eye" if shape.endswith("Left") else "right_eye")]
         return np.broadcast_to((ball.max(axis=0) + ball.min(axis=0)) / 2, rest.shape), np.ones(3)
     if shape.startswith("jaw") or shape == "mouthClose":
         return np.broadcast_to(JAW_HINGE, rest.shape), np.array([0.0, 1.0, 1.0])

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from rigs.face.build import PARTS
+from rigs.face.parts import PARTS
 
 COLORS = {
     "skin": (0.80, 0.62, 0.53),

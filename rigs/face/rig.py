@@ -4,12 +4,13 @@ import torch
 from torch import Tensor
 
 from riginv.arkit import ARKIT_NAMES
-from riginv.geometry.blendshapes import combination_slopes, combination_weights, screen, screen_slopes
-from riginv.geometry.curves import Curve, curves_and_slopes, evaluate_curves, pack_curves
+from riginv.geometry.blendshapes import combination_weights, screen
+from riginv.geometry.curves import Curve, evaluate_curves, pack_curves
 from riginv.geometry.jacobian import Jacobian, Pattern
-from riginv.rig import LinearRig
+from riginv.rig import LinearRig, Pull
 from rigs.face.build import face_geometry
 from rigs.face.controls import build_controls
+from rigs.face.derivatives import FaceSteps, patterns
 from rigs.face.inbetweens import bump
 from rigs.face.limits import CAPACITY, CEILINGS, REGIONS, cost, limit_curve, region
 from rigs.face.looks import EXPRESSIONS, paint
@@ -52,6 +53,7 @@ class FaceRig(LinearRig):
         takes = torch.zeros(len(shapes), len(REGIONS))
         takes[torch.arange(len(shapes)), self.region_of_shape] = torch.tensor([cost(name) for name in shapes])
         counts = inbetween_shape.bincount()[inbetween_shape].tolist()
+        self._patterns: dict[torch.device, tuple[Pattern, ...]] = {}
         self._keep(
             capacity_taken=takes,
             driver_curves=self._curves([driver.curve for driver in drivers]),
@@ -90,45 +92,16 @@ class FaceRig(LinearRig):
         return torch.cat([primary, between, combination_weights(primary, self.combination_members)], dim=1)
 
     @torch.no_grad()
-    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
-        """As `coefficients`, with every step's derivative: controls to primary shapes, dense; these to all weights, sparse."""
-        driven, rise = curves_and_slopes(self.driver_curves.to(controls), controls[:, self.driver_control])
-        primary = screen(driven, self.driver_of_shape)
-        slopes = screen_slopes(driven, self.driver_of_shape)
-        inner = controls.new_zeros(len(controls), len(self.driver_of_shape), len(self.controls))
-        for slot, driver in enumerate(self.driver_of_shape.T):
-            shape = (driver >= 0).nonzero()[:, 0]
-            used = driver[shape]
-            place = shape * len(self.controls) + self.driver_control[used]
-            inner.flatten(1).index_add_(1, place, slopes[:, shape, slot] * rise[:, used])
-        under, slope = curves_and_slopes(self.ceiling_curves.to(controls), primary[:, self.ceiling_under])
-        held = primary[:, self.ceiling_shape] > under
-        rows = torch.where(held[..., None], slope[..., None] * inner[:, self.ceiling_under], inner[:, self.ceiling_shape])
-        inner = inner.index_copy(1, self.ceiling_shape, rows)
-        primary = primary.index_copy(1, self.ceiling_shape, torch.minimum(primary[:, self.ceiling_shape], under))
-        taken = self.capacity_taken.to(controls)
-        yielding, slope = curves_and_slopes(self.limit_curves.to(controls), primary @ taken)
-        yielding, slope = yielding[:, self.region_of_shape], slope[:, self.region_of_shape]
-        inner = yielding[..., None] * inner + (primary * slope)[..., None] * (taken.T @ inner)[:, self.region_of_shape]
-        primary = primary * yielding
-        between, slope = curves_and_slopes(self.inbetween_curves.to(controls), primary[:, self.inbetween_shape])
-        products = combination_slopes(primary, self.combination_members).flatten(1)
-        values = torch.cat([torch.ones_like(primary), slope, products[:, self.combination_members.flatten() >= 0]], dim=1)
-        weights = torch.cat([primary, between, combination_weights(primary, self.combination_members)], dim=1)
-        return weights, Jacobian(inner, values, self._pattern())
+    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+        steps = FaceSteps(self, controls)
+        return steps.weights, steps.pull
 
-    def _pattern(self) -> Pattern:
-        """Which weights follow which primary shapes."""
-        primaries, betweens, (products, most) = (
-            len(self.driver_of_shape),
-            len(self.inbetween_shape),
-            self.combination_members.shape,
-        )
-        member = self.combination_members.flatten()
-        count = torch.arange(primaries + betweens + products, device=self.device)
-        rows = torch.cat([count[: primaries + betweens], count[primaries + betweens :].repeat_interleave(most)[member >= 0]])
-        columns = torch.cat([count[:primaries], self.inbetween_shape, member[member >= 0]])
-        return Pattern(rows, columns, (len(count), primaries))
+    @torch.no_grad()
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        steps = FaceSteps(self, controls)
+        if controls.device not in self._patterns:
+            self._patterns[controls.device] = patterns(self, controls.device)
+        return steps.weights, steps.jacobian(self._patterns[controls.device])
 
 
 def _slots(owners: list[int], count: int) -> Tensor:

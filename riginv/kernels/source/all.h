@@ -1,0 +1,11 @@
+/* Every kernel, in the precision that kernels.c has chosen. */
+
+#include "curves.h"
+#include "products.h"
+#include "sandwich.h"
+#include "cholesky.h"
+#include "box_step.h"
+
+#undef PADDING
+#undef ROWS
+#undef LANES

