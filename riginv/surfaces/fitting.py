@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.solvers.box_step import box_step, damped
+from riginv.solvers.box_step import box_step, damping_diagonal
 from riginv.solvers.weighed_prior import WeighedPrior
 from riginv.surfaces.matching import Pairs, Target, as_tensor, match
 from riginv.surfaces.motion import Motion
@@ -176,8 +176,8 @@ class Linearised:
         hessian[:count, :count] += prior.precision
         gradient[:count] += prior.gradient(self.state.units[None])[0]
         at = torch.cat([self.state.units, torch.full((len(gradient) - count,), MIDDLE, dtype=torch.float64)])
-        matrix = damped(hessian[None], torch.tensor([damping], dtype=torch.float64))
-        return box_step(matrix, gradient[None], at[None])[0].clamp(-reach, reach)
+        added = damping_diagonal(hessian[None], torch.tensor([damping], dtype=torch.float64))
+        return box_step(hessian[None], gradient[None], at[None], added)[0].clamp(-reach, reach)
 
     def cost(self, change: Tensor) -> float:
         """The objective after a change, with the same pairs: exact in the controls, linear in rigid motion."""
