@@ -35,7 +35,7 @@ class KernelBuildHook(BuildHookInterface):
 
             build_data["pure_python"] = False
             build_data["tag"] = f"py3-none-{next(iter(sys_tags())).platform}"
-            build_data["artifacts"] += [f"riginv/kernels/compiled-*{build.ENDING}"]
+            build_data["artifacts"] += [f"riginv/geometry/kernels/compiled-*{build.ENDING}"]
 
 
 def _build() -> ModuleType:

@@ -13,7 +13,7 @@ import time
 
 import torch
 
-from riginv.data.test_sets import random_poses
+from riginv.evaluation.evaluation_sets import random_poses
 from rigs.blender.rig import BlenderRig
 from rigs.face import FaceRig
 

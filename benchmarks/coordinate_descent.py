@@ -16,12 +16,12 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from riginv.baselines.coordinate_descent import GramDescent
-from riginv.baselines.measured import ramps, with_products
-from riginv.baselines.product_model import ProductModel
 from riginv.clips.performance import simulated_performance
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.methods.baselines.coordinate_descent import GramDescent
+from riginv.methods.baselines.measured import ramps, with_products
+from riginv.methods.baselines.product_model import ProductModel
 from riginv.methods.solvers import LevenbergMarquardt
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.face import FaceRig
 
 PRODUCTS, SPARSITY = (150, 60, 30), 5.0

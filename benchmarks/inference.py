@@ -11,8 +11,7 @@ import time
 
 import torch
 
-from riginv.encoder import QuickEncoder
-from riginv.inverse import load_inverse
+from riginv.inference.inverse import QuickEncoder, load_inverse
 
 
 def main() -> None:

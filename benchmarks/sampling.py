@@ -20,17 +20,17 @@ from hydra.core.global_hydra import GlobalHydra
 from rich.console import Console
 from rich.table import Table
 
-from riginv.assemble import build_module, calibrate
-from riginv.assemble import build_sampler as build_sampler_of
-from riginv.cli.explain import CONFIGS
-from riginv.cli.run_folder import plain_config
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.sampling.seeds import generator_at
+from riginv.config.messages import CONFIGS
+from riginv.rig.batches import generator_at
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.runs.run_folder import plain_config
 from riginv.store.filling import planned
 from riginv.store.making import ChunkMaker, build_sampler
 from riginv.store.place import Place
 from riginv.store.store import PoseStore
 from riginv.store.windows import WindowReader
+from riginv.training.assembly import build_module, calibrate
+from riginv.training.assembly import build_sampler as build_sampler_of
 from rigs.face import FaceRig
 
 SLOW_POSES, SLOW_RATE, BATCH = 2048, 200, 64
@@ -38,7 +38,7 @@ PLAN = {
     "rig": {"_target_": "rigs.face.FaceRig"},
     "sampler": {
         "_target_": "riginv.sampling.meshes.RigPoses",
-        "controls": {"_target_": "riginv.sampling.controls.SparseControls", "most": None},
+        "controls": {"_target_": "riginv.rig.random_controls.SparseControls", "most": None},
     },
     "seed": 0,
     "dtype": "float32",

@@ -28,16 +28,16 @@ from scan_making import Degradation, make_scan
 from torch import Tensor
 
 from riginv.clips.live_link import live_link_clip
-from riginv.inversion.stillness import stillness
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.priors.performances import default_prior
-from riginv.priors.prior import ControlPrior, blended, learn_prior
-from riginv.priors.takes import controls_of
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import solve_meshes
 from riginv.solvers.objective import Objective
-from riginv.surfaces.clip import ScanSmoothness, smooth_scans
-from riginv.surfaces.solving import ScanSolver, SolvedScan
-from riginv.surfaces.triangles import TriangleMesh
+from riginv.tracking.priors.performances import default_prior
+from riginv.tracking.priors.prior import ControlPrior, blended, learn_prior
+from riginv.tracking.priors.takes import controls_of
+from riginv.tracking.stillness import stillness
+from riginv.tracking.surfaces.clip import ScanSmoothness, smooth_scans
+from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
+from riginv.tracking.surfaces.triangles import TriangleMesh
 from rigs.face import FaceRig
 
 CLEAN = Degradation()

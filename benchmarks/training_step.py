@@ -15,15 +15,15 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.networks.control_maps import RangeTanh
 from riginv.networks.inverse import DirectInverse
 from riginv.networks.mlp import mlp
 from riginv.networks.surrogate import ControlMLP
-from riginv.rig import LinearRig
-from riginv.sampling.controls import SparseControls
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig.random_controls import SparseControls
 from riginv.sampling.meshes import random_weights
-from riginv.sampling.seeds import generator_at
 from rigs.face import FaceRig
 
 HIDDEN = (2048, 1024, 512, 256)

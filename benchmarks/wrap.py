@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import torch
 import trimesh
+from rigs.face.assets import MORPH_FOLDER, data_folder, read_base_mesh, read_target
 from scipy.spatial.transform import Rotation
 
-from riginv.surfaces.triangles import TriangleMesh
-from riginv.surfaces.wrap import wrap
+from riginv.tracking.surfaces.triangles import TriangleMesh
+from riginv.tracking.surfaces.wrap import wrap
 from riginv.wrap import distance_map
 from rigs.face import FaceRig
-from rigs.face.assets import MORPH_FOLDER, data_folder, read_base_mesh, read_target
 
 PERSON = {
     "macrodetails/caucasian-male-old": 0.6,

@@ -13,13 +13,13 @@ from pathlib import Path
 import optuna
 from hydra import compose, initialize_config_dir
 
-from riginv.assemble import build_rig, build_true_rig
-from riginv.cli.explain import CONFIGS
-from riginv.cli.quiet import hush
-from riginv.cli.run_folder import METRICS, find_run_folder, plain_config
-from riginv.cli.validation import validate
+from riginv.config.messages import CONFIGS
+from riginv.config.validation import validate
 from riginv.errors import InputError, NonFiniteLossError
+from riginv.launch.closed_output import hush
+from riginv.runs.run_folder import METRICS, find_run_folder, plain_config
 from riginv.train import fit
+from riginv.training.assembly import build_rig, build_true_rig
 
 GOAL = "rig_poses/mean_vertex_error_mm"
 SPACE = {

@@ -6,13 +6,13 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
-from riginv.build import build
-from riginv.cli.command import command
-from riginv.cli.first_lines import show_rig
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
-from riginv.rig import RigBackend
-from riginv.rig_contract import ContractError, contract
+from riginv.config.building import build
+from riginv.config.validation import validate
+from riginv.launch.command import command
+from riginv.rig.contract import ContractError, contract
+from riginv.rig.interface import RigBackend
+from riginv.rig.size import show_rig
+from riginv.runs.run_folder import plain_config
 
 
 def check(config: DictConfig) -> None:

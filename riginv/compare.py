@@ -5,21 +5,19 @@ import time
 import torch
 from omegaconf import DictConfig
 
-from riginv.assemble import build_clip, build_rig, build_true_rig
-from riginv.cli.command import command, run_directory
-from riginv.cli.comparison import keep_rows, kept_rows, show, write_tables
-from riginv.cli.comparison_progress import ComparisonProgress
-from riginv.cli.run_folder import find_run_folder, plain_config
-from riginv.cli.validation import validate
 from riginv.clips.description_text import show_clip
-from riginv.data.test_sets import random_sets
+from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.methods.base import Method
-from riginv.methods.choice import suited_methods
-from riginv.methods.judging import judged_row
-from riginv.optimum import find_optima
-from riginv.recorded_rig import RecordedRig
+from riginv.evaluation.evaluation_sets import random_sets
+from riginv.evaluation.optimum import find_optima
+from riginv.launch.command import command, run_directory
+from riginv.methods.base import Method, suited_methods
+from riginv.methods.comparison import ComparisonProgress, keep_rows, kept_rows, show, write_tables
+from riginv.methods.evaluation import judged_row
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig.recorded import RecordedRig
+from riginv.runs.run_folder import find_run_folder, plain_config
+from riginv.training.assembly import build_clip, build_rig, build_true_rig
 
 
 def compare(config: DictConfig) -> None:

@@ -8,17 +8,17 @@ from PIL import Image
 from rich.console import Console
 from torch import Tensor
 
-from riginv.build import build
-from riginv.cli.command import command
-from riginv.cli.first_lines import show_rig
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
+from riginv.config.building import build
+from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.files import written_beside
-from riginv.render import Camera, grid
-from riginv.rig import RigBackend
-from riginv.sampling.controls import sparse_controls
-from riginv.sampling.seeds import generator_at
+from riginv.launch.command import command
+from riginv.meshes.rendering import Camera, grid
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import RigBackend
+from riginv.rig.random_controls import sparse_controls
+from riginv.rig.size import show_rig
+from riginv.runs.files import written_beside
+from riginv.runs.run_folder import plain_config
 
 
 def contact_sheet(config: DictConfig) -> None:

@@ -2,21 +2,21 @@
 
 from omegaconf import DictConfig
 
-from riginv.assemble import Config, build_clip, build_true_rig
-from riginv.build import build
-from riginv.cli.command import command, run_directory
-from riginv.cli.first_lines import show_lines
-from riginv.cli.run_folder import METRICS, POSES, find_run_folder, plain_config
-from riginv.cli.tables import print_results
-from riginv.cli.validation import validate
 from riginv.clips.description_text import show_clip
-from riginv.data.mesh_sets import PosedRig
-from riginv.data.test_sets import random_poses
+from riginv.config.building import build
+from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.evaluation import judge_model, load_model, write_results
-from riginv.inverse import Inverse
-from riginv.judge import Judgement, build_judge, judge_rig
-from riginv.rig import RigBackend
+from riginv.evaluation.evaluation_sets import random_poses
+from riginv.evaluation.models import judge_model, load_model, write_results
+from riginv.evaluation.results import Judgement, build_judge, judge_rig
+from riginv.inference.inverse import Inverse
+from riginv.launch.command import command, run_directory
+from riginv.rig.interface import RigBackend
+from riginv.rig.mesh_sets import PosedRig
+from riginv.runs.console import show_lines
+from riginv.runs.run_folder import METRICS, POSES, find_run_folder, plain_config
+from riginv.runs.tables import print_results
+from riginv.training.assembly import Config, build_clip, build_true_rig
 
 
 def evaluate(config: DictConfig) -> None:

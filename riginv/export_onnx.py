@@ -19,18 +19,18 @@ from rich.markup import escape
 from rich.table import Table
 from torch import Tensor, nn
 
-from riginv.build import build
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
+from riginv.config.building import build
+from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.files import discard, written_beside
 from riginv.geometry.curves import fixed_iterations
-from riginv.inverse import Inverse, load_inverse
-from riginv.locks import alone
-from riginv.rig import RigBackend
-from riginv.sampling.controls import sparse_controls
-from riginv.sampling.seeds import generator_at
+from riginv.inference.inverse import Inverse, load_inverse
+from riginv.launch.command import command
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import RigBackend
+from riginv.rig.random_controls import sparse_controls
+from riginv.runs.files import discard, written_beside
+from riginv.runs.locks import alone
+from riginv.runs.run_folder import plain_config
 
 OPSET = 18
 TRACED = 11  # meshes: a number that nothing else in a rig is likely to have, which would be taken for it

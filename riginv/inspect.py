@@ -8,12 +8,6 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.text import Text
 
-from riginv.build import build
-from riginv.bundle import DESCRIPTION, read_bundle
-from riginv.cli.command import command
-from riginv.cli.first_lines import show_lines, show_rig
-from riginv.cli.run_folder import BUNDLE, plain_config
-from riginv.cli.validation import validate
 from riginv.clips.clip import Clip
 from riginv.clips.description import describe
 from riginv.clips.description_text import NAMES, named, rows
@@ -21,10 +15,17 @@ from riginv.clips.live_link import Recording, read_live_link
 from riginv.clips.open import open_alone, open_clip
 from riginv.clips.options import FrameOptions, ReadingOptions, clip_options
 from riginv.clips.units import meaning_alone
+from riginv.config.building import build
+from riginv.config.validation import validate
 from riginv.errors import InputError, printable
-from riginv.files import is_file
-from riginv.inverse import load_inverse
-from riginv.rig import RigBackend
+from riginv.inference.bundle import DESCRIPTION, read_bundle
+from riginv.inference.inverse import load_inverse
+from riginv.launch.command import command
+from riginv.rig.interface import RigBackend
+from riginv.rig.size import show_rig
+from riginv.runs.console import show_lines
+from riginv.runs.files import is_file
+from riginv.runs.run_folder import BUNDLE, plain_config
 from riginv.store.place import Place
 from riginv.store.store import PoseStore
 from riginv.store.summary import show as show_store

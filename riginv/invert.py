@@ -6,26 +6,30 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from riginv.assemble import build_rig, build_true_rig
-from riginv.build import build
-from riginv.bundle import SUMS, read_bundle
-from riginv.cli.command import command
-from riginv.cli.first_lines import show_rig
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
+from riginv.animation.animation import Animation
+from riginv.animation.formats import check_formats
 from riginv.clips.description import describe
 from riginv.clips.description_text import show_clip
 from riginv.clips.open import open_clip
 from riginv.clips.options import clip_options
-from riginv.curves.animation import Animation
-from riginv.curves.formats import check_formats
+from riginv.config.building import build
+from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.files import sha256, written_beside
-from riginv.inverse import load_inverse
-from riginv.inversion.reach import with_reach
-from riginv.inversion.results import check_after, write_results
-from riginv.inversion.run import Smoothness, invert_clip, invert_smoothly
-from riginv.inversion.scans import (
+from riginv.inference.bundle import SUMS, read_bundle
+from riginv.inference.inverse import load_inverse
+from riginv.launch.command import command
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.recorded import RecordedRig
+from riginv.rig.size import show_rig
+from riginv.runs.files import sha256, written_beside
+from riginv.runs.locks import alone
+from riginv.runs.run_folder import plain_config
+from riginv.tracking.assembly import WHOLE_CLIP, build_parts, chosen_method
+from riginv.tracking.reach import with_reach
+from riginv.tracking.report import InversionProgress, show
+from riginv.tracking.results import check_after, write_results
+from riginv.tracking.run import Smoothness, invert_clip, invert_smoothly
+from riginv.tracking.scans import (
     SURFACE,
     PreparedScans,
     chosen_correspondence,
@@ -34,12 +38,8 @@ from riginv.inversion.scans import (
     remarks_of,
     write_scan_table,
 )
-from riginv.inversion.setup import WHOLE_CLIP, build_parts, chosen_method
-from riginv.inversion.table import InversionProgress, show
-from riginv.locks import alone
-from riginv.recorded_rig import RecordedRig
-from riginv.rig import LinearRig, RigBackend
-from riginv.surfaces.tracking import track_scans
+from riginv.tracking.surfaces.tracking import track_scans
+from riginv.training.assembly import build_rig, build_true_rig
 
 
 def invert(config: DictConfig) -> None:

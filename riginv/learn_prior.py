@@ -6,16 +6,16 @@ import torch
 from omegaconf import DictConfig
 from rich.console import Console
 
-from riginv.assemble import build_rig
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
 from riginv.errors import InputError
 from riginv.invert import free_folder
-from riginv.locks import alone
-from riginv.priors.files import save_prior
-from riginv.priors.performances import default_prior
-from riginv.priors.prior import blended, learn_prior
-from riginv.priors.takes import controls_of
+from riginv.launch.command import command
+from riginv.runs.locks import alone
+from riginv.runs.run_folder import plain_config
+from riginv.tracking.priors.files import save_prior
+from riginv.tracking.priors.performances import default_prior
+from riginv.tracking.priors.prior import blended, learn_prior
+from riginv.tracking.priors.takes import controls_of
+from riginv.training.assembly import build_rig
 
 NAMED = 5  # controls that are named as the freest
 

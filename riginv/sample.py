@@ -7,16 +7,16 @@ from typing import Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
+from riginv.config.validation import validate
 from riginv.errors import InputError
+from riginv.launch.command import command
+from riginv.runs.run_folder import plain_config
 from riginv.store.checking import examine
 from riginv.store.filling import Filled, fill
 from riginv.store.place import Place
-from riginv.store.progress import SamplingProgress
 from riginv.store.store import PoseStore
 from riginv.store.summary import findings, finish, show
+from riginv.store.training import SamplingProgress
 
 NAMED = 8  # chunks by name, at most, where many are missing
 

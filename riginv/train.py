@@ -5,7 +5,19 @@ from typing import Any
 import lightning as L
 from omegaconf import DictConfig
 
-from riginv.assemble import (
+from riginv.clips.description_text import show_clip
+from riginv.config.building import class_of
+from riginv.config.validation import validate
+from riginv.evaluation.models import judge_model, load_model, surrogate_config, write_results
+from riginv.inference.bundle import is_damaged, write_bundle
+from riginv.launch.command import command, run_directory
+from riginv.launch.starter import run_in_processes
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.mesh_sets import MeshSet
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig.size import show_rig
+from riginv.runs.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
+from riginv.training.assembly import (
     Config,
     as_surrogate,
     build_clip,
@@ -18,23 +30,10 @@ from riginv.assemble import (
     needs_surrogate,
     speed_up,
 )
-from riginv.build import class_of
-from riginv.bundle import is_damaged, write_bundle
-from riginv.callbacks.hparams import log_choices, log_results
-from riginv.cli.command import command, run_directory
-from riginv.cli.first_lines import show_rig
-from riginv.cli.process import this_process
-from riginv.cli.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
-from riginv.cli.starter import run_in_processes
-from riginv.cli.summary import show
-from riginv.cli.validation import validate
-from riginv.clips.description_text import show_clip
-from riginv.data.mesh_sets import MeshSet
-from riginv.evaluation import judge_model, load_model, surrogate_config, write_results
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.modules.base import RigModule
-from riginv.modules.processes import part
-from riginv.rig import LinearRig, RigBackend
+from riginv.training.devices import part, this_process
+from riginv.training.module import RigModule
+from riginv.training.pictures import log_choices, log_results
+from riginv.training.summary import show
 
 
 def train(config: DictConfig) -> None:

@@ -9,18 +9,18 @@ from omegaconf import DictConfig
 from PIL import Image
 from rich.console import Console
 
-from riginv.build import build
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
 from riginv.clips.options import ReadingOptions
+from riginv.config.building import build
 from riginv.errors import InputError
-from riginv.files import write_text, written_beside
-from riginv.render import Camera, grid, heat_colors
-from riginv.rig import RigBackend
-from riginv.surfaces.meaning import meaning_of_scans
-from riginv.surfaces.scans import FileScans, Scan
-from riginv.surfaces.triangles import TriangleMesh
-from riginv.surfaces.wrap import Wrapped, WrapSettings, wrap
+from riginv.launch.command import command
+from riginv.meshes.rendering import Camera, grid, heat_colors
+from riginv.rig.interface import RigBackend
+from riginv.runs.files import write_text, written_beside
+from riginv.runs.run_folder import plain_config
+from riginv.tracking.surfaces.meaning import meaning_of_scans
+from riginv.tracking.surfaces.scans import FileScans, Scan
+from riginv.tracking.surfaces.triangles import TriangleMesh
+from riginv.tracking.surfaces.wrap import Wrapped, WrapSettings, wrap
 
 RED_MM = 1.0  # the distance that the picture shows as dark red
 

@@ -1,11 +1,11 @@
 """A rig that exists only as sampled pairs of controls and vertices: `rig=pairs rig.file=TABLE`."""
 
-from riginv.pairs import read_pairs
-from riginv.recorded_rig import RecordedRig
+from riginv.rig.pairs import read_pairs
+from riginv.rig.recorded import RecordedRig
 
 
 class PairsRig(RecordedRig):
-    """A table of pairs (`riginv.pairs`), a share of which is held out to judge by.
+    """A table of pairs (`riginv.rig.pairs`), a share of which is held out to judge by.
 
     Args:
         file: the table: `.npz`, a folder of `.npy` files, or a zarr group.

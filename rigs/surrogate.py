@@ -2,10 +2,10 @@
 
 from torch import Tensor
 
-from riginv.build import OURS, build
-from riginv.bundle import read_bundle
+from riginv.config.building import OURS, build
+from riginv.inference.bundle import read_bundle
 from riginv.networks.base import RigNetwork
-from riginv.rig import LinearRig
+from riginv.rig.interface import LinearRig
 
 
 class SurrogateRig(LinearRig):

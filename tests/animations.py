@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from riginv.curves.animation import Animation, FrameErrors
-from riginv.rig import RigBackend
+from riginv.animation.animation import Animation, FrameErrors
+from riginv.rig.interface import RigBackend
 from tests.blends import blender
 
 NUMBERS = torch.tensor([101, 102, 103, 104, 107, 108, 110, 111, 112, 113, 114, 115])  # with gaps

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 import trimesh
 
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 from tests.avatars import AvatarWriter
 
 
@@ -88,7 +88,7 @@ def write_skinned_usd(path: Path, rig: RigBackend, frames: int = 7) -> Path:
     """Blend shapes of a rig below a skeleton, as our own writer makes them."""
     from pxr import Usd
 
-    from riginv.curves.usd import write
+    from riginv.animation.usd import write
     from tests.animations import moving
 
     written = path.with_name("written.usdc")

@@ -20,13 +20,13 @@ from riginv import (
     inspect,
     invert,
     learn_prior,
-    reproduce,
     sample,
     train,
     wrap,
 )
-from riginv.cli.command import command
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.launch.command import command
+from riginv.reproduce.__main__ import reproduce
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.body import BodyRig
 from rigs.dna import copy as copy_dna
 from rigs.dna import evaluate as evaluate_dna
@@ -47,7 +47,7 @@ COMMANDS = {
     "learn_prior": learn_prior.learn,
     "wrap": wrap.run,
     "export_onnx": export_onnx.export_onnx,
-    "reproduce": reproduce.reproduce,
+    "reproduce": reproduce,
     "sample": sample.sample,
     "copy_dna": copy_dna.copy,
     "evaluate_dna": evaluate_dna.evaluate,

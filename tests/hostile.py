@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.cli.run_folder import CONFIG_SUM
 from riginv.errors import InputError
+from riginv.runs.run_folder import CONFIG_SUM
 
 
 class Mark:

@@ -5,8 +5,8 @@ import torch
 import trimesh
 from torch import Tensor
 
-from riginv.rig import LinearRig
-from riginv.surfaces.triangles import TriangleMesh
+from riginv.rig.interface import LinearRig
+from riginv.tracking.surfaces.triangles import TriangleMesh
 
 
 @torch.no_grad()

@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from riginv.cli.apart import THREADS, end_with_starter
+from riginv.launch.apart import THREADS, end_with_starter
 
 
 def main() -> None:

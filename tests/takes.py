@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.arkit import ARKIT_NAMES
+from riginv.rig.arkit import ARKIT_NAMES
 
 ANGLES = [f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll")]
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.baselines.coordinate_descent import GramDescent
-from riginv.baselines.majorisation import Majoriser, _least
-from riginv.baselines.measured import pose_coordinates, ramps, tables, with_products
-from riginv.baselines.model_objective import ModelObjective
-from riginv.baselines.sides import Sides
-from riginv.sampling.controls import SparseControls
-from riginv.sampling.seeds import generator_at
+from riginv.methods.baselines.coordinate_descent import GramDescent
+from riginv.methods.baselines.majorisation import Majoriser, _least
+from riginv.methods.baselines.measured import pose_coordinates, ramps, tables, with_products
+from riginv.methods.baselines.model_objective import ModelObjective
+from riginv.methods.baselines.sides import Sides
+from riginv.rig.batches import generator_at
+from riginv.rig.random_controls import SparseControls
 
 MODELS = {
     "linear": lambda rig: ramps(rig, squares=False),

@@ -5,24 +5,24 @@ import functools
 import pytest
 import torch
 
-from riginv.baselines.blendshape_weights import BlendshapeWeights
-from riginv.baselines.clustered_gaussian_processes import ClusteredGaussianProcesses
-from riginv.baselines.coordinate_descent import CoordinateDescent
-from riginv.baselines.holden_gaussian_process import HoldenGaussianProcess
-from riginv.baselines.holden_network import HoldenNetwork
-from riginv.baselines.majorisation import MajorisationMinimisation
-from riginv.baselines.quadratic import QuadraticLevenbergMarquardt
-from riginv.baselines.tabulated import TabulatedGaussNewton
-from riginv.data.mesh_sets import PosedRig, WeightedShapes
 from riginv.errors import InputError
-from riginv.judge import judge_controls
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.methods.choice import suited_methods
-from riginv.rig import Control, LinearRig
-from riginv.rig_contract import check_rig
-from riginv.sampling.controls import PlausibleControls, SparseControls
+from riginv.evaluation.results import judge_controls
+from riginv.methods.base import suited_methods
+from riginv.methods.baselines.blendshape_weights import BlendshapeWeights
+from riginv.methods.baselines.clustered_gaussian_processes import ClusteredGaussianProcesses
+from riginv.methods.baselines.coordinate_descent import CoordinateDescent
+from riginv.methods.baselines.holden_gaussian_process import HoldenGaussianProcess
+from riginv.methods.baselines.holden_network import HoldenNetwork
+from riginv.methods.baselines.majorisation import MajorisationMinimisation
+from riginv.methods.baselines.quadratic import QuadraticLevenbergMarquardt
+from riginv.methods.baselines.tabulated import TabulatedGaussNewton
+from riginv.rig.batches import generator_at
+from riginv.rig.contract import check_rig
+from riginv.rig.interface import Control, LinearRig
+from riginv.rig.mesh_sets import PosedRig, WeightedShapes
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig.random_controls import PlausibleControls, SparseControls
 from riginv.sampling.meshes import RandomCombinations, RigPoses
-from riginv.sampling.seeds import generator_at
 from tests.conftest import ROOT
 from tests.toys import ToyRig
 
@@ -167,7 +167,7 @@ def test_what_cannot_be_is_refused(toy):
             self.primary_count = 0
 
     bones = Bones()
-    config = {"_target_": "riginv.baselines.blendshape_weights.BlendshapeWeights"}
+    config = {"_target_": "riginv.methods.baselines.blendshape_weights.BlendshapeWeights"}
     with pytest.raises(InputError, match="rig 'dull' .nnls: it has no blendshapes"):
         suited_methods({"nnls": config}, RigInMeshSpace(bones, MeshSpace.from_rig(bones)))
     with pytest.raises(InputError, match="ridge is 0"):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.fitted_rig import FittedRig
-from riginv.pairs import read_pairs, write_pairs
-from riginv.rig_contract import check_rig
-from riginv.sampling.controls import sparse_controls
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
+from riginv.rig.black_box import FittedRig
+from riginv.rig.contract import check_rig
+from riginv.rig.pairs import read_pairs, write_pairs
+from riginv.rig.random_controls import sparse_controls
 from rigs.pairs import PairsRig
 from rigs.surrogate import SurrogateRig
 from tests.clips import performance, write_npz

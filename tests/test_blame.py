@@ -2,7 +2,7 @@
 
 import pytest
 
-from riginv.cli.blame import wrong_kind
+from riginv.config.diagnosis import wrong_kind
 from tests.test_bad_input import refused
 
 USUAL = {"seed": 0, "name": "x", "on": True, "file": None, "hidden": [8, 8], "data": {"size": 4}, "most": "???"}

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.rig_contract import check_rig
+from riginv.rig.contract import check_rig
 from rigs.blender.rig import BlenderRig
 from tests.blends import make_blend
 from tests.test_bad_input import refused
@@ -253,7 +253,7 @@ def test_damaged_files_end_in_a_sentence(tmp_path, face_file, run):
 
 
 def test_the_command_samples_a_file_into_pairs(face_file, tmp_path, monkeypatch, face_rig):
-    from riginv.build import build
+    from riginv.config.building import build
     from rigs.blender.sample import write_pairs
 
     assert build({"_target_": "rigs.blender.rig.BlenderRig", "file": str(face_file), "mesh": "face"}).name == "face"

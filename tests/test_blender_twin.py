@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.data.test_sets import random_poses
 from riginv.errors import InputError
-from riginv.rig_contract import check_rig
+from riginv.evaluation.evaluation_sets import random_poses
+from riginv.rig.contract import check_rig
 from rigs.blender.blueprint import unpack_curves
 from rigs.blender.body import body_blueprint
 from rigs.blender.face import face_blueprint
@@ -158,7 +158,7 @@ def test_what_a_user_must_give_is_said(run, monkeypatch):
 
 
 def test_a_bundle_cannot_name_a_program_to_run():
-    from riginv.build import OURS, build
+    from riginv.config.building import OURS, build
 
     config = {"_target_": "rigs.blender.rig.BlenderRig", "file": "none.blend", "interpreter": "/bin/ls", "scripts": True}
     with pytest.raises(InputError) as error:
@@ -189,7 +189,7 @@ def test_export_writes_a_file_that_opens_as_the_same_rig(face, tmp_path, monkeyp
 
     from hydra.core.global_hydra import GlobalHydra
 
-    from riginv.cli.command import command
+    from riginv.launch.command import command
     from rigs.blender.export import export
 
     blender()

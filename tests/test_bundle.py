@@ -7,10 +7,10 @@ import pytest
 import torch
 import yaml
 
-from riginv.bundle import read_bundle
 from riginv.errors import InputError
-from riginv.files import sha256
-from riginv.inverse import load_inverse
+from riginv.inference.bundle import read_bundle
+from riginv.inference.inverse import load_inverse
+from riginv.runs.files import sha256
 from tests.toys import ToyRig
 
 
@@ -21,7 +21,7 @@ def bundle(tmp_path_factory) -> Path:
 
     from hydra.core.global_hydra import GlobalHydra
 
-    from riginv.cli.command import command
+    from riginv.launch.command import command
     from riginv.train import train
     from tests.conftest import SMALL
 
@@ -103,7 +103,7 @@ def test_sums_cannot_point_outside_the_bundle(bundle, tmp_path):
         (lambda text: text.replace("format: 1", "format: 9"), "format 9"),
         (lambda text: text.replace("kind: inverse", "kind: forward"), "expected 'inverse'"),
         (lambda text: text.replace("riginv.networks.inverse.StagedInverse", "os.system"), "os.system is not allowed"),
-        (lambda text: text.replace("riginv.networks.inverse.StagedInverse", "riginv.files.os.system"), "not"),
+        (lambda text: text.replace("riginv.networks.inverse.StagedInverse", "riginv.runs.files.os.system"), "not"),
         (lambda text: text.replace("hidden:\n", "hiden:\n"), "hiden"),
         (lambda text: text.replace("corrections: 6", "corrections: 5"), "do not fit"),
         (lambda text: text + "\n: [", "cannot be read"),

@@ -2,7 +2,7 @@
 
 import torch
 
-from riginv.cache import cache_folder, cached_tensors, code_key
+from riginv.runs.cache import cache_folder, cached_tensors, code_key
 
 
 def test_a_key_follows_every_file_of_code_and_the_data_that_it_names(tmp_path):

@@ -10,24 +10,24 @@ import torch
 
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.performance import simulated_performance
-from riginv.data.mesh_sets import WeightedShapes
-from riginv.data.test_sets import random_poses
 from riginv.errors import InputError
-from riginv.inversion.anchors import Anchors
-from riginv.inversion.capture import content_key, open_capture
-from riginv.inversion.held_rig import HeldRig
-from riginv.inversion.rigid import moved
-from riginv.inversion.rigid_check import RigidCheck, check_rigid
-from riginv.inversion.solving import BySolver
-from riginv.inversion.stillness import stillness
-from riginv.judge import judge_controls
-from riginv.mesh_space import RigInMeshSpace
-from riginv.optimum import find_optima
-from riginv.reproduction.preflight import check_capture
-from riginv.reproduction.sets import the_sets
-from riginv.rig import LinearRig
-from riginv.sampling.seeds import generator_at
+from riginv.evaluation.evaluation_sets import random_poses
+from riginv.evaluation.optimum import find_optima
+from riginv.evaluation.results import judge_controls
+from riginv.reproduce.preflight import check_capture
+from riginv.reproduce.sets import the_sets
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_sets import WeightedShapes
+from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.objective import PRIOR, Objective
+from riginv.tracking.anchors import Anchors
+from riginv.tracking.capture import content_key, open_capture
+from riginv.tracking.fixed_controls import HeldRig
+from riginv.tracking.rigid import moved
+from riginv.tracking.rigid_check import RigidCheck, check_rigid
+from riginv.tracking.solving import BySolver
+from riginv.tracking.stillness import stillness
 from tests.clips import obj_sequence, performance, write_npz
 from tests.conftest import ROOT
 from tests.test_inversion import tumbled

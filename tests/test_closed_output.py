@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from riginv.cli.closed_output import ends_with_its_reader
-from riginv.cli.help import explained_keys
+from riginv.launch.closed_output import ends_with_its_reader
+from riginv.launch.help import explained_keys
 from tests.conftest import ROOT
 
 TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}")

@@ -5,17 +5,17 @@ import csv
 import pytest
 import torch
 
-from riginv.baselines.holden_network import HoldenNetwork
-from riginv.data.mesh_sets import PosedRig
 from riginv.errors import InputError
-from riginv.judge import judge_controls
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.evaluation.optimum import find_optima
+from riginv.evaluation.results import judge_controls
 from riginv.methods.base import Method
-from riginv.methods.judging import Clocked, judged_row
+from riginv.methods.baselines.holden_network import HoldenNetwork
+from riginv.methods.direct import Neutral
+from riginv.methods.evaluation import Clocked, judged_row
 from riginv.methods.network import Network
-from riginv.methods.neutral import Neutral
 from riginv.methods.solvers import Refined
-from riginv.optimum import find_optima
+from riginv.rig.mesh_sets import PosedRig
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from tests.conftest import ROOT
 from tests.test_bad_input import refused
 from tests.test_solvers import poses

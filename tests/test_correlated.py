@@ -4,19 +4,19 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.networks.surrogate import ControlMLP
-from riginv.rig import Control, LinearRig
-from riginv.sampling.choice import fitted
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import Control, LinearRig
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.sampling.correlated import CorrelatedControls, acting_places, other_sides
-from riginv.sampling.seeds import generator_at
+from riginv.sampling.meshes import fitted
 from tests.toys import ToyRig
 
 PARTS = {
     "combinations": {"_target_": "riginv.sampling.meshes.RandomCombinations"},
     "poses": {
         "_target_": "riginv.sampling.meshes.RigPoses",
-        "controls": {"_target_": "riginv.sampling.controls.SparseControls"},
+        "controls": {"_target_": "riginv.rig.random_controls.SparseControls"},
     },
     "correlated": {
         "_target_": "riginv.sampling.meshes.RigPoses",

@@ -13,14 +13,14 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from riginv.arkit import LIVE_LINK_SHAPES
+from riginv.animation.animation import Animation
+from riginv.animation.formats import FORMATS, check_formats, write_formats
+from riginv.animation.live_link import nearest_weights, timecode
+from riginv.animation.reduction import reduced
 from riginv.clips.live_link import read_live_link
-from riginv.curves.animation import Animation
-from riginv.curves.formats import FORMATS, check_formats, write_formats
-from riginv.curves.live_link import nearest_weights, timecode
-from riginv.curves.reduction import reduced
 from riginv.errors import InputError
-from riginv.rig import Control
+from riginv.rig.arkit import LIVE_LINK_SHAPES
+from riginv.rig.interface import Control
 from rigs.blender.twin import blueprint_of, write_blend
 from tests.animations import NUMBERS, UPRIGHT, errors_of, in_blender, meshes_of, moving
 from tests.blends import blender
@@ -120,7 +120,7 @@ def test_live_link_of_a_rig_with_arkit_controls():
             super().__init__()
             self.controls = (Control("face.JawOpen"), Control("mouth_smile_L"), *self.controls[2:])
 
-    from riginv.curves.live_link import arkit_weights
+    from riginv.animation.live_link import arkit_weights
 
     animation = moving(Arkit())
     weights = arkit_weights(animation)

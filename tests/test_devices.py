@@ -13,12 +13,12 @@ from hydra import compose, initialize_config_dir
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from riginv.cli.process import this_process
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
+from riginv.config.validation import validate
 from riginv.errors import InputError
 from riginv.networks.inverse import StagedInverse
 from riginv.networks.speed import use_bfloat16
+from riginv.runs.run_folder import plain_config
+from riginv.training.devices import this_process
 from tests.conftest import ROOT, SMALL
 from tests.test_bad_input import refused
 from tests.test_resume import heed_interrupts, same_weights, saved_step
@@ -139,7 +139,7 @@ def test_processes_started_apart_need_a_folder_that_all_name(run, monkeypatch):
 
 
 def test_a_process_ends_with_the_one_that_watches_it():
-    code = "from riginv.cli.watched import end_with_watcher; import time; end_with_watcher(); time.sleep(60)"
+    code = "from riginv.launch.watched import end_with_watcher; import time; end_with_watcher(); time.sleep(60)"
     gone = subprocess.Popen([sys.executable, "-c", "pass"])
     gone.wait()
     orphan = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "RIGINV_WATCHER": str(gone.pid)})

@@ -5,15 +5,14 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.geometry.differential import differential_coordinates
-from riginv.geometry.spread import spread_points
-from riginv.losses import SquaredVertexLoss
-from riginv.modules.forward import ForwardModule
+from riginv.geometry.neighbours import differential_coordinates, spread_points
 from riginv.networks.differential_subspace import DifferentialSubspace, reconstruction
-from riginv.rig_contract import check_rig
-from riginv.sampling.controls import SparseControls
+from riginv.rig.batches import generator_at
+from riginv.rig.contract import check_rig
+from riginv.rig.random_controls import SparseControls
 from riginv.sampling.meshes import RigPoses
-from riginv.sampling.seeds import generator_at
+from riginv.training.forward import ForwardModule
+from riginv.training.losses import SquaredVertexLoss
 from rigs.surrogate import SurrogateRig
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from riginv.encoder import QuickEncoder
+from riginv.inference.inverse import QuickEncoder
 
 
 def test_rounding_stays_within_its_promise(toy):

@@ -7,9 +7,9 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from riginv.cli.explain import CONFIGS
-from riginv.cli.run_folder import register_folder_resolvers
-from riginv.cli.validation import validate
+from riginv.config.messages import CONFIGS
+from riginv.config.validation import validate
+from riginv.runs.run_folder import register_folder_resolvers
 
 EXPERIMENTS = sorted(
     path.relative_to(CONFIGS / "experiment").with_suffix("").as_posix() for path in (CONFIGS / "experiment").rglob("*.yaml")

@@ -6,10 +6,10 @@ import sys
 import pytest
 import torch
 
-from riginv.bundle import write_bundle
 from riginv.errors import InputError
 from riginv.export_onnx import check_packages, random_meshes, write_onnx
-from riginv.inverse import Inverse
+from riginv.inference.bundle import write_bundle
+from riginv.inference.inverse import Inverse
 from riginv.networks.inverse import DirectInverse, StagedInverse
 from tests.conftest import ROOT
 

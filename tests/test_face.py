@@ -6,7 +6,7 @@ import torch
 import trimesh
 from scipy import sparse
 
-from riginv.arkit import ARKIT_NAMES
+from riginv.rig.arkit import ARKIT_NAMES
 from rigs.face.build import build_geometry, face_geometry
 from rigs.face.controls import build_controls
 from rigs.face.inbetweens import bump

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from riginv.cli.path_values import quoted, with_quoted_paths
+from riginv.config.path_values import quoted, with_quoted_paths
 from tests.clips import obj_sequence, performance, write_npz
 from tests.conftest import ROOT
 from tests.sculpts import POINTS, offset, write_folder

@@ -14,24 +14,32 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
-from riginv.assemble import build_clip, build_module, build_rig, build_sampler, build_trainer, build_true_rig, needs_surrogate
-from riginv.build import DOES_NOT_FIT, build
-from riginv.cli.blame import wrong_kind
-from riginv.cli.command import options_first
-from riginv.cli.explain import CONFIGS, explain
-from riginv.cli.run_folder import RunFolder, plain_config, register_folder_resolvers
-from riginv.cli.validation import validate
 from riginv.clips.open import open_clip
 from riginv.clips.options import clip_options
+from riginv.config.building import DOES_NOT_FIT, build
+from riginv.config.diagnosis import wrong_kind
+from riginv.config.messages import CONFIGS, explain
+from riginv.config.validation import validate
 from riginv.errors import InputError
 from riginv.inspect import show_clip_file
-from riginv.inversion.results import check_after
-from riginv.inversion.setup import build_parts, chosen_method
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.methods.choice import suited_methods
-from riginv.reproduction.cast import rig_in_space
-from riginv.reproduction.preflight import check_budget, check_capture, check_rig, choose_judge
-from riginv.rig import RigBackend
+from riginv.launch.command import options_first
+from riginv.methods.base import suited_methods
+from riginv.reproduce.cast import rig_in_space
+from riginv.reproduce.preflight import check_budget, check_capture, check_rig, choose_judge
+from riginv.rig.interface import RigBackend
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.runs.run_folder import RunFolder, plain_config, register_folder_resolvers
+from riginv.tracking.assembly import build_parts, chosen_method
+from riginv.tracking.results import check_after
+from riginv.training.assembly import (
+    build_clip,
+    build_module,
+    build_rig,
+    build_sampler,
+    build_trainer,
+    build_true_rig,
+    needs_surrogate,
+)
 from tests.clips import performance, write_npz
 from tests.toys import ToyRig
 

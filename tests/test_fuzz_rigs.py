@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as numbers
 
-from riginv.rig import LinearRig
+from riginv.rig.interface import LinearRig
 from rigs.dna import DnaRig
 from rigs.shapes import ShapesRig
 from rigs.surrogate import SurrogateRig

@@ -5,14 +5,14 @@ import math
 import pytest
 import torch
 
-from riginv.inversion.bridging import bridged
-from riginv.metrics import roughness
-from riginv.sampling.seeds import generator_at
+from riginv.meshes.metrics import roughness
+from riginv.rig.batches import generator_at
 from riginv.solvers.band import LONGEST_GAP, second_difference_bands, second_differences, spans, usual_steps
 from riginv.solvers.clip import solve_clip
 from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.objective import Objective
 from riginv.solvers.smoothing import smoothed
+from riginv.tracking.alternation import bridged
 from tests.test_inversion import inverted
 from tests.test_solvers import moving
 from tests.toys import ToyRig

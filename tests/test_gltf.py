@@ -8,10 +8,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from riginv.arkit import ARKIT_NAMES, arkit_parts
 from riginv.clips.live_link import live_link_clip
 from riginv.errors import InputError
-from riginv.rig_contract import check_rig
+from riginv.rig.arkit import ARKIT_NAMES, arkit_parts
+from riginv.rig.contract import check_rig
 from rigs.gltf import GltfRig
 from tests.avatars import AvatarWriter, cube, face_avatar
 

@@ -6,8 +6,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from riginv.errors import InputError
-from riginv.rig import LinearRig
-from riginv.rig_contract import check_rig
+from riginv.rig.contract import check_rig
+from riginv.rig.interface import LinearRig
 from rigs.gltf import GltfRig
 from tests.avatars import AvatarWriter, cube, face_avatar
 

@@ -7,7 +7,7 @@ import pytest
 
 from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
-from riginv.rig_contract import check_rig
+from riginv.rig.contract import check_rig
 from rigs.gltf import GltfRig
 from rigs.gltf.clip import GltfClip
 from tests.avatars import AvatarWriter, add_cube, cube

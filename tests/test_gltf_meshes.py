@@ -12,7 +12,7 @@ from riginv.clips.open import open_clip, open_sequence
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.topology import check_topology
 from riginv.errors import InputError
-from riginv.rig import Control, LinearRig, RigBackend
+from riginv.rig.interface import Control, LinearRig, RigBackend
 from rigs.gltf import GltfRig
 from rigs.gltf.clip import GltfClip
 from tests.avatars import AvatarWriter, add_cube, cube

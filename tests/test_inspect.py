@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from riginv.cli.command import path_as_value
-from riginv.curves.live_link import SHAPES
+from riginv.animation.live_link import SHAPES
+from riginv.launch.command import path_as_value
 from tests.clips import obj_sequence, performance, write_animated_glb, write_npz, write_usd
 from tests.conftest import ROOT
 from tests.toys import ToyRig

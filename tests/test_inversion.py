@@ -13,22 +13,20 @@ from riginv.clips.clip import Clip
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.clips.units import meaning_of
 from riginv.errors import InputError
-from riginv.inversion.anchors import Anchors
-from riginv.inversion.bridging import bridged, bridged_motion
-from riginv.inversion.held_rig import HeldRig
-from riginv.inversion.preferences import PreferringObjective
-from riginv.inversion.regions import label, regions_of, vertex_weights
-from riginv.inversion.rigid import fit_rigid, moved, unmoved
-from riginv.inversion.run import Inversion, Smoothness, invert_clip, invert_smoothly
-from riginv.inversion.setup import EACH_FRAME, WHOLE_CLIP, build_parts, build_solver
-from riginv.inversion.solving import BySolver
-from riginv.inversion.stillness import moves_itself, stillness
-from riginv.inversion.weighted_space import weighted_space
-from riginv.inversion.window import WindowInverter
-from riginv.inversion.wishes import resolve_wishes
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.rig import LinearRig
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.tracking.alternation import WindowInverter, bridged, bridged_motion
+from riginv.tracking.anchors import Anchors
+from riginv.tracking.assembly import EACH_FRAME, WHOLE_CLIP, build_parts, build_solver
+from riginv.tracking.constraints import resolve_wishes
+from riginv.tracking.fixed_controls import HeldRig
+from riginv.tracking.preferences import PreferringObjective
+from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
+from riginv.tracking.rigid import fit_rigid, moved, unmoved
+from riginv.tracking.run import Inversion, Smoothness, invert_clip, invert_smoothly
+from riginv.tracking.solving import BySolver
+from riginv.tracking.stillness import moves_itself, stillness
 from tests.clips import performance
 from tests.toys import ToyRig
 

@@ -7,15 +7,14 @@ import sys
 import pytest
 import torch
 
-from riginv.geometry.blendshapes import combination_pull, combination_weights, screen, screen_pull
-from riginv.geometry.columns import add_to_columns
+from riginv.geometry.blendshapes import add_to_columns, combination_pull, combination_weights, screen, screen_pull
 from riginv.geometry.curves import curves_and_slopes, evaluate_curves, pack_curves
-from riginv.kernels.build import LEVELS, CompilationError, compile_library, find_compiler
-from riginv.kernels.library import kernels, kernels_for, pure_torch
-from riginv.rig import LinearRig
+from riginv.geometry.kernels.build import LEVELS, CompilationError, compile_library, find_compiler
+from riginv.geometry.kernels.library import kernels, kernels_for, pure_torch
+from riginv.rig.interface import LinearRig
+from riginv.runs.threads import Workers
 from riginv.solvers.band import Band, second_difference_bands
 from riginv.solvers.box_step import box_step, foreseen_change
-from riginv.threads import Workers
 from tests.conftest import ROOT
 from tests.test_curves import random_curves
 
@@ -180,12 +179,12 @@ def test_every_level_compiles(level, tmp_path):
 
 
 def test_without_a_compiler_torch_does_it_and_the_reason_is_known(tmp_path, monkeypatch):
-    monkeypatch.setattr("riginv.kernels.build.find_compiler", lambda: None)
+    monkeypatch.setattr("riginv.geometry.kernels.build.find_compiler", lambda: None)
     with pytest.raises(CompilationError, match="no C compiler"):
         compile_library(tmp_path / "library", "plain")
     assert not list(tmp_path.iterdir())
     code = (
-        "import torch; from riginv.kernels.library import kernels, why_not; from tests.toys import ToyRig; "
+        "import torch; from riginv.geometry.kernels.library import kernels, why_not; from tests.toys import ToyRig; "
         "print(kernels(), why_not()); print(ToyRig()(torch.full((1, 7), 0.5)).shape)"
     )
     environment = {**os.environ, "PATH": "", "CC": "", "RIGINV_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}

@@ -3,13 +3,13 @@
 import pytest
 import torch
 
-from riginv.losses import VertexDistanceLoss
-from riginv.modules.forward import ForwardModule
 from riginv.networks.dependencies import find_dependencies
 from riginv.networks.local import LocalPerceptrons, LocalSurrogate
-from riginv.sampling.controls import SparseControls
+from riginv.rig.batches import generator_at
+from riginv.rig.random_controls import SparseControls
 from riginv.sampling.meshes import RigPoses
-from riginv.sampling.seeds import generator_at
+from riginv.training.forward import ForwardModule
+from riginv.training.losses import VertexDistanceLoss
 from rigs.face.rig import FaceRig
 from tests.toys import ToyRig
 

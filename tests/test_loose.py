@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.sampling.choice import fitted
-from riginv.sampling.controls import SparseControls
+from riginv.rig.batches import generator_at
+from riginv.rig.random_controls import SparseControls
 from riginv.sampling.loose import LoosePoses, loose_parts
-from riginv.sampling.seeds import generator_at
+from riginv.sampling.meshes import fitted
 from tests.toys import ToyRig
 
 COUNT = 2000

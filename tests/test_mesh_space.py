@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.losses import SquaredVertexLoss, root_mean_square_mm
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.rig_contract import random_controls
+from riginv.rig.contract import random_controls
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.training.losses import SquaredVertexLoss, root_mean_square_mm
 from tests.toys import ToyRig
 
 

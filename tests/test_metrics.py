@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.losses import SquaredVertexLoss, VertexDistanceLoss
-from riginv.metrics import VertexError, roughness
+from riginv.meshes.metrics import VertexError, roughness
+from riginv.training.losses import SquaredVertexLoss, VertexDistanceLoss
 
 
 def test_vertex_errors_do_not_depend_on_how_poses_are_batched():

@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from riginv.errors import InputError, NonFiniteLossError
-from riginv.losses import SquaredVertexLoss, VertexDistanceLoss, root_mean_square_mm
-from riginv.modules.forward import ForwardModule
-from riginv.modules.holden import HoldenModule
-from riginv.modules.inverse import InverseModule
 from riginv.networks.inverse import DirectInverse, StagedInverse
 from riginv.networks.surrogate import ControlMLP
-from riginv.sampling.controls import PlausibleControls
+from riginv.rig.batches import generator_at
+from riginv.rig.random_controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
-from riginv.sampling.seeds import generator_at
+from riginv.training.forward import ForwardModule
+from riginv.training.holden import HoldenModule
+from riginv.training.inverse import InverseModule
+from riginv.training.losses import SquaredVertexLoss, VertexDistanceLoss, root_mean_square_mm
 from tests.toys import BlackBox, ToyRig
 
 ADAM = partial(torch.optim.Adam, lr=3e-3)

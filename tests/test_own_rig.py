@@ -13,7 +13,7 @@ import torch
 import yaml
 from scipy.spatial.transform import Rotation
 
-from riginv.rig_contract import check_rig
+from riginv.rig.contract import check_rig
 from tests.conftest import ROOT, SMALL
 
 PAGE = (ROOT / "docs/your-own-rig.md").read_text(encoding="utf-8")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.arkit import ARKIT_NAMES
 from riginv.clips.performance import simulated_performance
 from riginv.errors import InputError
+from riginv.rig.arkit import ARKIT_NAMES
 from rigs.shapes import ShapesRig
 from tests import sculpts
 from tests.toys import BlackBox, ToyRig

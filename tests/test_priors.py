@@ -5,15 +5,15 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.priors.files import FACTS, NUMBERS, load_prior, save_prior
-from riginv.priors.performances import PoseLibrary, default_prior
-from riginv.priors.prior import blended, learn_prior
-from riginv.priors.takes import controls_of
-from riginv.rig import Control
+from riginv.rig.interface import Control
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
 from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.tracking.priors.files import FACTS, NUMBERS, load_prior, save_prior
+from riginv.tracking.priors.performances import PoseLibrary, default_prior
+from riginv.tracking.priors.prior import blended, learn_prior
+from riginv.tracking.priors.takes import controls_of
 from tests.toys import ToyRig
 
 

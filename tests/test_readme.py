@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from riginv.cli.command import true_rig_choice
+from riginv.launch.command import true_rig_choice
 from tests.conftest import ROOT
 from tests.test_experiments import composed
 

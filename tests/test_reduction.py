@@ -5,10 +5,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from riginv.curves.animation import Animation
-from riginv.curves.formats import write_formats
-from riginv.curves.reduction import reduced, straight_line_keys
-from riginv.curves.resampling import resampled, unbroken
+from riginv.animation.animation import Animation
+from riginv.animation.formats import write_formats
+from riginv.animation.reduction import reduced, straight_line_keys
+from riginv.animation.resampling import resampled, unbroken
 from riginv.errors import InputError
 from tests.animations import errors_of, moving
 from tests.toys import BlackBox, Plain, ToyRig

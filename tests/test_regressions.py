@@ -5,13 +5,13 @@ import pytest
 import torch
 from scipy.optimize import lsq_linear
 
-from riginv.baselines.blendshape_weights import BlendshapeWeights
-from riginv.baselines.clusters import _threshold, control_reach, find_clusters
-from riginv.baselines.control_lookup import ControlLookup
-from riginv.baselines.gaussian_process import GaussianProcess, PrincipalComponents
-from riginv.baselines.sides import Sides
-from riginv.geometry.spread import spread_points
-from riginv.sampling.seeds import generator_at
+from riginv.geometry.neighbours import spread_points
+from riginv.methods.baselines.blendshape_weights import BlendshapeWeights
+from riginv.methods.baselines.clusters import _threshold, control_reach, find_clusters
+from riginv.methods.baselines.control_lookup import ControlLookup
+from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents
+from riginv.methods.baselines.sides import Sides
+from riginv.rig.batches import generator_at
 from riginv.solvers.bounded import bounded_least_squares
 
 
@@ -34,8 +34,8 @@ def kriging(inputs: np.ndarray, outputs: np.ndarray, at: np.ndarray, scale: floa
 
 
 def test_a_gaussian_process_is_kriging_and_its_left_out_error_is_that_of_leaving_out(monkeypatch):
-    monkeypatch.setattr("riginv.baselines.gaussian_process.WIDTHS", (1.0,))
-    monkeypatch.setattr("riginv.baselines.gaussian_process.NOISES", (1e-2,))
+    monkeypatch.setattr("riginv.methods.baselines.gaussian_process.WIDTHS", (1.0,))
+    monkeypatch.setattr("riginv.methods.baselines.gaussian_process.NOISES", (1e-2,))
     inputs = noise(25, 3)
     outputs = torch.stack([inputs[:, 0].sin(), inputs[:, 1] * inputs[:, 2]], dim=1)
     process, at = GaussianProcess(inputs, outputs), noise(7, 3, place="at")

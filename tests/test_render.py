@@ -6,7 +6,7 @@ import torch
 import trimesh
 from PIL import Image
 
-from riginv.render import BACKGROUND, GAMMA, LINE, MARGIN, Camera, grid, heat_colors, wrapped
+from riginv.meshes.rendering import BACKGROUND, GAMMA, LINE, MARGIN, Camera, grid, heat_colors, wrapped
 from tests.toys import ToyRig
 
 

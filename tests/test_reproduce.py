@@ -19,11 +19,11 @@ from omegaconf import OmegaConf
 from PIL import Image
 from safetensors.torch import load_file
 
-from riginv.cli.explain import CONFIGS
-from riginv.cli.run_folder import register_folder_resolvers
-from riginv.reproduction.plan import Plan, expected_steps, open_ended
-from riginv.reproduction.sets import Rows, the_clip
-from riginv.reproduction.steps import DONE
+from riginv.config.messages import CONFIGS
+from riginv.reproduce.plan import Plan, expected_steps, open_ended
+from riginv.reproduce.sets import Rows, the_clip
+from riginv.reproduce.steps import DONE
+from riginv.runs.run_folder import register_folder_resolvers
 from tests.conftest import ROOT
 from tests.test_bad_input import refused
 from tests.toys import ToyRig

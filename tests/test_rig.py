@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.rig import Control
-from riginv.rig_contract import ContractError, check_rig
+from riginv.rig.contract import ContractError, check_rig
+from riginv.rig.interface import Control
 from tests.toys import BlackBox, ToyRig
 
 

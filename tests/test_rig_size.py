@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.rig_size import extent, length, rig_line, size_doubt
+from riginv.rig.size import extent, length, rig_line, size_doubt
 from tests.avatars import AvatarWriter
 from tests.clips import performance, write_npz
 from tests.sculpts import FACES, POINTS, offset, write_folder

@@ -3,9 +3,10 @@
 import pytest
 import torch
 
-from riginv.data.test_sets import random_sets
 from riginv.errors import InputError
-from riginv.sampling.controls import PlausibleControls, SparseControls, choose
+from riginv.evaluation.evaluation_sets import random_sets
+from riginv.rig.batches import generator_at
+from riginv.rig.random_controls import PlausibleControls, SparseControls, choose
 from riginv.sampling.meshes import (
     Mixture,
     PlausibleCombinations,
@@ -16,7 +17,6 @@ from riginv.sampling.meshes import (
     random_weights,
 )
 from riginv.sampling.noise import CaptureNoise
-from riginv.sampling.seeds import generator_at
 
 COUNT = 20_000
 

@@ -9,8 +9,8 @@ import torch
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import Polygons
 from riginv.errors import InputError
-from riginv.surfaces.meaning import meaning_of_scans
-from riginv.surfaces.scans import FileScans, RaggedArrays, Scan, triangulated
+from riginv.tracking.surfaces.meaning import meaning_of_scans
+from riginv.tracking.surfaces.scans import FileScans, RaggedArrays, Scan, triangulated
 from tests.conftest import ROOT
 from tests.scans import posed_mesh, resampled, write_ply, write_ragged
 from tests.toys import ToyRig

@@ -12,18 +12,18 @@ import pytest
 import yaml
 import zarr
 
-from riginv.build import OURS, build
-from riginv.bundle import copy_bundle, read_bundle
-from riginv.callbacks.saving import AtomicCheckpoints
-from riginv.cli.run_folder import find_run_folder
+from riginv.config.building import OURS, build
 from riginv.errors import InputError
-from riginv.evaluation import load_model
-from riginv.files import read_yaml, sha256
-from riginv.inverse import load_inverse
-from riginv.inversion.control_names import read_mask
-from riginv.inversion.regions import read_region
-from riginv.pairs import read_pairs, write_pairs
-from riginv.rig import RigBackend
+from riginv.evaluation.models import load_model
+from riginv.inference.bundle import copy_bundle, read_bundle
+from riginv.inference.inverse import load_inverse
+from riginv.rig.interface import RigBackend
+from riginv.rig.pairs import read_pairs, write_pairs
+from riginv.runs.files import read_yaml, sha256
+from riginv.runs.run_folder import find_run_folder
+from riginv.tracking.control_names import read_mask
+from riginv.tracking.regions import read_region
+from riginv.training.checkpoints import AtomicCheckpoints
 from rigs.shapes import ShapesRig
 from tests import hostile, sculpts
 from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint, write_tiny_surrogate
@@ -46,20 +46,26 @@ RIGS = [
     lambda mark: {"_target_": "os.system", "command": f"touch {mark}"},
     lambda mark: {"_target_": "subprocess.Popen", "args": ["touch", str(mark)]},
     lambda mark: {"_target_": "builtins.exec", "source": f"open({str(mark)!r}, 'w')"},
-    lambda mark: {"_target_": "riginv.files.shutil.copyfile", "src": "/etc/hostname", "dst": str(mark)},
-    lambda mark: {"_target_": "riginv.bundle.Path", "path": str(mark)},
+    lambda mark: {"_target_": "riginv.runs.files.shutil.copyfile", "src": "/etc/hostname", "dst": str(mark)},
+    lambda mark: {"_target_": "riginv.inference.bundle.Path", "path": str(mark)},
     hostile.script_of,
     lambda mark: {"_target_": "rigs.face.FaceRig", "anything": hostile.script_of(mark)},
     lambda mark: {"_target_": "rigs.shapes.ShapesRig", "folder": [hostile.script_of(mark)]},
     lambda mark: {"_target_": "rigs.blender.pool.WorkerPool", "command": ["touch", str(mark)], "load": {}},
     lambda mark: {"_target_": "rigs.blender.clip.BlenderClip", "path": "a.abc", "interpreter": "touch"},
     lambda mark: {"_target_": "rigs.blender.in_blender.worker.Channel"},
-    lambda mark: {"_target_": "riginv.cli.run_folder.RunFolder", "path": str(mark), "config": {}, "resumed": False},
+    lambda mark: {"_target_": "riginv.runs.run_folder.RunFolder", "path": str(mark), "config": {}, "resumed": False},
     lambda mark: {"_target_": "..os.system"},
     lambda mark: {"_target_": "rigs.face. FaceRig"},
     lambda mark: {"_target_": ["rigs.face.FaceRig"]},
-    lambda mark: {"_target_": "riginv.rig.RigBackend", "name": "x", "controls": [], "rest_vertices": 3, "faces": None},
-    lambda mark: {"_target_": "riginv.fitted_rig.FittedRig", "rig": "x", "basis": 5},
+    lambda mark: {
+        "_target_": "riginv.rig.interface.RigBackend",
+        "name": "x",
+        "controls": [],
+        "rest_vertices": 3,
+        "faces": None,
+    },
+    lambda mark: {"_target_": "riginv.rig.black_box.FittedRig", "rig": "x", "basis": 5},
 ]
 
 

@@ -5,10 +5,10 @@ import shutil
 import pytest
 import yaml
 
-from riginv.build import build
-from riginv.cli.config_folders import check_config_folders
+from riginv.config.building import build
+from riginv.config.folders import check_config_folders
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 from tests import hostile
 from tests.hostile import sentence
 from tests.test_bad_input import refused

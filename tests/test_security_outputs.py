@@ -11,11 +11,11 @@ from html.parser import HTMLParser
 import pytest
 import torch
 
-from riginv.cli import tables
-from riginv.curves.table import as_text, write_curves
+from riginv.animation.table import as_text, write_curves
 from riginv.errors import InputError
-from riginv.reproduction.report import _template
-from riginv.rig import Control
+from riginv.reproduce.report import _template
+from riginv.rig.interface import Control
+from riginv.runs import tables
 from riginv.viewer.page import write_viewer
 from tests.animations import errors_of, moving
 from tests.toys import ToyRig

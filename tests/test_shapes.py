@@ -12,7 +12,7 @@ import yaml
 from safetensors.numpy import save_file
 
 from riginv.errors import InputError
-from riginv.rig_contract import check_rig
+from riginv.rig.contract import check_rig
 from rigs.shapes import ShapesRig
 from rigs.shapes.build import build_geometry
 from rigs.shapes.names import read_names

@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from riginv.inverse import Inverse
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.inference.inverse import Inverse
 from riginv.networks.inverse import DirectInverse
-from riginv.rig import Control, LinearRig
-from riginv.sampling.controls import sparse_controls
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import Control, LinearRig
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig.random_controls import sparse_controls
 from riginv.solvers.band import second_difference_bands, solve_band
 from riginv.solvers.box_step import box_step
 from riginv.solvers.clip import solve_clip

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
 from riginv.solvers.descent import descend
 from riginv.solvers.every_mesh import solve_meshes
 from riginv.solvers.levenberg_marquardt import REACH, levenberg_marquardt

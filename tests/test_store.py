@@ -14,9 +14,9 @@ import zarr
 from filelock import FileLock
 
 from riginv.errors import InputError
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.rig import LinearRig
-from riginv.sampling.controls import PlausibleControls, SparseControls
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig.random_controls import PlausibleControls, SparseControls
 from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
 from riginv.store.checking import examine
 from riginv.store.filling import Shard, fill
@@ -30,7 +30,7 @@ from tests.toys import BlackBox, ToyRig
 
 SPARSE = {
     "_target_": "riginv.sampling.meshes.RigPoses",
-    "controls": {"_target_": "riginv.sampling.controls.SparseControls", "most": None},
+    "controls": {"_target_": "riginv.rig.random_controls.SparseControls", "most": None},
 }
 PLAN = {
     "rig": {"_target_": "tests.toys.ToyRig"},

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.priors.performances import default_prior
-from riginv.priors.prior import independent_measurements
 from riginv.solvers.band import second_difference_bands, second_differences
 from riginv.solvers.weighed_prior import WeighedPrior
-from riginv.surfaces.alignment import Aligner
-from riginv.surfaces.clip import ScanSmoothness, eliminated, smooth_scans
-from riginv.surfaces.fitting import TURN, Linearised, State, SurfaceFit
-from riginv.surfaces.matching import Target, match
-from riginv.surfaces.motion import Motion
-from riginv.surfaces.rig_surface import RigSurface, farthest_points
-from riginv.surfaces.solving import ScanSettings, ScanSolver
-from riginv.surfaces.triangles import PointCloud, TriangleMesh
+from riginv.tracking.priors.performances import default_prior
+from riginv.tracking.priors.prior import independent_measurements
+from riginv.tracking.surfaces.alignment import Aligner
+from riginv.tracking.surfaces.clip import ScanSmoothness, eliminated, smooth_scans
+from riginv.tracking.surfaces.fitting import TURN, Linearised, State, SurfaceFit
+from riginv.tracking.surfaces.matching import Target, match
+from riginv.tracking.surfaces.motion import Motion
+from riginv.tracking.surfaces.rig_surface import RigSurface, farthest_points
+from riginv.tracking.surfaces.solving import ScanSettings, ScanSolver
+from riginv.tracking.surfaces.triangles import PointCloud, TriangleMesh
 from tests.scans import posed_mesh, resampled
 from tests.toys import ToyRig
 

@@ -14,10 +14,10 @@ from tensorboard.context import RequestContext
 from tensorboard.plugins import base_plugin
 from tensorboard.plugins.hparams import api_pb2, backend_context, get_experiment, list_session_groups
 
-from riginv.cli.sweep_folder import job_name, new_sweep_folder, with_sweep_folder
-from riginv.cli.sweep_record import read_records
-from riginv.cli.sweep_rows import shown
 from riginv.errors import InputError
+from riginv.launch.sweep_folder import job_name, new_sweep_folder, with_sweep_folder
+from riginv.launch.sweep_record import read_records
+from riginv.launch.sweep_rows import shown
 from tests.conftest import ROOT, SMALL
 
 ERROR = "rig_poses/mean_vertex_error_mm"

@@ -1,6 +1,6 @@
 """The table at the end: what it shows of a result."""
 
-from riginv.cli.tables import print_results
+from riginv.runs.tables import print_results
 
 
 def metrics(name: str, mean: float, **more: float) -> dict:

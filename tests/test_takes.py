@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from riginv.arkit import ARKIT_NAMES, arkit_parts, plain_name
 from riginv.clips.live_link import read_live_link
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence
 from riginv.errors import InputError
+from riginv.rig.arkit import ARKIT_NAMES, arkit_parts, plain_name
 from rigs.shapes import ShapesRig
 from tests import sculpts
 from tests.clips import performance, write_npz

@@ -9,7 +9,7 @@ import pytest
 from riginv.errors import InputError
 from riginv.meshes.obj import ObjMesh
 from riginv.meshes.ply import PlyMesh
-from riginv.text_numbers import mend_numbers, no_number, number_of, parse_numbers
+from riginv.meshes.text_numbers import mend_numbers, no_number, number_of, parse_numbers
 from rigs.shapes import ShapesRig
 from tests.sculpts import POINTS, offset, write_folder
 

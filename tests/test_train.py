@@ -8,7 +8,7 @@ import yaml
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from riginv.rig_contract import check_rig
+from riginv.rig.contract import check_rig
 from rigs.surrogate import SurrogateRig
 from tests.conftest import ROOT
 from tests.toys import ToyRig

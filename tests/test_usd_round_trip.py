@@ -6,12 +6,12 @@ import subprocess
 import numpy as np
 import pytest
 
+from riginv.animation.usd import write
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
-from riginv.curves.usd import write
 from tests.animations import NUMBERS, meshes_of, moving
 from tests.blends import blender
 from tests.clips import performance, write_npz

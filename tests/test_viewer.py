@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from riginv.curves.animation import Animation
+from riginv.animation.animation import Animation
 from riginv.viewer.page import shown_rows, write_viewer
 from riginv.viewer.sheet import sheet_rows, write_sheet
 from riginv.viewer.tensorboard import write_tensorboard

@@ -6,9 +6,9 @@ import torch
 import trimesh
 
 from riginv.errors import InputError
-from riginv.surfaces.motion import Motion
-from riginv.surfaces.triangles import TriangleMesh
-from riginv.surfaces.wrap import wrap
+from riginv.tracking.surfaces.motion import Motion
+from riginv.tracking.surfaces.triangles import TriangleMesh
+from riginv.tracking.surfaces.wrap import wrap
 from tests.conftest import ROOT
 from tests.scans import write_ply
 from tests.toys import ToyRig

@@ -6,8 +6,8 @@ from torch import Tensor
 
 from riginv.geometry.blendshapes import combination_weights, screen
 from riginv.geometry.curves import Key, evaluate_curves, pack_curves
-from riginv.rig import Control, LinearRig, RigBackend
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import Control, LinearRig, RigBackend
 
 SHAPES, COMBINATIONS = 8, 4
 

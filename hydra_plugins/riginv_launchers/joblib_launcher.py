@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from riginv.cli.apart import Job, run_apart
-from riginv.cli.launching import JobsLauncher
+from riginv.launch.apart import Job, run_apart
+from riginv.launch.launching import JobsLauncher
 
 
 class JoblibLauncher(JobsLauncher):

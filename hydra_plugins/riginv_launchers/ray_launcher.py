@@ -5,9 +5,9 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from riginv.cli.apart import Job, run_apart
-from riginv.cli.launching import JobsLauncher
 from riginv.errors import InputError
+from riginv.launch.apart import Job, run_apart
+from riginv.launch.launching import JobsLauncher
 
 
 class RayLauncher(JobsLauncher):

@@ -5,8 +5,8 @@ from typing import Any
 
 from omegaconf import ListConfig, OmegaConf
 
-from riginv.cli.apart import Job, run_apart
-from riginv.cli.launching import JobsLauncher
+from riginv.launch.apart import Job, run_apart
+from riginv.launch.launching import JobsLauncher
 
 GENERAL = "name timeout_min mem_gb nodes tasks_per_node cpus_per_task gpus_per_node stderr_to_stdout".split()
 

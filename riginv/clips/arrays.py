@@ -13,13 +13,12 @@ from typing import BinaryIO
 
 import numpy as np
 
-from riginv.array_files import DAMAGED_ZIP, Header, check_shape, read_header
-from riginv.clips.array_facts import BESIDE, faces_of, frame_times
-from riginv.clips.files import read_numbers
+from riginv.clips.array_facts import BESIDE, faces_of, frame_times, read_numbers
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, SourceFacts
 from riginv.errors import InputError, in_short
-from riginv.files import opened
+from riginv.runs.array_files import DAMAGED_ZIP, Header, check_shape, read_header
+from riginv.runs.files import opened
 
 VERTICES = ("vertices", "verts", "points", "positions")
 LOCAL_HEADER = struct.Struct("<4s22xHH")  # of a zip's member: its signature, and how long its name and its extra field are

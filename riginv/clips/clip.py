@@ -10,8 +10,8 @@ from torch import Tensor
 from riginv.clips.motion_check import MotionCheck
 from riginv.clips.sequence import MeshSequence
 from riginv.clips.units import Meaning
-from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
+from riginv.rig.mesh_sets import MeshSet
 
 FARTHEST_MM = 1e7  # from the origin that a vertex may lie, 10 km: beyond it a file is damaged
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.array_files import BROKEN, DAMAGED_ZIP, check_npz
+from riginv.animation.text import MOVE_COLUMNS, TURN_COLUMNS
 from riginv.clips.arrays import VERTICES
 from riginv.clips.csv_table import CsvTable
 from riginv.clips.frame_rate import usual_rate
-from riginv.curves.text import MOVE_COLUMNS, TURN_COLUMNS
 from riginv.errors import InputError, in_short
-from riginv.files import check_regular, read_json
+from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
+from riginv.runs.files import check_regular, read_json
 
 FRAME, SECONDS = "frame", "seconds"
 MOTION = (*MOVE_COLUMNS, *TURN_COLUMNS)

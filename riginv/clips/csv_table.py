@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riginv.errors import InputError
-from riginv.files import check_regular
+from riginv.runs.files import check_regular
 
 DELIMITERS = (",", ";", "\t")
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")

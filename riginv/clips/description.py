@@ -9,7 +9,7 @@ import numpy as np
 from riginv.clips.clip import Clip
 from riginv.clips.motion_check import ClipMotion
 from riginv.clips.sequence import SourceFacts
-from riginv.geometry.spread import evenly
+from riginv.geometry.neighbours import evenly
 
 NAMED = 3  # of missing frames
 BLOCKS, BLOCK = 6, 16  # runs of frames that are looked at before any work, and how many frames each has

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-from riginv.cli.first_lines import show_lines
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.units import AS_THE_FILE_SAYS, UNITS
-from riginv.data.mesh_sets import MeshSet
 from riginv.errors import printable
-from riginv.rig_size import extent
+from riginv.rig.mesh_sets import MeshSet
+from riginv.rig.size import extent
+from riginv.runs.console import show_lines
 
 LONGEST_LINE = 200  # characters
 LONGEST_NAME = 40

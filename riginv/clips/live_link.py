@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.arkit import ARKIT_NAMES, plain_name
 from riginv.clips.csv_table import CsvTable, read_csv
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.clips.timecode import timing
-from riginv.data.mesh_sets import WeightedShapes
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.rig.arkit import ARKIT_NAMES, plain_name
+from riginv.rig.interface import RigBackend
+from riginv.rig.mesh_sets import WeightedShapes
 
 TIMECODE = "timecode"
 APPS_OWN = re.compile(r"timecode|blendshapecount|(head|lefteye|righteye)(yaw|pitch|roll)|")  # columns by their plain names

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from riginv.build import class_of
 from riginv.clips.arrays import ArrayClip
 from riginv.clips.clip import Clip
 from riginv.clips.control_curves import csv_curves, holds_curves, npz_curves
@@ -18,8 +17,9 @@ from riginv.clips.posed_curves import PosedCurves
 from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
+from riginv.config.building import class_of
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 
 FRAMES: Mapping[str, type[MeshSequence]] = {".obj": ObjFrames, ".ply": PlyFrames}
 READERS: Mapping[str, Callable[[str, ReadingOptions], MeshSequence]] = {

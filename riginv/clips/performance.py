@@ -3,12 +3,12 @@
 import torch
 from torch import Tensor
 
-from riginv.arkit import ARKIT_NAMES, plain_name
-from riginv.data.mesh_sets import WeightedShapes
 from riginv.errors import InputError
-from riginv.geometry.spread import evenly
-from riginv.rig import LinearRig, RigBackend
-from riginv.sampling.seeds import generator_at
+from riginv.geometry.neighbours import evenly
+from riginv.rig.arkit import ARKIT_NAMES, plain_name
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.mesh_sets import WeightedShapes
 
 SEED = 20221206
 FPS = 30.0

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.array_files import check_npy
 from riginv.clips.sequence import MeshSequence
 from riginv.errors import InputError
+from riginv.runs.array_files import check_npy
 
 UNKNOWN = -1
 

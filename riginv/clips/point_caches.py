@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riginv.clips.files import read_numbers
+from riginv.clips.array_facts import read_numbers
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MOST_VERTICES, MeshSequence, SourceFacts
 from riginv.clips.times import FrameTimes, frames_at, frames_of
 from riginv.errors import InputError
-from riginv.files import opened
+from riginv.runs.files import opened
 
 MOST_FRAMES = 10_000_000
 PC2_SIGNATURE = b"POINTCACHE2\0"

@@ -8,7 +8,7 @@ from riginv.clips.control_curves import Curves
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 
 SLACK = 1e-5  # of a control's range that a value may lie beyond it by rounding
 MOVES = 1e-6  # by which a column that the rig does not know may change

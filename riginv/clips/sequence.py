@@ -9,7 +9,7 @@ import numpy as np
 from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
 from riginv.meshes.polygons import Polygons
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 
 MOST_VERTICES = 50_000_000  # of one mesh; more is damage
 

@@ -5,7 +5,7 @@ import numpy as np
 from riginv.clips.sequence import MeshSequence
 from riginv.errors import InputError
 from riginv.meshes.polygons import Polygons
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 
 KNOWN = 12  # meshes that a message lists
 

@@ -8,8 +8,8 @@ import torch
 
 from riginv.clips.sequence import MeshSequence
 from riginv.errors import InputError
-from riginv.rig import RigBackend
-from riginv.rig_size import length
+from riginv.rig.interface import RigBackend
+from riginv.rig.size import length
 
 UNITS = {"mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "inch": 25.4, "foot": 304.8}
 GUESSED = ("mm", "cm", "dm", "m", "inch")  # in this order where two fit alike

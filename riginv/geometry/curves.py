@@ -14,8 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riginv.kernels.autograd import pure_gradients
-from riginv.kernels.library import Kernels, kernels_for, plain_rows, pure_torch
+from riginv.geometry.kernels.library import Kernels, kernels_for, plain_rows, pure_gradients, pure_torch
 
 ITERATIONS = 24  # of bracketed Newton, at most; typical curves need 4, vertical tangents more
 PLAIN = 3  # steps of Newton's without bracketing, before it is seen what they leave

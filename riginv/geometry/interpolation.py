@@ -11,7 +11,7 @@ import torch
 from scipy.linalg import qr
 from torch import Tensor
 
-from riginv.geometry.spread import evenly
+from riginv.geometry.neighbours import evenly
 
 CANDIDATES = 4000  # vertices that are chosen from
 MORE = 1.0  # so many others for each that was chosen, evenly spread: they average out what lies outside the span

@@ -1,7 +1,7 @@
 """Linear blend skinning: each vertex follows the skinning matrices of some joints, in the shares of its weights.
 
 The skinning matrix of a joint, 3x4, maps the rest mesh to where the joint alone would carry it; at rest it is the identity.
-Vertices are linear in its 12 numbers, so that a skinned rig ends in a linear map (`riginv.rig.LinearRig`).
+Vertices are linear in its 12 numbers, so that a skinned rig ends in a linear map (`riginv.rig.interface.LinearRig`).
 """
 
 from collections.abc import Sequence

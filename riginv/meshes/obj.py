@@ -11,7 +11,7 @@ import numpy as np
 from riginv.errors import InputError
 from riginv.meshes.mesh_file import MeshFile, Points
 from riginv.meshes.polygons import Polygons
-from riginv.text_numbers import FORTRAN_NOTE, INFINITY_SIGN, mend_numbers, parse_numbers, reason_of
+from riginv.meshes.text_numbers import FORTRAN_NOTE, INFINITY_SIGN, mend_numbers, parse_numbers, reason_of
 
 PLAIN = b"0123456789+-.eE \t\r\nv"
 MENDED = PLAIN + b"na"

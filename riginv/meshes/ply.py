@@ -9,7 +9,7 @@ from riginv.meshes.mesh_file import MeshFile, Points
 from riginv.meshes.ply_body import BinaryBody, PlyBody, TextBody, TruncatedBodyError
 from riginv.meshes.ply_header import Element, Header, read_header, row_type
 from riginv.meshes.polygons import Polygons
-from riginv.text_numbers import FORTRAN_NOTE, mend_numbers, parse_numbers, reason_of
+from riginv.meshes.text_numbers import FORTRAN_NOTE, mend_numbers, parse_numbers, reason_of
 
 FACE_LISTS = ("vertex_indices", "vertex_index")
 FACES, STRIPS = "face", "tristrips"

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from riginv.files import read_bytes
 from riginv.meshes.mesh_file import MeshFile
 from riginv.meshes.obj import ObjMesh
 from riginv.meshes.ply import PlyMesh
+from riginv.runs.files import read_bytes
 
 READERS: Mapping[str, Callable[[Path, bytes], MeshFile]] = {".obj": ObjMesh, ".ply": PlyMesh}
 

@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor
 
-from riginv.data.mesh_sets import MeshSet
-from riginv.mesh_space import RigInMeshSpace
 from riginv.methods.base import Method
-from riginv.rig import LinearRig
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_sets import MeshSet
+from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.descent import descend
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import first_start
@@ -50,3 +50,12 @@ class Direct(Method):
         for frame in range(len(alone), len(coordinates)):
             found.append(descend(self.rig, found[-1], coordinates[frame : frame + 1], self.steps, self.lr))
         return torch.cat(found)
+
+
+class Neutral(Method):
+    """Neutral controls for every mesh: what any other method has to beat."""
+
+    source = "none: the yardstick at the lower end"
+
+    def invert(self, meshes: MeshSet) -> Tensor:
+        return self.rig.rig.neutral_controls.expand(len(meshes), -1).clone()

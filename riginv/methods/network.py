@@ -5,11 +5,11 @@ import hashlib
 import torch
 from torch import Tensor
 
-from riginv.data.mesh_sets import MeshSet
 from riginv.errors import InputError
-from riginv.inverse import Inverse, load_inverse
-from riginv.mesh_space import RigInMeshSpace
+from riginv.inference.inverse import Inverse, load_inverse
 from riginv.methods.base import Method, encoded
+from riginv.rig.mesh_sets import MeshSet
+from riginv.rig.mesh_space import RigInMeshSpace
 
 PIECE = 512
 

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.control_maps import ControlMap
 from riginv.networks.inverse import DirectInverse
 from riginv.networks.mlp import Anchored
 from riginv.networks.surrogate import ControlMLP
+from riginv.rig.mesh_space import RigInMeshSpace
 
 NORMALISATIONS = {"batch": nn.BatchNorm1d, "layer": nn.LayerNorm}
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 import torch
 from torch import Tensor, nn
 
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 
 FULL, TINY = 0.995, 1e-12  # a control closer to its limit than this share would have hardly any gradient
 DEPTH = 1.0  # how far into tanh's tail a control at its limit starts

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riginv.rig import LinearRig
-from riginv.sampling.controls import sparse_controls
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import LinearRig
+from riginv.rig.random_controls import sparse_controls
 
 ACTIVE = 1e-3  # of a weight, or of a control's range away from neutral: below it counts as none
 SWEEP = 8  # values on either side of neutral that each control takes alone

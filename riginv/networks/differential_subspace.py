@@ -18,12 +18,11 @@ import torch
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.geometry.differential import differential_coordinates
-from riginv.geometry.spread import spread_points
-from riginv.mesh_space import MeshSpace
+from riginv.geometry.neighbours import differential_coordinates, spread_points
 from riginv.networks.mlp import mlp
 from riginv.networks.surrogate import SurrogateNetwork
-from riginv.rig import LinearRig
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_space import MeshSpace
 
 
 class Reconstruction(NamedTuple):

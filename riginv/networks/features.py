@@ -7,9 +7,9 @@ turn of the body. Such a rig says what of its coefficients tells about its contr
 import torch
 from torch import Tensor, nn
 
-from riginv.mesh_space import RigInMeshSpace
-from riginv.sampling.controls import sparse_controls
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.rig.random_controls import sparse_controls
 
 NOISE_MM = 0.1  # that the estimate reckons with in each mesh coordinate: what a coefficient hardly moves is not taken from it
 POSES = 512  # of the rig, from which it learns how far each coefficient goes

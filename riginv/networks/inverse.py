@@ -8,13 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
 from riginv.networks.correction import Correction
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import Anchored, mlp
-from riginv.rig import Pull
+from riginv.rig.interface import Pull
+from riginv.rig.mesh_space import RigInMeshSpace
 
 START_GAIN = 0.3  # of the last layer: answers start close to neutral
 CORRECTION_GAIN = 0.02  # of the last layer where a guess stands before the first perceptron: they start close to that
@@ -24,7 +24,7 @@ class Answer:
     """One attempt at the controls.
 
     Everything about it is computed when it is first asked for. What has no graph costs no automatic differentiation: to learn
-    from an answer, `raw` and a gradient of it are enough (`riginv.modules.inverse`).
+    from an answer, `raw` and a gradient of it are enough (`riginv.training.inverse`).
 
     Args:
         raw: the network's raw outputs `(batch, control)`, with its graph.

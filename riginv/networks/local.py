@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from riginv.networks.dependencies import find_dependencies
 from riginv.networks.mlp import mlp
 from riginv.networks.surrogate import SurrogateNetwork
-from riginv.rig import LinearRig
+from riginv.rig.interface import LinearRig
 
 OPEN = 3.0  # how far the damping of a primary shape starts from acting
 CONTEXT_GAIN = 0.1  # of the last layer of the context: it starts with hardly a say

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from riginv.networks.base import RigNetwork
 from riginv.networks.mlp import mlp
-from riginv.rig import LinearRig
+from riginv.rig.interface import LinearRig
 
 
 class SurrogateNetwork(RigNetwork, ABC):

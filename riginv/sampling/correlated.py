@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.mesh_space import RigInMeshSpace
-from riginv.rig import LinearRig
-from riginv.sampling.controls import ControlSampler, choose, log_uniform_counts
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.rig.random_controls import ControlSampler, choose, log_uniform_counts
 
 SIDES = re.compile(r"left|right", re.IGNORECASE)
 PROBE = 0.1  # how far a control is moved to see where it acts, as a share of its range

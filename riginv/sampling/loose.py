@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.mesh_space import RigInMeshSpace
-from riginv.rig import LinearRig
-from riginv.sampling.controls import ControlSampler, choose, log_uniform_counts
-from riginv.sampling.meshes import MeshSampler, PoseBatch
+from riginv.rig.batches import PoseBatch
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.rig.random_controls import ControlSampler, choose, log_uniform_counts
+from riginv.sampling.meshes import MeshSampler
 
 FAINTEST = 0.1  # of the strongest
 

@@ -2,17 +2,19 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TypedDict
+from typing import Any
 
 import torch
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
 
+from riginv.config.building import class_of
 from riginv.errors import InputError
-from riginv.mesh_space import RigInMeshSpace
-from riginv.rig import LinearRig
-from riginv.sampling.controls import (
+from riginv.rig.batches import PoseBatch
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.rig.random_controls import (
     ControlSampler,
     check_plausible,
     choose,
@@ -22,26 +24,12 @@ from riginv.sampling.controls import (
 )
 
 
-class PoseBatch(TypedDict, total=False):
-    """A batch to train on.
-
-    Attributes:
-        coordinates: mesh coordinates `(batch, coordinate)`.
-        controls: the controls that made them, `(batch, control)`; only where the meshes are poses of the rig.
-        coefficients: the rig's own at these controls, `(batch, coefficient)`; only there, too.
-    """
-
-    coordinates: Tensor
-    controls: Tensor
-    coefficients: Tensor
-
-
 class MeshSampler(nn.Module, ABC):
     """Draws meshes, in mesh coordinates."""
 
     @classmethod
     def belongs_to(cls, rig: LinearRig) -> bool:
-        """Whether a mixture for this rig should hold it (`riginv.sampling.choice`)."""
+        """Whether a mixture for this rig should hold it (`riginv.sampling.meshes`)."""
         return True
 
     @abstractmethod
@@ -257,3 +245,28 @@ class StoredPoses(MeshSampler):
 def _need_blendshapes(rig: RigInMeshSpace) -> None:
     if not rig.rig.has_blendshapes:
         raise InputError(f"rig '{rig.rig.name}' has no blendshapes to combine: choose sampler=rig_poses")
+
+
+Config = dict[str, Any]
+
+
+def fitted(config: Config, rig: LinearRig) -> Config:
+    """The config of a sampler, less those parts of a mixture whose classes do not belong to the rig.
+
+    Random combinations need blendshapes; poses whose joints move together are for rigs without. A sampler that is not a
+    mixture stays as it is: what does not suit the rig then says so.
+
+    Raises:
+        InputError: a part names a class that does not exist.
+    """
+    if "samplers" not in config:
+        return config
+    parts = {name: part for name, part in config["samplers"].items() if _belongs(part, rig, MeshSampler)}
+    shares = {name: share for name, share in config["shares"].items() if name in parts or name not in config["samplers"]}
+    return {**config, "samplers": parts, "shares": shares}
+
+
+def _belongs(part: Config, rig: LinearRig, kind: type[MeshSampler | ControlSampler]) -> bool:
+    inner = part.get("controls")
+    belongs = class_of(part.get("_target_"), kind=kind).belongs_to(rig)
+    return belongs and (inner is None or _belongs(inner, rig, ControlSampler))

@@ -4,8 +4,8 @@ import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.mesh_space import MeshSpace
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
+from riginv.rig.mesh_space import MeshSpace
 
 BUMPS = 128  # smooth displacement fields that noise is mixed from
 BUMP_SEED = 20221206

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riginv.kernels.library import Kernels, kernels_for
+from riginv.geometry.kernels.library import Kernels, kernels_for
 
 TO_NEXT, TO_SECOND = -4.0, 1.0  # the second difference's square couples frames so, away from the ends of a clip
 LONGEST_GAP = 12.0  # times the usual distance of frames, across which curves are still smooth; beyond it they begin anew

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from riginv.kernels.library import Kernels, kernels_for
+from riginv.geometry.kernels.library import Kernels, kernels_for
 
 ROUNDS = 3  # of solving and pinning what leaves the box
 FLOOR = 1e-3  # of the mean curvature: what damps a control that does nothing

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from riginv.mesh_space import RigInMeshSpace
+from riginv.rig.mesh_space import RigInMeshSpace
 
 
 def descend(rig: RigInMeshSpace, start: Tensor, coordinates: Tensor, steps: int, lr: float) -> Tensor:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
 
 CORNER_MM = 0.1
 VERTICES = 2048

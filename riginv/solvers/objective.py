@@ -13,11 +13,11 @@ from typing import NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
-from riginv.mesh_space import RigInMeshSpace
 from riginv.networks.features import RigFeatures
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.runs.threads import workers
 from riginv.solvers.distance import CORNER_MM, Distance, MeanDistance, squared_distance
 from riginv.solvers.weighed_prior import WeighedPrior
-from riginv.threads import workers
 
 PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
 Result = TypeVar("Result")

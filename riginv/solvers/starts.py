@@ -7,7 +7,7 @@ a start on the kink may never leave it. From random places solvers get stuck in 
 import torch
 from torch import Tensor
 
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
 from riginv.solvers.objective import Objective
 
 AWAY = 0.02  # of a control's range

@@ -9,17 +9,17 @@ from typing import Any
 
 import torch
 
-from riginv.build import build
+from riginv.config.building import build
 from riginv.errors import InputError
-from riginv.fitted_rig import FittedRig
-from riginv.rig import LinearRig, RigBackend
+from riginv.rig.black_box import FittedRig
+from riginv.rig.identity import check_rig, describe
+from riginv.rig.interface import LinearRig, RigBackend
 from riginv.store.checking import Condition, examine
-from riginv.store.description import check_rig, describe
 from riginv.store.layout import Layout, default_chunk
 from riginv.store.making import ChunkMaker, build_sampler
 from riginv.store.place import Place
-from riginv.store.progress import SamplingProgress
 from riginv.store.store import PoseStore
+from riginv.store.training import SamplingProgress
 from riginv.store.workers import ChunkWorkers
 
 UNITS = {"controls": "as each control says", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}

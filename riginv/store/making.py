@@ -8,16 +8,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.build import build
+from riginv.config.building import build
 from riginv.errors import InputError
-from riginv.files import write_json
-from riginv.fitted_rig import FittedRig
 from riginv.geometry.blendshapes import apply_deltas
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.rig import LinearRig
-from riginv.sampling.choice import fitted
-from riginv.sampling.meshes import MeshSampler
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
+from riginv.rig.black_box import FittedRig
+from riginv.rig.interface import LinearRig
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.runs.files import write_json
+from riginv.sampling.meshes import MeshSampler, fitted
 from riginv.store.layout import COEFFICIENTS, CONTROL_RANGE, CONTROLS, COST, ERRORS, VERTICES, Layout
 from riginv.store.store import PoseStore
 

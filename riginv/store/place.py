@@ -11,7 +11,7 @@ from zarr.abc.store import Store
 from zarr.storage import FsspecStore, LocalStore
 
 from riginv.errors import InputError
-from riginv.files import discard
+from riginv.runs.files import discard
 
 
 class Place:

@@ -13,9 +13,9 @@ import zarr
 from zarr.storage import LocalStore
 
 from riginv.errors import InputError
-from riginv.files import discard
-from riginv.fitted_rig import FittedRig
-from riginv.rig import LinearRig, RigBackend
+from riginv.rig.black_box import FittedRig
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.runs.files import discard
 from riginv.store.layout import BASIS, FORMAT, LEDGER, NEUTRAL, Layout
 from riginv.store.place import Place
 

@@ -3,13 +3,16 @@
 from typing import Any
 
 import torch
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.mesh_space import RigInMeshSpace
-from riginv.rig import LinearRig, RigBackend
-from riginv.sampling.meshes import MeshSampler, PoseBatch
-from riginv.store.description import check_rig
+from riginv.rig.batches import PoseBatch
+from riginv.rig.identity import check_rig
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.runs.console import Bar
+from riginv.sampling.meshes import MeshSampler
 from riginv.store.layout import BASIS, NEUTRAL
 from riginv.store.place import Place
 from riginv.store.store import PoseStore
@@ -95,3 +98,26 @@ def reading_store(sampler: MeshSampler, rig: RigInMeshSpace, config: dict[str, A
             f"choose sampler=rig_poses"
         )
     return found
+
+
+class SamplingProgress(Bar):
+    """A bar for one thing after another; only where there is a terminal."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(24),
+            TaskProgressColumn(show_speed=True),
+            TextColumn("{task.completed:,.0f} of {task.total:,.0f} poses"),
+            TimeRemainingColumn(),
+        )
+        self.task = None
+
+    def begin(self, what: str, poses: int) -> None:
+        """Something else is counted from now on."""
+        if self.task is not None:
+            self.bar.remove_task(self.task)
+        self.task = self.bar.add_task(what, total=poses)
+
+    def advance(self, poses: int) -> None:
+        self.bar.advance(self.task, poses)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.sampling.seeds import generator_at
+from riginv.rig.batches import generator_at
 from riginv.store.layout import COEFFICIENTS, CONTROLS, Layout
 from riginv.store.store import PoseStore
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import torch
 
-from riginv.build import build
+from riginv.config.building import build
 from riginv.errors import InputError
-from riginv.rig import LinearRig, RigBackend
+from riginv.rig.interface import LinearRig, RigBackend
 from riginv.store.making import ChunkMaker, build_sampler
 from riginv.store.place import Place
 from riginv.store.store import PoseStore

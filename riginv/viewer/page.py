@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.curves.animation import Animation, FrameErrors
-from riginv.files import write_text
-from riginv.render import HEAT_STOPS
+from riginv.animation.animation import Animation, FrameErrors
+from riginv.meshes.rendering import HEAT_STOPS
+from riginv.runs.files import write_text
 from riginv.viewer.thinning import Thinned, thin
 
 Targets = Callable[[Sequence[int]], Tensor]  # rows of the animation to their target meshes (row, vertex, 3), mm, NaN: unknown

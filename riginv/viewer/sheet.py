@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from riginv.curves.animation import Animation, FrameErrors
-from riginv.files import written_beside
-from riginv.render import Camera, grid, heat_colors
+from riginv.animation.animation import Animation, FrameErrors
+from riginv.meshes.rendering import Camera, grid, heat_colors
+from riginv.runs.files import written_beside
 from riginv.viewer.page import Targets, in_mm, judged_rows
 
 WORST, SPREAD = 3, 3  # frames

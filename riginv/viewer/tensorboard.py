@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 from torch.utils.tensorboard import SummaryWriter
 
-from riginv.curves.animation import Animation, FrameErrors
+from riginv.animation.animation import Animation, FrameErrors
 
 MOST_POINTS = 1000  # of a curve: TensorBoard shows no more by itself
 

@@ -10,7 +10,7 @@ import numpy as np
 from torch import Tensor
 
 from riginv.geometry.curves import Curve, Key
-from riginv.rig import Control
+from riginv.rig.interface import Control
 
 Operation = Literal["sum", "product", "screen", "least"]
 

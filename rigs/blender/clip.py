@@ -7,7 +7,7 @@ import numpy as np
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 from rigs.blender.interpreter import find_interpreter, script_command
 from rigs.blender.pool import PoseLostError, WorkerPool
 from rigs.blender.process import WorkerRefusedError

@@ -5,12 +5,12 @@ from pathlib import Path
 from omegaconf import DictConfig
 from rich.console import Console
 
-from riginv.build import build
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
+from riginv.config.building import build
+from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.launch.command import command
+from riginv.rig.interface import RigBackend
+from riginv.runs.run_folder import plain_config
 from rigs.blender.interpreter import find_interpreter
 from rigs.blender.twin import blueprint_of, write_blend
 

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.arkit import ArkitParts
 from riginv.errors import InputError
-from riginv.rig import Control, Motion, RigBackend
+from riginv.rig.arkit import ArkitParts
+from riginv.rig.interface import Control, Motion, RigBackend
 from rigs.blender.interpreter import find_interpreter, script_command
 from rigs.blender.pool import GROWTH_MB, PoseLostError, WorkerPool
 from rigs.blender.process import WorkerRefusedError

@@ -13,16 +13,16 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
 
-from riginv.build import build
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
+from riginv.config.building import build
+from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.files import discard, written_beside
-from riginv.locks import alone
-from riginv.rig import RigBackend
-from riginv.sampling.controls import sparse_controls
-from riginv.sampling.seeds import generator_at
+from riginv.launch.command import command
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import RigBackend
+from riginv.rig.random_controls import sparse_controls
+from riginv.runs.files import discard, written_beside
+from riginv.runs.locks import alone
+from riginv.runs.run_folder import plain_config
 
 PIECE = 128  # poses at a time
 

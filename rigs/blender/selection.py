@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from itertools import zip_longest
 
 from riginv.errors import InputError
-from riginv.rig import Control
+from riginv.rig.interface import Control
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from riginv.cache import cache_folder, code_key
 from riginv.errors import InputError
-from riginv.files import written_beside
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
+from riginv.runs.cache import cache_folder, code_key
+from riginv.runs.files import written_beside
 from rigs.blender.blueprint import Blueprint
 from rigs.blender.body import body_blueprint
 from rigs.blender.face import face_blueprint

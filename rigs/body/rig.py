@@ -5,12 +5,12 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.blendshapes import apply_deltas
-from riginv.geometry.jacobian import Jacobian
-from riginv.geometry.joint_slopes import JointSlopes
+from riginv.geometry.joint_jacobian import JointSlopes
 from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels, turns_against
 from riginv.geometry.skeleton import Skeleton
 from riginv.geometry.skinning import check_weights, skinning_basis
-from riginv.rig import LinearRig, Motion
+from riginv.rig.interface import LinearRig, Motion
+from riginv.rig.jacobian import Jacobian
 from rigs.body.axes import LAST
 from rigs.body.build import body_geometry
 from rigs.body.controls import MOVES, build_controls
@@ -101,7 +101,7 @@ class BodyRig(LinearRig):
 
     @torch.no_grad()
     def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
-        """As `coefficients`, with the derivative of the skinning matrices (`riginv.geometry.joint_slopes`)."""
+        """As `coefficients`, with the derivative of the skinning matrices (`riginv.geometry.joint_jacobian`)."""
         frames, angles = self.frames.to(controls), (controls @ self.angles.to(controls)).unflatten(1, (-1, 3))
         turns = roma.euler_to_rotmat(ORDER, angles)
         worlds = self._worlds(frames @ turns @ frames.mT, controls[:, self.moves])

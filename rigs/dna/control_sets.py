@@ -6,7 +6,7 @@ import numpy as np
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.rig import Control
+from riginv.rig.interface import Control
 from rigs.dna.format import DnaFile
 from rigs.dna.format.layers import Behavior, Definition
 from rigs.dna.logic import Logic

@@ -5,9 +5,9 @@ from pathlib import Path
 from omegaconf import DictConfig
 from rich.console import Console
 
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
 from riginv.errors import InputError
+from riginv.launch.command import command
+from riginv.runs.run_folder import plain_config
 from rigs.dna.format import read_dna, write_dna
 
 

@@ -13,11 +13,11 @@ from omegaconf import DictConfig
 from rich.console import Console
 from torch import Tensor
 
-from riginv.array_files import check_npz
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
 from riginv.errors import InputError, in_short
-from riginv.files import written_beside
+from riginv.launch.command import command
+from riginv.runs.array_files import check_npz
+from riginv.runs.files import written_beside
+from riginv.runs.run_folder import plain_config
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
 from rigs.dna.geometry.space import Space

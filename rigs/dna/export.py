@@ -7,13 +7,13 @@ import torch
 from omegaconf import DictConfig
 from rich.console import Console
 
-from riginv.build import build
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
-from riginv.cli.validation import validate
+from riginv.config.building import build
+from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.rig import RigBackend
-from riginv.rig_contract import random_controls
+from riginv.launch.command import command
+from riginv.rig.contract import random_controls
+from riginv.rig.interface import RigBackend
+from riginv.runs.run_folder import plain_config
 from rigs.dna.draft import Draft
 from rigs.dna.exports import draft_of
 from rigs.dna.format import write_dna

@@ -9,11 +9,11 @@ import torch
 from omegaconf import DictConfig
 from rich.console import Console
 
-from riginv.cli.command import command
-from riginv.cli.run_folder import plain_config
-from riginv.curves.table import write_rows
+from riginv.animation.table import write_rows
 from riginv.errors import InputError
-from riginv.files import read_text
+from riginv.launch.command import command
+from riginv.runs.files import read_text
+from riginv.runs.run_folder import plain_config
 from rigs.dna.format import read_dna
 from rigs.dna.format.layers import Definition
 from rigs.dna.inverse import TableInverse

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from riginv.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.errors import InputError
-from riginv.geometry.jacobian import Jacobian, forward_jacobian
 from riginv.geometry.skeleton import Skeleton
-from riginv.rig import LinearRig, RigBackend
+from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.jacobian import Jacobian, forward_jacobian
 from rigs.dna.control_sets import Kind, control_set
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv import arkit
-from riginv.cache import cached_tensors, code_key
+from riginv.rig import arkit
+from riginv.runs.cache import cached_tensors, code_key
 from rigs.face.combinations import repair
 from rigs.face.inbetweens import build_inbetweens
 from rigs.face.shapes import build_primaries

@@ -6,9 +6,9 @@ further shape, two-sided controls where two shapes oppose each other, and macros
 
 from typing import NamedTuple
 
-from riginv.arkit import ARKIT_NAMES
 from riginv.geometry.curves import Curve, Key
-from riginv.rig import Control
+from riginv.rig.arkit import ARKIT_NAMES
+from riginv.rig.interface import Control
 from rigs.face.shapes import ARKIT_SPLIT, UNITS_SPLIT, UNITS_WHOLE
 
 SIDES = ("Left", "Right")

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.blendshapes import (
+    add_to_columns,
     combination_pull,
     combination_slopes,
     combination_weights,
@@ -13,9 +14,8 @@ from riginv.geometry.blendshapes import (
     screen_pull,
     screen_slopes,
 )
-from riginv.geometry.columns import add_to_columns
 from riginv.geometry.curves import curves_and_slopes
-from riginv.geometry.jacobian import Factor, Jacobian, Pattern
+from riginv.rig.jacobian import Factor, Jacobian, Pattern
 
 
 class Logic(Protocol):

@@ -3,11 +3,11 @@
 import torch
 from torch import Tensor
 
-from riginv.arkit import ARKIT_NAMES
 from riginv.geometry.blendshapes import combination_weights, screen
 from riginv.geometry.curves import Curve, evaluate_curves, pack_curves
-from riginv.geometry.jacobian import Jacobian, Pattern
-from riginv.rig import LinearRig, Pull
+from riginv.rig.arkit import ARKIT_NAMES
+from riginv.rig.interface import LinearRig, Pull
+from riginv.rig.jacobian import Jacobian, Pattern
 from rigs.face.build import face_geometry
 from rigs.face.controls import build_controls
 from rigs.face.derivatives import FaceSteps, patterns

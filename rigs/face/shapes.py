@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riginv.arkit import ARKIT_NAMES
+from riginv.rig.arkit import ARKIT_NAMES
 from rigs.geometry.asset import FaceSource
 
 ARKIT_FOLDER = "faceunits01/targets/faceunits"

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from riginv.errors import InputError
-from riginv.files import sha256
+from riginv.runs.files import sha256
 
 PATH = Path(__file__).parent / "geometry.npz"
 SUM = PATH.with_name("geometry.npz.sha256")

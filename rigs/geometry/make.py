@@ -4,7 +4,7 @@ import numpy as np
 import torch
 import trimesh
 
-from riginv.arkit import ARKIT_NAMES
+from riginv.rig.arkit import ARKIT_NAMES
 from rigs.body.axes import joint_frames
 from rigs.body.skeleton import Skeleton
 from rigs.face.combinations import choose_combinations

@@ -9,7 +9,7 @@ import numpy as np
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 from rigs.gltf.channels import animation_names
 from rigs.gltf.choice import Chosen, choice_notes, choose_animation, no_motion
 from rigs.gltf.clip_meshes import ClipMeshes, clip_meshes, welded_faces

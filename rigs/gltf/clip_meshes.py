@@ -10,7 +10,7 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import Polygons
 from riginv.clips.topology import foreign_edges
 from riginv.errors import InputError
-from riginv.rig import RigBackend
+from riginv.rig.interface import RigBackend
 from rigs.gltf.container import GltfFile
 from rigs.gltf.pieces import pieces
 from rigs.gltf.rig import GltfRig

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.errors import InputError
-from riginv.rig import Control, LinearRig
+from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
+from riginv.rig.interface import Control, LinearRig
 from rigs.gltf.avatar import read_avatar
 from rigs.gltf.frames import frame_basis, joint_frames
 from rigs.gltf.motion import ANGLES, AXES_IN_SPACE, JointMotion, by_axis, coefficient_names

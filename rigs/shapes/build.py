@@ -13,10 +13,9 @@ from scipy import sparse
 from torch import Tensor
 
 import riginv.meshes
-import riginv.text_numbers
-from riginv.cache import cached_tensors, code_key
 from riginv.errors import InputError
 from riginv.meshes.reading import READERS
+from riginv.runs.cache import cached_tensors, code_key
 from rigs.shapes.deltas import read_deltas
 from rigs.shapes.folder import Source
 from rigs.shapes.logic import ShapeLogic
@@ -38,7 +37,7 @@ def shape_geometry(
     """
     files = [neutral, *sorted({source.path for source in sources.values()})]
     facts = {
-        "code": code_key([Path(__file__).parent, Path(riginv.meshes.__file__).parent, Path(riginv.text_numbers.__file__)]),
+        "code": code_key([Path(__file__).parent, Path(riginv.meshes.__file__).parent]),
         "files": [(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in files],
         "deltas": [sources[name].is_deltas for name in shapes.names],
         "shapes": [shapes.names, shapes.inbetweens, shapes.combinations, shapes.combination_inbetweens],

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from riginv.array_files import check_npy, check_npz
 from riginv.errors import InputError
+from riginv.runs.array_files import check_npy, check_npz
 
 # What numpy, zipfile and safetensors raise for damaged files; RuntimeError: encrypted, or of a kind that zipfile cannot read.
 DAMAGE = (OSError, EOFError, ValueError, KeyError, MemoryError, RuntimeError, SyntaxError, tokenize.TokenError)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from riginv.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.errors import InputError
-from riginv.rig import Control, LinearRig
+from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
+from riginv.rig.interface import Control, LinearRig
 from rigs.shapes.build import notes_of, shape_geometry
 from rigs.shapes.folder import find_shapes
 from rigs.shapes.logic import Combination, ShapeLogic

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.rig import Control, LinearRig
-from riginv.rig_contract import random_controls
+from riginv.rig.contract import random_controls
+from riginv.rig.interface import Control, LinearRig
 from rigs.dna import DnaRig
 from rigs.dna.draft import Draft
 from rigs.dna.export import largest_difference, write_rig

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.arkit import ARKIT_NAMES
 from riginv.errors import InputError
-from riginv.fitted_rig import FittedRig
 from riginv.geometry.interpolation import coefficients_from, telling_vertices
-from riginv.rig import LinearRig
-from riginv.rig_contract import check_rig, random_controls
+from riginv.rig.arkit import ARKIT_NAMES
+from riginv.rig.black_box import FittedRig
+from riginv.rig.contract import check_rig, random_controls
+from riginv.rig.interface import LinearRig
 from rigs.dna import DnaRig
 from rigs.dna.exports import draft_of
 from rigs.dna.format.later_layers import Conventions

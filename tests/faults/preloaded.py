@@ -12,7 +12,7 @@ import traceback
 from typing import Any, NoReturn
 
 from riginv import export_onnx, invert, sample, train
-from riginv.cli.command import command
+from riginv.launch.command import command
 
 COMMANDS = {
     "train": train.train,

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from riginv.bundle import read_bundle
-from riginv.cache import cache_folder, cached_tensors
 from riginv.errors import InputError
-from riginv.seals import is_whole, seal
+from riginv.inference.bundle import read_bundle
+from riginv.runs.cache import cache_folder, cached_tensors
+from riginv.runs.checksums import is_whole, seal
 from tests.faults.contents import contents
 from tests.faults.tally import fault
 from tests.faults.works import QUICK, sampling, training

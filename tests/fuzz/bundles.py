@@ -4,11 +4,11 @@ from pathlib import Path
 
 import torch
 
-from riginv.bundle import write_bundle
-from riginv.callbacks.saving import AtomicCheckpoints
-from riginv.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.inference.bundle import write_bundle
 from riginv.networks.inverse import DirectInverse
 from riginv.networks.surrogate import ControlMLP
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.training.checkpoints import AtomicCheckpoints
 from tests.toys import ToyRig
 
 NETWORK = {"_target_": "riginv.networks.inverse.DirectInverse", "hidden": [8], "control_map": "neutral_start"}

@@ -9,24 +9,24 @@ import numpy as np
 import torch
 import trimesh
 
-from riginv.cache import cached_tensors
-from riginv.callbacks.saving import AtomicCheckpoints
-from riginv.cli.comparison import HEADINGS, keep_rows, kept_rows, write_tables
-from riginv.cli.config_folders import check_folder
-from riginv.cli.run_folder import RunFolder, find_run_folder
-from riginv.cli.summary import show
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.picked import read_picked
 from riginv.clips.topology import check_topology
 from riginv.clips.units import meaning_of
-from riginv.inverse import load_inverse
-from riginv.inversion.control_names import read_mask
-from riginv.inversion.regions import read_region
-from riginv.pairs import read_pairs, write_pairs
-from riginv.reproduction.answers import read_answers
-from riginv.reproduction.steps import read_done, write_done
+from riginv.config.folders import check_folder
+from riginv.inference.inverse import load_inverse
+from riginv.methods.comparison import HEADINGS, keep_rows, kept_rows, write_tables
+from riginv.reproduce.answers import read_answers
+from riginv.reproduce.steps import read_done, write_done
+from riginv.rig.pairs import read_pairs, write_pairs
+from riginv.runs.cache import cached_tensors
+from riginv.runs.run_folder import RunFolder, find_run_folder
+from riginv.tracking.control_names import read_mask
+from riginv.tracking.regions import read_region
+from riginv.training.checkpoints import AtomicCheckpoints
+from riginv.training.summary import show
 from rigs.gltf import GltfRig
 from rigs.shapes import ShapesRig
 from tests import sculpts
@@ -244,7 +244,7 @@ def _cache(folder: Path) -> Target:
         assert found["a"].shape == (6,)
 
     read()
-    from riginv.cache import cache_folder
+    from riginv.runs.cache import cache_folder
 
     return Target([cache_folder() / "fuzz-key.safetensors"], read)
 

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 
 from riginv.clips.options import ReadingOptions
-from riginv.priors.files import load_prior, save_prior
-from riginv.priors.prior import ControlPrior, learn_prior
-from riginv.surfaces.meaning import meaning_of_scans
-from riginv.surfaces.scans import RaggedArrays
-from riginv.surfaces.triangles import Surface
+from riginv.tracking.priors.files import load_prior, save_prior
+from riginv.tracking.priors.prior import ControlPrior, learn_prior
+from riginv.tracking.surfaces.meaning import meaning_of_scans
+from riginv.tracking.surfaces.scans import RaggedArrays
+from riginv.tracking.surfaces.triangles import Surface
 from tests.fuzz.tally import Target
 from tests.scans import resampled, write_ragged
 from tests.toys import ToyRig

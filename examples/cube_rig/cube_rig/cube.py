@@ -5,7 +5,7 @@ import itertools
 import roma
 import torch
 
-from riginv.rig import Control, LinearRig
+from riginv.rig.interface import Control, LinearRig
 
 FACES = [
     [0, 1, 3],

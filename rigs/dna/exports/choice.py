@@ -5,8 +5,8 @@ from collections.abc import Callable
 import torch
 
 from riginv.errors import InputError
-from riginv.rig import LinearRig, RigBackend
-from riginv.rig_contract import random_controls
+from riginv.rig.contract import random_controls
+from riginv.rig.interface import LinearRig, RigBackend
 from rigs.body import BodyRig
 from rigs.dna.draft import Draft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles

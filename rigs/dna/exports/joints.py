@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from riginv.rig import Control
+from riginv.rig.interface import Control
 from rigs.dna.draft import Draft, Group, Joint, Row
 from rigs.dna.logic.rotations import SEQUENCES, matrix_angles
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from riginv.errors import InputError, in_short
-from riginv.files import check_regular, written_beside
+from riginv.runs.files import check_regular, written_beside
 from rigs.dna.format.codecs import Record
 from rigs.dna.format.cursor import Cursor, Writer
 from rigs.dna.format.later_layers import (

@@ -1,0 +1,1 @@
+"""Controls over time, and the formats that hold them."""

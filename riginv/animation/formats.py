@@ -1,0 +1,82 @@
+"""The formats that curves are written in, each a file of its own."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from riginv.animation import blender_script, bvh, glb, live_link, maya, usd
+from riginv.animation.animation import Animation, FrameErrors
+from riginv.animation.table import CURVES, FRAMES, SIDECAR, write_curves, write_frames, write_sidecar
+from riginv.errors import InputError
+from riginv.rig.interface import RigBackend
+
+
+class Format(NamedTuple):
+    """One format.
+
+    Attributes:
+        file: its name in the folder.
+        check: raises InputError where a rig cannot be written in it.
+        write: writes an animation to a path, whole or not at all.
+    """
+
+    file: str
+    check: Callable[[RigBackend], None]
+    write: Callable[..., None]
+
+
+FORMATS = {
+    "livelink": Format(live_link.FILE, live_link.check, live_link.write),
+    "glb": Format(glb.FILE, glb.check, glb.write),
+    "usd": Format(usd.FILE, usd.check, usd.write),
+    "anim": Format(maya.FILE, maya.check, maya.write),
+    "bvh": Format(bvh.FILE, bvh.check, bvh.write),
+    "blender": Format(blender_script.FILE, blender_script.check, blender_script.write),
+}
+
+
+def check_formats(rig: RigBackend, names: Sequence[str]) -> None:
+    """To be asked before any work.
+
+    Raises:
+        InputError: a format is not known, the rig cannot be written in it, or a package that it takes is missing.
+    """
+    for name in names:
+        if name != "csv" and name not in FORMATS:
+            raise InputError(f"formats: '{name}' is not known; choose from csv, {', '.join(FORMATS)}")
+    for name in names:
+        if name != "csv":
+            FORMATS[name].check(rig)
+
+
+def write_formats(
+    folder: Path,
+    animation: Animation,
+    errors: FrameErrors,
+    names: Sequence[str],
+    swap_mouth: bool = False,
+    clip: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Write curves.csv, its sidecar curves.json, frames.csv, and a file for each further format.
+
+    Args:
+        names: of formats; csv goes without saying.
+        swap_mouth: exchange MouthLeft and MouthRight in Live Link Face's CSV.
+        clip: what was read of the clip that the curves come from, for the sidecar.
+
+    Returns:
+        the files.
+
+    Raises:
+        InputError: as `check_formats`; nothing is written then.
+    """
+    check_formats(animation.rig, names)
+    write_curves(folder / CURVES, animation)
+    write_sidecar(folder / SIDECAR, animation, errors, clip)
+    write_frames(folder / FRAMES, animation, errors)
+    paths = [folder / CURVES, folder / SIDECAR, folder / FRAMES]
+    for name in dict.fromkeys(name for name in names if name != "csv"):
+        options = {"swap_mouth": swap_mouth} if name == "livelink" else {}
+        FORMATS[name].write(folder / FORMATS[name].file, animation, **options)
+        paths.append(folder / FORMATS[name].file)
+    return paths

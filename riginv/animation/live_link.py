@@ -1,0 +1,106 @@
+"""Live Link Face CSV: the 52 shapes of ARKit and the turn of the head, as the app writes them."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from riginv.animation.animation import Animation
+from riginv.animation.table import write_rows
+from riginv.errors import InputError
+from riginv.rig.arkit import LIVE_LINK_SHAPES, plain_name
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.solvers.bounded import bounded_least_squares
+
+FILE = "live_link.csv"
+ANGLES = [f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll")]
+TIMECODE_FPS = 60  # the app counts 60 frames a second in its timecode, whatever it records at
+PIECE = 256  # frames at a time
+RIDGE = 1e-5  # of a shape's own size: between shapes that do the same, the weights are shared
+
+
+def check(rig: RigBackend) -> None:
+    """Raises InputError for a rig that has neither controls nor shapes with ARKit's names."""
+    if not rig.arkit_deltas() and not named_controls(rig):
+        raise InputError(
+            f"formats: livelink needs ARKit's shapes, and rig '{rig.name}' has neither shapes nor controls of their names "
+            f"(such as {LIVE_LINK_SHAPES[0]}); choose csv"
+        )
+
+
+def write(path: Path, animation: Animation, swap_mouth: bool = False) -> None:
+    """Write a recording.
+
+    Args:
+        swap_mouth: exchange MouthLeft and MouthRight: some software takes them the other way round than the app.
+    """
+    shapes = dict(zip(LIVE_LINK_SHAPES, arkit_weights(animation).T.tolist()))
+    if swap_mouth:
+        shapes["MouthLeft"], shapes["MouthRight"] = shapes["MouthRight"], shapes["MouthLeft"]
+    angles = np.zeros((len(animation), len(ANGLES)))
+    if animation.motion is not None:
+        turns = Rotation.from_matrix(animation.motion[:, :3, :3].detach().cpu().double().numpy())
+        angles[:, :3] = turns.as_euler("YXZ")  # radians, as in the app
+    values = np.concatenate([np.stack([shapes[name] for name in LIVE_LINK_SHAPES], axis=1), angles], axis=1)
+    first = float(animation.frame_numbers[0]) / animation.fps
+    rows = [
+        [timecode(first + seconds), len(LIVE_LINK_SHAPES) + len(ANGLES), *(f"{value:.10f}" for value in row)]
+        for seconds, row in zip(animation.seconds.tolist(), values.tolist())
+    ]
+    write_rows(path, ["Timecode", "BlendShapeCount", *LIVE_LINK_SHAPES, *ANGLES], rows)
+
+
+def timecode(seconds: float) -> str:
+    """A time as `HH:MM:SS:FF.fff`, with 60 frames in a second."""
+    thousandths = round(seconds * TIMECODE_FPS * 1000)
+    whole, frames = divmod(thousandths, TIMECODE_FPS * 1000)
+    minutes, seconds = divmod(whole, 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours % 24:02d}:{minutes:02d}:{seconds:02d}:{frames / 1000:06.3f}"
+
+
+def named_controls(rig: RigBackend) -> dict[str, int]:
+    """The number of the control that has the name of each ARKit shape; case, underscores and prefixes do not matter."""
+    found: dict[str, int] = {}
+    for number, name in enumerate(rig.control_names):
+        found.setdefault(plain_name(name), number)
+    return {shape: found[shape.lower()] for shape in LIVE_LINK_SHAPES if shape.lower() in found}
+
+
+def arkit_weights(animation: Animation) -> Tensor:
+    """Weights `(frame, shape)` in [0, 1] of ARKit's shapes, in the order of `LIVE_LINK_SHAPES`.
+
+    Where every control of the rig is one of ARKit's, or the rig has no shapes of these names, they are the controls. Else
+    other controls move the face, too, and the weights are those whose shapes, added linearly, come nearest to its meshes.
+    """
+    rig, named = animation.rig, named_controls(animation.rig)
+    shapes = {name[0].upper() + name[1:]: delta for name, delta in rig.arkit_deltas().items()}
+    weights = torch.zeros(len(animation), len(LIVE_LINK_SHAPES), dtype=torch.float64)
+    if not shapes or len(named) == len(rig.controls):
+        for name, number in named.items():
+            weights[:, LIVE_LINK_SHAPES.index(name)] = animation.controls[:, number].detach().cpu().double()
+        return weights.clamp(0, 1)
+    nearest = nearest_weights(rig, torch.stack(list(shapes.values())), animation.controls)
+    for name, column in zip(shapes, nearest.T):
+        weights[:, LIVE_LINK_SHAPES.index(name)] = column
+    return weights
+
+
+@torch.no_grad()
+def nearest_weights(rig: RigBackend, deltas: Tensor, controls: Tensor) -> Tensor:
+    """The weights `(frame, shape)` in [0, 1] whose shapes `(shape, vertex, 3)` sum to the nearest of the rig's meshes."""
+    flat = deltas.flatten(1).double()
+    gram = flat @ flat.T
+    size = gram.diagonal()
+    size.copy_(torch.where(size > 0, size * (1 + RIDGE), 1.0))  # a shape without any size takes no part
+    along = rig.basis.flatten(1).double() @ flat.T if isinstance(rig, LinearRig) else None
+    found = []
+    for piece in controls.split(PIECE):
+        if along is None:
+            aim = (rig(piece) - rig.rest_vertices).flatten(1).double() @ flat.T
+        else:
+            aim = (rig.coefficients(piece) - rig.neutral_coefficients()).double() @ along
+        found.append(bounded_least_squares(gram, aim))
+    return torch.cat(found).cpu()

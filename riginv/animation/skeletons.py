@@ -1,0 +1,39 @@
+"""The joints of an animation against their parents: what formats for skeletons hold."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from riginv.animation.animation import Animation
+from riginv.geometry.skeleton import Skeleton
+
+PIECE = 256  # frames at a time
+
+
+class LocalPoses(NamedTuple):
+    """Joints against their parents.
+
+    Attributes:
+        rotations: `(frame, joint, 3, 3)`.
+        translations: `(frame, joint, 3)`, mm, along the axes of the parent; a root's is its place in the world.
+    """
+
+    rotations: np.ndarray
+    translations: np.ndarray
+
+
+@torch.no_grad()
+def local_poses(skeleton: Skeleton, animation: Animation) -> LocalPoses:
+    """The poses of an animation's joints; the rigid motion that was removed is put back, onto the root."""
+    worlds = torch.cat([skeleton.pose(piece) for piece in animation.controls.split(PIECE)]).double().cpu()
+    if animation.motion is not None:
+        motion = animation.motion.double().cpu()[:, None]
+        turned = motion[..., :3, :3] @ worlds
+        worlds = torch.cat([turned[..., :3], turned[..., 3:] + motion[..., :3, 3:]], dim=-1)
+    parents = torch.tensor(skeleton.parents)
+    above = worlds[:, parents.clamp_min(0)]
+    is_root = (parents < 0)[:, None, None]
+    rotations = torch.where(is_root, worlds[..., :3], above[..., :3].mT @ worlds[..., :3])
+    translations = torch.where(is_root, worlds[..., 3:], above[..., :3].mT @ (worlds[..., 3:] - above[..., 3:]))
+    return LocalPoses(rotations.numpy(), translations[..., 0].numpy())

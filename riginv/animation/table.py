@@ -1,0 +1,102 @@
+"""curves.csv, curves.json and frames.csv: what every other format can be made from."""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from riginv.animation.animation import Animation, FrameErrors
+from riginv.animation.text import MOVE_COLUMNS, TURN_COLUMNS, digits, moves_and_turns
+from riginv.runs.files import write_json, write_text
+
+CURVES, SIDECAR, FRAMES = "curves.csv", "curves.json", "frames.csv"
+FORMULA, NUMBER = ("=", "+", "-", "@", "\t", "\r"), re.compile(r"[+-]?[\d.]+(e[+-]?\d+)?|[+-]?(inf|nan)")
+SPACE = "millimetres, y up; motion turns about x, then y, then z (axes that stay)"
+
+
+def write_curves(path: Path, animation: Animation) -> None:
+    """Write a row for each frame: its number, its time, every control, and the rigid motion where some was removed."""
+    columns = ["frame", "seconds", *animation.rig.control_names]
+    values = animation.controls.detach().cpu().double().numpy()
+    motion = moves_and_turns(animation)
+    if motion is not None:
+        columns += [*MOVE_COLUMNS, *TURN_COLUMNS]
+        values = np.concatenate([values, motion], axis=1)
+    times = [f"{seconds:.6f}" for seconds in animation.seconds.tolist()]
+    numbers = animation.frame_numbers.tolist()
+    write_rows(path, columns, [[number, time, *row] for number, time, row in zip(numbers, times, digits(values))])
+
+
+def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: Mapping[str, Any] | None = None) -> None:
+    """Write what the columns of curves.csv mean, how large the errors are, and what was read of the clip."""
+    numbers = animation.frame_numbers.tolist()
+    content: dict[str, Any] = {
+        "source": animation.source,
+        "fps": animation.fps,
+        "frames": {"first": numbers[0], "last": numbers[-1], "count": len(numbers)},
+        "rig": animation.rig.name,
+        "space": SPACE,
+        "controls": [vars(control) for control in animation.rig.controls],
+        "made_by": animation.made_by,
+        "errors": {key: round(value, 6) for key, value in errors.summary().items() if math.isfinite(value)},
+    }
+    if errors.reach is not None:
+        judged = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
+        content["errors"]["least_error_frames"] = judged[errors.reach.rows].tolist()
+    if clip is not None:
+        content["clip"] = clip
+    if animation.motion is not None:
+        content["motion"] = [*MOVE_COLUMNS, *TURN_COLUMNS]
+    if animation.keys is not None:
+        names, keys = animation.rig.control_names, animation.keys
+        content["keys"] = {name: animation.frame_numbers[rows].tolist() for name, rows in zip(names, keys)}
+    write_json(path, content)
+
+
+def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:
+    """Write a row for each frame that was judged."""
+    numbers = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
+    columns = ["frame", "mean_error_mm", "max_error_mm", "worst_vertex", "worst_region", "flags"]
+    columns += ["neutral_error_mm", "least_error_mm"]
+    least: list[str] = [""] * len(numbers)
+    if errors.reach is not None:
+        for row, (value,) in zip(errors.reach.rows.tolist(), digits(errors.reach.least_mm[:, None].cpu().numpy())):
+            least[row] = value
+    neutral = [[""]] * len(numbers) if errors.neutral_mm is None else digits(errors.neutral_mm[:, None].cpu().numpy())
+    rows = zip(
+        numbers.tolist(),
+        digits(errors.mean_mm[:, None].cpu().numpy()),
+        digits(errors.max_mm[:, None].cpu().numpy()),
+        errors.worst_vertex.tolist(),
+        errors.worst_region,
+        errors.flags,
+        neutral,
+        least,
+    )
+    body = [
+        [number, *mean, *most, vertex, region, ";".join(flags), *rest, low]
+        for number, mean, most, vertex, region, flags, rest, low in rows
+    ]
+    write_rows(path, columns, body)
+
+
+def as_text(cell: str) -> str:
+    """A cell that no spreadsheet takes for a formula: an apostrophe stands before what would be one.
+
+    Source: OWASP, CSV Injection. Numbers, negative ones too, stay as they are.
+    """
+    return f"'{cell}" if cell[:1] in FORMULA and not NUMBER.fullmatch(cell) else cell
+
+
+def write_rows(path: Path, columns: list[str], rows: list[list[Any]]) -> None:
+    """Write a CSV whole or not at all."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([as_text(column) for column in columns])
+    writer.writerows([as_text(value) if isinstance(value, str) else value for value in row] for row in rows)
+    write_text(path, text.getvalue())

@@ -1,1 +1,0 @@
-"""What happens around training: saving, watching, stopping."""

@@ -1,0 +1,1 @@
+"""From configs to objects, and from mistakes in them to sentences."""

@@ -1,1 +1,0 @@
-"""Controls over time, and the files that hold them."""

@@ -1,0 +1,89 @@
+"""Judging what a bundle holds: the same for a model just trained and for one trained long ago."""
+
+from pathlib import Path
+from typing import Any
+
+from riginv.config.building import OURS, build
+from riginv.errors import InputError
+from riginv.evaluation.evaluation_sets import random_poses, random_sets
+from riginv.evaluation.optimum import find_optima
+from riginv.evaluation.results import Judgement, check_same_controls, judge_inverse, judge_rig
+from riginv.inference.bundle import read_bundle
+from riginv.inference.inverse import Inverse, load_inverse
+from riginv.meshes.rendering import comparison
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.mesh_sets import MeshSet
+from riginv.rig.recorded import RecordedRig
+from riginv.runs.files import write_json, written_beside
+from riginv.runs.run_folder import METRICS, POSES
+from riginv.runs.tables import NO_RIG
+
+
+def surrogate_config(folder: str | Path) -> dict[str, str]:
+    """What builds the rig that a surrogate's bundle, or the run that holds it, stands for."""
+    return {"_target_": "rigs.surrogate.SurrogateRig", "bundle": str(folder)}
+
+
+def load_model(folder: str | Path, rig: RigBackend | None = None, refine: int = 0) -> Inverse | LinearRig:
+    """Load what a bundle holds: an inverse, or a surrogate as a rig.
+
+    Args:
+        rig: the rig that an inverse was trained on, for one that is not part of riginv.
+        refine: as in `load_inverse`.
+
+    Raises:
+        InputError: the bundle is missing or damaged, does not fit the rig, or is no inverse that could be refined.
+    """
+    if read_bundle(folder).description["kind"] == "forward":
+        if refine:
+            raise InputError(f"refine={refine} is for an inverse; {folder} holds a surrogate: leave refine out")
+        return build(surrogate_config(folder), kind=LinearRig, only=OURS)
+    return load_inverse(folder, rig, refine)
+
+
+def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, clip: MeshSet | None) -> list[Judgement]:
+    """Judge an inverse on the random test sets and a clip, or a surrogate on random poses, by the true rig.
+
+    Of a rig that is known by recorded poses alone, those that were held out judge; what an inverse finds is then made into
+    meshes by the surrogate, which is judged beside it. Where gradients pass through the true rig, the best possible is found
+    on a few meshes of each set, too.
+
+    Args:
+        poses: meshes in each random test set.
+        clip: only for an inverse.
+
+    Raises:
+        InputError: the true rig has other controls or vertices.
+    """
+    rig = model.rig if isinstance(model, Inverse) else model
+    check_same_controls(rig, true_rig)
+    if isinstance(true_rig, RecordedRig):
+        held_out = true_rig.held_out
+        if not isinstance(model, Inverse):
+            return [judge_rig(rig, held_out)]
+        sets = [held_out, *([clip] if clip else [])]
+        return [*(judge_inverse(model, rig, meshes) for meshes in sets), judge_rig(rig, held_out.named("surrogate"))]
+    if not isinstance(model, Inverse):
+        return [judge_rig(model, random_poses(true_rig, poses))]
+    sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]
+    optima = find_optima(true_rig, sets)
+    judgements = [judge_inverse(model, true_rig, meshes) for meshes in sets]
+    for judgement in judgements:
+        if optimum := optima.get(judgement.meshes.name):
+            judgement.metrics.update(optimum.metrics(judgement))
+    return judgements
+
+
+def write_results(folder: Path, judgements: list[Judgement], true_rig: RigBackend, more: dict[str, float]) -> dict[str, Any]:
+    """Write `poses.png`, the worst and the median mesh of each set, and `metrics.json`, and return the metrics.
+
+    Args:
+        more: further metrics, by key.
+    """
+    pairs = [pair for judgement in judgements for pair in judgement.worst_and_median()]
+    with written_beside(folder / POSES) as beside:
+        comparison(true_rig, pairs).save(beside, format="PNG")
+    metrics = {key: value for judgement in judgements for key, value in judgement.metrics.items()}
+    metrics |= {**more, "true_rig": NO_RIG if isinstance(true_rig, RecordedRig) else true_rig.name}
+    write_json(folder / METRICS, metrics)
+    return metrics

@@ -1,0 +1,115 @@
+"""The best that any controls can do, on a few meshes of a set: what tells how far from it a result is."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from riginv.evaluation.results import Judgement
+from riginv.geometry.neighbours import evenly
+from riginv.meshes.metrics import mean_distance
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.mesh_sets import MeshSet
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig.random_controls import sparse_controls
+from riginv.runs.cache import cached_tensors, code_key
+from riginv.solvers.every_mesh import solve_meshes
+from riginv.solvers.objective import Objective
+
+MESHES = 40  # of each set, evenly spread
+STARTS, STEPS, TOLERANCE = 6, 60, 1e-5
+DESCENT_STEPS = 300
+LEAST_MM = 1e-3  # an optimum below this counts as this: no result is many times worse than nothing
+SEED = 20221206
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The best that many-start Levenberg-Marquardt found on some meshes of a set.
+
+    Attributes:
+        rows: which meshes `(mesh,)`.
+        errors_mm: the mean vertex error of each, as the true rig judges, `(mesh,)`.
+    """
+
+    rows: Tensor
+    errors_mm: Tensor
+
+    @property
+    def mean_mm(self) -> float:
+        return float(self.errors_mm.double().mean())
+
+    def ratio(self, judgement: Judgement) -> float:
+        """How many times the optimum a result's mean error is, on the same meshes."""
+        return float(judgement.errors_mm[self.rows].double().mean()) / max(self.mean_mm, LEAST_MM)
+
+    def metrics(self, judgement: Judgement) -> dict[str, float]:
+        """The optimum and the ratio to it, by `SET/key`."""
+        name = judgement.meshes.name
+        values = {"optimum_mean_vertex_error_mm": self.mean_mm, "optimum_ratio": self.ratio(judgement)}
+        return {f"{name}/{key}": value for key, value in values.items()}
+
+
+def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]:
+    """The optimum of each set, by its name, kept between runs; none for rigs that no gradient passes through.
+
+    Exact for rigs that end in a linear map, in whose mesh space the least squared error is sought. The squared error and the
+    mean distance that is reported differ a little: a result may come out a hair better than its optimum.
+    """
+    if not (isinstance(true_rig, LinearRig) and true_rig.differentiable):
+        return {}
+    key, objective, found = fingerprint(true_rig), None, {}
+    for meshes in sets:
+        if not len(meshes):
+            continue
+        rows = evenly(MESHES, len(meshes))
+        vertices = torch.cat([meshes.vertices(row, row + 1) for row in rows.tolist()])
+
+        known = known_vertices(meshes, rows)
+
+        def solve(vertices: Tensor = vertices, known: Tensor | None = known) -> dict[str, Tensor]:
+            nonlocal objective
+            objective = objective or Objective(RigInMeshSpace(true_rig, MeshSpace.from_rig(true_rig)))
+            return {"errors_mm": least_errors(objective, vertices, known)}
+
+        facts = vertices.cpu().numpy().tobytes() + (b"" if known is None else known.cpu().numpy().tobytes())
+        name = hashlib.sha256(key + facts).hexdigest()[:32]
+        found[meshes.name] = Optimum(rows, cached_tensors("optimum", name, solve)["errors_mm"])
+    return found
+
+
+@torch.no_grad()
+def least_errors(objective: Objective, vertices: Tensor, known: Tensor | None = None) -> Tensor:
+    """The least mean vertex errors `(mesh,)`, mm, that were found for meshes `(mesh, vertex, 3)`.
+
+    Args:
+        known: the vertices that errors are measured at, `(mesh, vertex)`; None: all.
+    """
+    rig = objective.rig.rig
+    coordinates = objective.rig.space.encode(vertices)
+    controls = objective.own_units(solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS).units)
+    masks = [None] * len(vertices) if known is None else known[:, None]
+    found = zip(controls, vertices, masks)
+    return torch.cat([mean_distance(rig(one[None]), mesh[None], mask) for one, mesh, mask in found])
+
+
+def known_vertices(meshes: MeshSet, rows: Tensor) -> Tensor | None:
+    """Which vertices of some meshes of a set errors are measured at, `(mesh, vertex)`; None: all."""
+    masks = [meshes.known(row, row + 1) for row in rows.tolist()]
+    return None if masks[0] is None else torch.cat(masks)
+
+
+@torch.no_grad()
+def fingerprint(rig: LinearRig) -> bytes:
+    """What a rig does, in a few bytes: its basis, its limits, and its coefficients in some poses."""
+    limits = rig.lower, rig.upper, rig.neutral_controls
+    poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)
+    facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([STARTS, STEPS, TOLERANCE, DESCENT_STEPS]))
+    here, package = Path(__file__), Path(__file__).parents[1]
+    digest = hashlib.sha256(code_key([here, package / "solvers", package / "networks/features.py"]).encode())
+    for fact in facts:
+        digest.update(fact.detach().cpu().contiguous().numpy().tobytes())
+    return digest.digest()

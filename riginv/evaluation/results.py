@@ -1,0 +1,118 @@
+"""Judging by the true rig: errors are measured on what it makes of the controls, never on a network's own surrogate."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from inspect import signature
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from riginv.config.building import OURS, build, class_of
+from riginv.errors import InputError
+from riginv.meshes.metrics import VertexError, mean_distance, roughness
+from riginv.meshes.rendering import Pair
+from riginv.rig.interface import RigBackend
+from riginv.rig.mesh_sets import MeshSet
+
+PIECE = 128  # meshes at a time
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What came of one test set.
+
+    Attributes:
+        metrics: by `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (what predicting neutral would cost),
+            and for a clip `roughness`; who knows more about the set may add to them.
+        errors_mm: the mean vertex error of each mesh, `(mesh,)`.
+        meshes: the set.
+        rig: what made the results: the true rig, or a surrogate that was itself on trial.
+        controls: what it made them of, `(mesh, control)`.
+    """
+
+    metrics: dict[str, float]
+    errors_mm: Tensor
+    meshes: MeshSet
+    rig: RigBackend
+    controls: Tensor
+
+    def worst_and_median(self) -> list[Pair]:
+        """The worst and the median mesh of the set, to look at."""
+        order = self.errors_mm.argsort(descending=True).tolist()
+        name = self.meshes.name.replace("_", " ")
+        return [self._pair(order[0], f"{name}, worst"), self._pair(order[len(order) // 2], f"{name}, median")]
+
+    @torch.no_grad()
+    def _pair(self, row: int, label: str) -> Pair:
+        return Pair(label, self.meshes.vertices(row, row + 1)[0], self.rig(self.controls[row : row + 1])[0])
+
+
+def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, meshes: MeshSet) -> Judgement:
+    """How well the controls that were found for meshes bring these back.
+
+    Args:
+        invert: meshes `(batch, vertex, 3)`, mm, to controls `(batch, control)`.
+    """
+    return _judge(true_rig, meshes, lambda start, vertices: invert(vertices))
+
+
+def judge_controls(true_rig: RigBackend, meshes: MeshSet, controls: Tensor) -> Judgement:
+    """How well controls `(mesh, control)` that were found for the meshes of a set bring these back."""
+    return _judge(true_rig, meshes, lambda start, vertices: controls[start : start + len(vertices)])
+
+
+def judge_rig(rig: RigBackend, poses: MeshSet) -> Judgement:
+    """How far a rig, such as a surrogate, lies from poses of the true rig, given the controls that made them."""
+    return judge_controls(rig, poses, poses.controls)
+
+
+@torch.no_grad()
+def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor], Tensor]) -> Judgement:
+    found, neutral, errors, curves = VertexError(), VertexError(), [], []
+    for start, vertices in meshes.pieces(PIECE):
+        controls = controls_of(start, vertices)
+        results = rig(controls)
+        known = meshes.known(start, start + len(vertices))
+        found.update(results, vertices, known)
+        neutral.update(rig.rest_vertices.expand_as(vertices), vertices, known)
+        errors.append(mean_distance(results, vertices, known))
+        curves.append(controls)
+    controls = torch.cat(curves)
+    values = {key: float(value) for key, value in found.compute().items()}
+    values["neutral_mean_vertex_error_mm"] = float(neutral.compute()["mean_vertex_error_mm"])
+    if meshes.fps and not math.isnan(rough := roughness(controls, meshes.frame_numbers)):
+        values["roughness"] = rough
+    metrics = {f"{meshes.name}/{key}": value for key, value in values.items()}
+    return Judgement(metrics, torch.cat(errors), meshes, rig, controls)
+
+
+def build_judge(config: Mapping[str, Any], rig: RigBackend) -> RigBackend:
+    """The rig of a config that is to judge `rig`; a class that can stand for another rig (`twin_of`) is told which.
+
+    Raises:
+        InputError: it cannot be built, or has other controls or vertices than the rig.
+    """
+    given = {}
+    if "twin_of" in signature(class_of(config.get("_target_"), kind=RigBackend)).parameters:
+        given["twin_of"] = build(rig.true_rig_config, kind=RigBackend, only=OURS) if hasattr(rig, "true_rig_config") else rig
+    judge = build({**config, **given}, kind=RigBackend)
+    check_same_controls(rig, judge)
+    return judge
+
+
+def check_same_controls(rig: RigBackend, true_rig: RigBackend) -> None:
+    """Raises InputError where a rig cannot be judged by another: their controls or their vertices differ."""
+    if rig.control_names != true_rig.control_names:
+        ours, theirs = set(rig.control_names), set(true_rig.control_names)
+        differing = sorted(ours ^ theirs)[:3] or ["their order"]
+        raise InputError(
+            f"rig '{rig.name}' with {len(rig.controls)} controls cannot be judged by '{true_rig.name}' with "
+            f"{len(true_rig.controls)}: {', '.join(differing)} differ"
+        )
+    if len(rig.rest_vertices) != len(true_rig.rest_vertices):
+        raise InputError(
+            f"rig '{rig.name}' has {len(rig.rest_vertices)} vertices, '{true_rig.name}' has {len(true_rig.rest_vertices)}: "
+            f"they are not the same mesh"
+        )

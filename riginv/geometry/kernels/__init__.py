@@ -1,0 +1,1 @@
+"""Compiled CPU kernels behind the functions of this package and of the solvers."""

@@ -1,0 +1,153 @@
+"""The compiled kernels, found or compiled when they are first used, and whether they may be used for some tensors."""
+
+import contextlib
+import ctypes
+import functools
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from riginv.geometry.kernels.build import ENDING, LEVELS, CompilationError, compile_library, library_name, source_digest
+from riginv.runs.cache import cache_folder
+
+SWITCH = "RIGINV_KERNELS"  # an environment variable: 0 leaves all to PyTorch
+SUFFIXES = {torch.float32: "f32", torch.float64: "f64"}
+_pure: ContextVar[bool] = ContextVar("pure_torch", default=False)
+
+
+class Kernels:
+    """A loaded library.
+
+    Args:
+        path: of the shared library.
+
+    Attributes:
+        path: where it is.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.library = ctypes.CDLL(str(path))  # calls release Python's lock: threads compute at the same time
+        self.functions: dict[tuple[str, torch.dtype], ctypes._CFuncPtr] = {}
+
+    def call(self, name: str, dtype: torch.dtype, *arguments: Tensor | int | None) -> int:
+        """Call a kernel by its name in the source, in float32 or float64.
+
+        Args:
+            arguments: tensors are passed as the addresses of their first numbers.
+
+        Returns:
+            0, or what else the kernel says by a number above 1.
+        """
+        function = self.functions.get((name, dtype))
+        if function is None:
+            function = self.functions[name, dtype] = getattr(self.library, f"{name}_{SUFFIXES[dtype]}")
+            function.restype = ctypes.c_int
+        given = [
+            ctypes.c_void_p(value.data_ptr() if isinstance(value, Tensor) else value)
+            if value is None or isinstance(value, Tensor)
+            else ctypes.c_int64(value)
+            for value in arguments
+        ]
+        code = function(*given)
+        if code == 1:
+            raise MemoryError(f"kernel {name}: out of memory")
+        return code
+
+
+@contextmanager
+def pure_torch() -> Iterator[None]:
+    """Within it everything is computed by PyTorch alone: for tracing, and for derivatives of derivatives."""
+    token = _pure.set(True)
+    try:
+        yield
+    finally:
+        _pure.reset(token)
+
+
+def kernels_for(*tensors: Tensor) -> Kernels | None:
+    """The kernels, where they can compute with these tensors: on a CPU, all of float32 or all of float64; else None.
+
+    Tensors of whole numbers, which are indices, must be int64.
+    """
+    if _pure.get() or torch.compiler.is_compiling():
+        return None
+    dtype = tensors[0].dtype
+    for tensor in tensors:
+        if tensor.device.type != "cpu" or type(tensor) not in (Tensor, torch.nn.Parameter):
+            return None
+        if tensor.dtype != (dtype if tensor.is_floating_point() else torch.int64):
+            return None
+    return kernels() if dtype in SUFFIXES else None
+
+
+def plain_rows(values: Tensor) -> Tensor:
+    """Values `(batch, number)` without a graph, the numbers of each row side by side."""
+    values = values.detach() if values.requires_grad else values
+    return values if values.stride(-1) == 1 and values.stride(0) >= values.shape[-1] else values.contiguous()
+
+
+def kernels() -> Kernels | None:
+    """The kernels that this machine can run; None where they are switched off, or cannot be compiled."""
+    return None if os.environ.get(SWITCH) == "0" else _found()[0]
+
+
+def why_not() -> str:
+    """Why there are no kernels, in a few words; empty where there are."""
+    return f"{SWITCH}=0" if os.environ.get(SWITCH) == "0" else _found()[1]
+
+
+@functools.cache
+def _found() -> tuple[Kernels | None, str]:
+    """The kernels, and why there are none."""
+    levels = [level for level in reversed(LEVELS) if _runs(level)]
+    digest = source_digest()
+    installed = [Path(__file__).parent / library_name(level) for level in levels]
+    for path in [*installed, _compiled_here(levels[0], digest)]:
+        if (found := _load(path, digest)) is not None:
+            return found, ""
+    path = _compiled_here(levels[0], digest)
+    try:
+        compile_library(path, levels[0])
+    except (CompilationError, OSError) as error:
+        return None, str(error)
+    found = _load(path, digest)
+    return found, "" if found else f"{path} cannot be loaded"
+
+
+def _compiled_here(level: str, digest: str) -> Path:
+    return cache_folder() / f"kernels-{digest}-{level}{ENDING}"
+
+
+def _load(path: Path, digest: str) -> Kernels | None:
+    """The library at a path, where it is there, the user's or the installation's own, and made of the present source."""
+    if not path.is_file() or _is_anothers(path):
+        return None
+    with contextlib.suppress(OSError, AttributeError):
+        found = Kernels(path)
+        says = found.library.riginv_source
+        says.restype = ctypes.c_char_p
+        if (says() or b"").decode() == digest:
+            return found
+    return None
+
+
+def _is_anothers(path: Path) -> bool:
+    """Whether a library belongs to another user than root or this one: what it holds would run."""
+    return hasattr(os, "getuid") and path.stat().st_uid not in (0, os.getuid())
+
+
+def _runs(level: str) -> bool:
+    """Whether the processor has the instructions of a level."""
+    return level == "plain" or torch.backends.cpu.get_cpu_capability() in ("AVX2", "AVX512")
+
+
+def pure_gradients(function: Callable[[Tensor], Tensor], given: Tensor, gradient: Tensor) -> Tensor:
+    """A gradient of `function(given)` as one of `given` that has derivatives itself: by PyTorch alone."""
+    with pure_torch(), torch.enable_grad():
+        return torch.autograd.grad(function(given), given, gradient, create_graph=True)[0]

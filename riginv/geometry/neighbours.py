@@ -1,0 +1,40 @@
+"""Points and their neighbours: differential coordinates, and a few points spread over many."""
+
+import torch
+from torch import Tensor
+
+
+def differential_coordinates(meshes: Tensor, faces: Tensor) -> Tensor:
+    """Each vertex less the mean of its neighbours (the graph Laplacian); 0 for vertices without any.
+
+    Args:
+        meshes: vertices or displacements, `(mesh, vertex, 3)`.
+        faces: `(face, 3)`.
+
+    Returns:
+        `(mesh, vertex, 3)`.
+    """
+    edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = torch.unique(torch.cat([edges, edges.flip(1)]), dim=0)
+    degree = torch.bincount(edges[:, 0], minlength=meshes.shape[1]).to(meshes)
+    total = torch.zeros_like(meshes).index_add_(1, edges[:, 0], meshes[:, edges[:, 1]])
+    apart = meshes - total / degree.clamp_min(1)[:, None]
+    return torch.where(degree[:, None] > 0, apart, 0.0)
+
+
+def evenly(count: int, of: int) -> Tensor:
+    """`count` rows `(row,)` of `of`, in order, from the first to the last; all of them where there are no more."""
+    return torch.linspace(0, of - 1, min(count, of), dtype=torch.float64).round().long()
+
+
+def spread_points(points: Tensor, count: int) -> Tensor:
+    """Indices `(count,)` of points `(point, dimension)`: the one nearest to their mean, then each the farthest from all before.
+
+    All of them where there are no more than `count`.
+    """
+    chosen = [int((points - points.mean(dim=0)).norm(dim=1).argmin())]
+    distance = (points - points[chosen[0]]).norm(dim=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(distance.argmax()))
+        distance = torch.minimum(distance, (points - points[chosen[-1]]).norm(dim=1))
+    return torch.tensor(chosen, device=points.device)

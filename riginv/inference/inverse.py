@@ -1,0 +1,139 @@
+"""A trained inverse, ready for use: meshes in, controls out.
+
+from riginv.inference.inverse import load_inverse
+
+inverse = load_inverse("runs/face-inverse/2026-11-22_10-00-00/bundle")
+controls = inverse(vertices)  # (frame, 8447, 3) in mm -> (frame, 137)
+"""
+
+import functools
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from riginv.config.building import OURS, build
+from riginv.errors import InputError
+from riginv.inference.bundle import RIG, Bundle, read_bundle
+from riginv.networks.inverse import InverseNetwork
+from riginv.rig.black_box import FittedRig
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.solvers.every_mesh import refine_meshes
+from riginv.solvers.objective import Objective
+
+
+class QuickEncoder(nn.Module):
+    """As `MeshSpace.encode`, in bfloat16 where a CPU multiplies such numbers: three times as fast as float32.
+
+    What is rounded are displacements, by 1 part in 256 each. Spread over thousands of vertices that cancels: mesh coordinates
+    come out within 0.2 % of their size. A network does not notice; a solver, or a rig that moves its mesh by metres, would.
+
+    Args:
+        space: whose coordinates.
+        rounded: whether rounding is allowed at all.
+    """
+
+    def __init__(self, space: MeshSpace, rounded: bool = True) -> None:
+        super().__init__()
+        self.space = [space]  # in a list: its tensors are not this module's
+        quick = rounded and space.frame.device.type == "cpu" and _multiplies_bfloat16()
+        # no buffer: a module that is cast to another type must not take it along
+        self.frame = space.frame.flatten(1).bfloat16() if quick else None
+
+    def forward(self, vertices: Tensor) -> Tensor:
+        """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`."""
+        space = self.space[0]
+        if self.frame is None or vertices.device.type != "cpu":
+            return space.encode(vertices)
+        return ((vertices - space.rest_vertices).flatten(1).bfloat16() @ self.frame.T).to(vertices.dtype)
+
+
+def _multiplies_bfloat16() -> bool:
+    ask = getattr(torch.cpu, "_is_avx512_bf16_supported", None)  # not a public name: it may go
+    return ask is not None and ask()
+
+
+WORTH_ROUNDING = 1_000_000  # numbers of a frame: below it there is nothing to gain
+
+
+class Inverse(nn.Module):
+    """Maps meshes to the controls of a rig.
+
+    Args:
+        refine: steps of Levenberg-Marquardt that follow the network, mesh by mesh.
+        trained_seconds: what its training took.
+
+    Attributes:
+        network: from mesh coordinates to controls; it knows its rig and its mesh space.
+    """
+
+    def __init__(self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0) -> None:
+        super().__init__()
+        self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
+        space = network.rig.space
+        self.encoder = QuickEncoder(space, network.rig.rig.has_blendshapes and space.frame.numel() >= WORTH_ROUNDING)
+
+    @property
+    def rig(self) -> LinearRig:
+        return self.network.rig.rig
+
+    @torch.no_grad()
+    def forward(self, vertices: Tensor) -> Tensor:
+        """Meshes `(batch, vertex, 3)`, mm, to controls `(batch, control)` within the rig's limits.
+
+        Raises:
+            InputError: the meshes do not have the rig's number of vertices.
+        """
+        space = self.network.rig.space
+        if vertices.shape[1:] != space.rest_vertices.shape:
+            raise InputError(
+                f"meshes of shape {tuple(vertices.shape)} were given, rig '{self.rig.name}' needs "
+                f"(mesh, {space.vertex_count}, 3): the same vertices in the same order"
+            )
+        if not self.refine:
+            return self.network(self.encoder(vertices))
+        coordinates = space.encode(vertices)
+        controls = self.network(coordinates)
+        start = self.objective.units(controls)
+        return self.objective.own_units(refine_meshes(self.objective, coordinates, start, self.refine).units)
+
+    @functools.cached_property
+    def objective(self) -> Objective:
+        """What the steps after the network minimise; made where the network is when they are first asked for."""
+        return Objective(self.network.rig)
+
+
+def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int = 0) -> Inverse:
+    """Load the inverse of a bundle.
+
+    Args:
+        folder: the bundle, or the run that holds it.
+        rig: the rig, for one that is not part of riginv; else the bundle's own description builds it. An inverse that was
+            trained through a surrogate brings that along, and only asks whether it stands for this rig.
+        refine: steps of Levenberg-Marquardt that follow the network, through the rig that it was trained on.
+
+    Raises:
+        InputError: the bundle is missing, damaged, of another kind or made for another rig.
+    """
+    bundle = read_bundle(folder, kind="inverse")
+    if rig is not None:
+        bundle.check_rig(rig)
+    if rig is None or bundle.holds_surrogate:
+        rig = bundle_rig(bundle)
+        bundle.check_rig(rig)
+    space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
+    if not isinstance(rig, LinearRig):
+        rig = FittedRig(rig, (bundle.space["linear_map"] @ space.frame.flatten(1)).unflatten(1, rig.rest_vertices.shape))
+    network = build(bundle.description["network"], RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
+    network.load_own_weights(bundle.weights)
+    trained_seconds = float(bundle.description["training"].get("seconds", 0.0))
+    return Inverse(network, refine, trained_seconds).eval().requires_grad_(False)
+
+
+def bundle_rig(bundle: Bundle) -> RigBackend:
+    """The rig that a bundle describes: one of ours, or the surrogate that lies within the bundle."""
+    config = dict(bundle.description["rig"]["config"])
+    if bundle.holds_surrogate:
+        config["bundle"] = str(bundle.folder / RIG)
+    return build(config, kind=RigBackend, only=OURS)

@@ -1,0 +1,1 @@
+"""Commands, sweeps and the processes that they start."""

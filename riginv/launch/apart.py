@@ -1,0 +1,107 @@
+"""A job of a sweep in a process of its own: it shares nothing with the others, and whatever kills it kills no other.
+
+The process ends with the one that started it, even where that is killed.
+"""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from riginv.launch.sweep_record import FINISHED, TRACEBACK, JobRecord, read_record, record_file
+
+THREADS = "OMP_NUM_THREADS MKL_NUM_THREADS OPENBLAS_NUM_THREADS BLIS_NUM_THREADS VECLIB_MAXIMUM_THREADS NUMEXPR_NUM_THREADS"
+STARTER = "RIGINV_STARTER"  # the number of the process that started that of a job
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that is needed to run a job somewhere: plain values, and folders that every machine sees under the same name.
+
+    Attributes:
+        module: the command, as in `python -m MODULE`.
+        arguments: its arguments.
+        sweep: the sweep's folder.
+        number: its place in the sweep.
+        name: of its folder.
+        swept: what sets it apart.
+        directory: where the command was typed.
+        can_resume: whether the command takes `resume=true`.
+    """
+
+    module: str
+    arguments: list[str]
+    sweep: Path
+    number: int
+    name: str
+    swept: list[str]
+    directory: Path
+    can_resume: bool
+
+    def record(self) -> JobRecord:
+        """How it stands now."""
+        return read_record(self.sweep, self.number, self.name, self.swept)
+
+
+def run_apart(job: Job, threads: int | None = None) -> None:
+    """Run a job to its end in a process of its own; its record says how that went.
+
+    Args:
+        job: one that finished already is left alone; one that was started before goes on.
+        threads: that it may use; None: as many as it likes.
+    """
+    record = job.record()
+    if record.state == FINISHED:
+        return
+    resume = ["resume=true"] if job.can_resume and record.starts else []
+    record.started(job.sweep)
+    began = time.perf_counter()
+    log_file = record_file(job.sweep, job.name).with_suffix(".log")
+    with log_file.open("ab") as log:
+        start = log.tell()
+        with subprocess.Popen(
+            [sys.executable, "-m", job.module, *job.arguments, *resume],
+            cwd=job.directory if job.directory.is_dir() else None,
+            env={**os.environ, STARTER: str(os.getpid()), **(dict.fromkeys(THREADS.split(), str(threads)) if threads else {})},
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        ) as process:
+            code = process.wait()
+    said = log_file.read_bytes()[start:].decode("utf-8", errors="replace")
+    record.ended(job.sweep, time.perf_counter() - began, None if code == 0 else _why(said, code))
+
+
+def end_with_starter() -> None:
+    """In the process of a job: end as soon as the process that started it has."""
+    starter = os.environ.pop(STARTER, None)
+    if starter is not None:
+        end_with(int(starter))
+
+
+def _why(said: str, code: int) -> str:
+    """The last thing that a failed process said, or the signal that killed it."""
+    if code < 0:
+        return f"its process was killed by signal {-code}{', perhaps for want of memory' if code == -9 else ''}"
+    *before, last = said.rstrip().splitlines() or [f"its process ended with code {code}"]
+    if last.startswith("error: "):
+        return last.removeprefix("error: ")
+    traceback = max((number for number, line in enumerate(before) if line == TRACEBACK), default=len(before))
+    return "\n".join([*before[traceback:], last])
+
+
+EVERY_SECONDS = 0.5
+
+
+def end_with(parent: int) -> None:
+    """End this process as soon as its parent, of that process number, is gone."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(EVERY_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,98 @@
+"""Ending without a traceback where whoever reads the output has stopped reading, as `head` does."""
+
+import logging
+import os
+import select
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+
+@contextmanager
+def ends_with_its_reader() -> Iterator[None]:
+    """Within it a command ends with exit status 1, and no traceback, once its output is closed."""
+    try:
+        yield
+    except SystemExit:
+        _end_if_any(_closed_while_flushing())
+        raise
+    except Exception as error:
+        if _is_broken_pipe(error):
+            _end_if_any([stream for stream in _streams() if _has_no_reader(stream)])
+        raise
+    _end_if_any(_closed_while_flushing())
+
+
+def _end_if_any(closed: list[TextIO]) -> None:
+    for stream in closed:  # what is still to be written goes nowhere: Python would complain of it when it ends
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), stream.fileno())
+    if closed:
+        raise SystemExit(1)
+
+
+def _closed_while_flushing() -> list[TextIO]:
+    """The streams that hold text which nobody reads any more."""
+    closed = []
+    for stream in _streams():
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            closed.append(stream)
+        except (OSError, ValueError):  # a full disk, or closed by ourselves: not for here
+            pass
+    return closed
+
+
+def _is_broken_pipe(error: BaseException | None) -> bool:
+    while error is not None:
+        if isinstance(error, BrokenPipeError):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _has_no_reader(stream: TextIO) -> bool:
+    """Whether a stream is a pipe that nobody reads from; a pipe to a worker may break, too, and that is no such end."""
+    if not hasattr(select, "poll"):
+        return True
+    poll = select.poll()
+    poll.register(stream.fileno(), select.POLLOUT)
+    return any(events & (select.POLLERR | select.POLLHUP) for _, events in poll.poll(0))
+
+
+def _streams() -> list[TextIO]:
+    """Standard output and standard error, where they are files of the system."""
+    found = []
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.fileno()
+        except (AttributeError, OSError, ValueError):
+            continue
+        found.append(stream)
+    return found
+
+
+# Each is known and meant; what it would tell is in the comment.
+WARNINGS = (
+    ".*isinstance\\(treespec, LeafSpec\\).*",  # lightning with torch 2.13
+    ".*IterableDataset.*__len__.*",  # batches are drawn by number, in one process
+    ".*number of training batches.*smaller than the logging interval.*",  # short runs still log each validation
+    ".*does not have many workers.*",  # drawing a batch is cheaper than moving it between processes
+    ".*Checkpoint directory.*exists and is not empty.*",  # checked by riginv.runs.run_folder
+    ".*resuming from a checkpoint that ended before the epoch.*",  # riginv.training.data goes on at the right batch
+    ".*Experiment logs directory.*exists.*",
+    ".*recommended to use `self.log.*sync_dist=True.*",  # what is logged is that of all processes already
+    ".*`broadcast_buffers` is deprecated.*",  # its successor is not in every torch that riginv runs with
+    ".*does not have a deterministic implementation.*",  # deterministic=warn: where there is one it is used
+)
+
+
+def hush() -> None:
+    """Silence the messages above, and Lightning's account of the machine."""
+    for message in WARNINGS:
+        warnings.filterwarnings("ignore", message=message)
+    for name in ("lightning", "lightning.pytorch", "lightning.fabric", "lightning.pytorch.utilities.rank_zero"):
+        logging.getLogger(name).setLevel(logging.ERROR)

@@ -1,0 +1,185 @@
+"""What every command line shares: Hydra composes the config, and a user's mistake ends in one sentence."""
+
+import functools
+import logging
+import os
+import re
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.markup import escape
+
+from riginv.config.building import OURS
+from riginv.config.diagnosis import blame
+from riginv.config.folders import check_config_folders
+from riginv.config.messages import CONFIGS, explain
+from riginv.config.path_values import quoted, with_quoted_paths
+from riginv.errors import InputError
+from riginv.launch.apart import end_with_starter
+from riginv.launch.closed_output import ends_with_its_reader, hush
+from riginv.launch.help import register_help_resolvers
+from riginv.launch.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
+from riginv.launch.sweep_record import FINISHED, read_record
+from riginv.launch.watched import end_with_watcher, is_watched, report
+from riginv.runs.locks import unlock_folders
+from riginv.runs.run_folder import discard_if_empty, register_folder_resolvers
+
+PATHS = {"inspect": "clip"}  # the key of the path that a command takes by itself
+OVERRIDE = re.compile(r"~|\+{0,2}[A-Za-z_][\w./@:-]*=")  # what Hydra takes for KEY=VALUE
+OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
+
+
+def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+    """Turn a function of a config into a command line with the config `conf/CONFIG_NAME.yaml`."""
+
+    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+        @functools.wraps(task)
+        def main() -> None:
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through: `explain` says them better
+            if is_watched():
+                end_with_watcher()
+            end_with_starter()
+            hush()
+            register_folder_resolvers()
+            register_sweep_resolvers()
+            register_help_resolvers()
+            with ends_with_its_reader():
+                _run(_Job(task, config_name), config_name)
+
+        return main
+
+    return decorate
+
+
+def _run(job: "_Job", config_name: str) -> None:
+    """Let Hydra compose the config of a command line, and run its job."""
+    try:
+        options, values = split_options(sys.argv[1:])
+        values = path_as_value(values, PATHS.get(config_name))
+        arguments = [true_rig_choice(argument) for argument in with_quoted_paths([*options, *values])]
+        check_config_folders(arguments)
+        sys.argv[1:] = with_sweep_folder(arguments, config_name)
+        hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
+    except Exception as error:
+        _stop(error, config_name)
+    if job.error is not None:
+        _stop(job.error, config_name)
+
+
+def options_first(arguments: list[str]) -> list[str]:
+    """Put options before KEY=VALUE arguments: Hydra's parser takes them in no other order, users write them in any."""
+    options, values = split_options(arguments)
+    return options + values
+
+
+def split_options(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """The options of a command line with their values, and everything else."""
+    options, values = [], []
+    waiting = False  # for the value of an option
+    for argument in arguments:
+        if waiting or argument.startswith("-"):
+            options.append(argument)
+            waiting = not waiting and argument in OPTIONS_WITH_VALUES
+        else:
+            values.append(argument)
+    return options, values
+
+
+def path_as_value(values: list[str], key: str | None) -> list[str]:
+    """Let a path stand alone on a command line, as in `riginv.inspect PATH`: it becomes the value of a key.
+
+    Args:
+        key: None for commands that take no path so.
+    """
+    if key is None:
+        return values
+    literal = [quoted(value.replace("${", "\\${")) for value in values]  # no interpolation, whatever letters it has
+    return [
+        value if OVERRIDE.match(value) and not os.path.exists(value) else f"{key}={text}"
+        for value, text in zip(values, literal)
+    ]
+
+
+def true_rig_choice(argument: str) -> str:
+    """Let `true_rig=NAME` choose from the group of rigs, as `rig=NAME` does."""
+    return f"rig@{argument}" if argument.startswith("true_rig=") else argument
+
+
+class _Job:
+    """Runs a task, and keeps the error of one that failed, so that Hydra does not speak of it first.
+
+    In a sweep a job that fails says why in its folder and lets the others go on; the table at the end counts it.
+    """
+
+    def __init__(self, task: Callable[[DictConfig], None], config_name: str) -> None:
+        self.task, self.config_name = task, config_name
+        self.error: Exception | None = None
+
+    @property
+    def module(self) -> str:
+        """Of the command, as in `python -m MODULE`."""
+        name = self.task.__module__
+        return sys.modules["__main__"].__spec__.name if name == "__main__" else name
+
+    def run(self, config: DictConfig) -> None:
+        if HydraConfig.get().mode == RunMode.MULTIRUN:
+            self.run_in_sweep(config)
+            return
+        try:
+            self._work(config)
+        except Exception as error:
+            discard_if_empty(run_directory())
+            blamed = None if explain(error, self.config_name) else blame(error, config, self.config_name, HydraConfig.get())
+            self.error = InputError(blamed) if blamed else error
+
+    def run_in_sweep(self, config: DictConfig) -> None:
+        """Run a job of a sweep within this process; one that finished already is left alone, one that started goes on."""
+        folder, chosen = run_directory(), HydraConfig.get()
+        sweep = Path(os.path.abspath(chosen.sweep.dir))
+        overrides = list(chosen.overrides.task)
+        record = read_record(sweep, chosen.job.num, str(folder.relative_to(sweep)), swept(sweep, overrides))
+        if record.state == FINISHED:
+            Console(stderr=True).print(f"{escape(record.label)}  finished before", highlight=False)
+            return
+        if record.starts and "resume" in config:
+            config.resume = True
+        record.started(sweep)
+        began, why = time.perf_counter(), None
+        try:
+            self._work(config)
+        except Exception as error:
+            why = explain(error, self.config_name) or blame(error, config, self.config_name, chosen) or traceback.format_exc()
+            Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(why)}", highlight=False)
+        record.ended(sweep, time.perf_counter() - began, why)
+
+    def _work(self, config: DictConfig) -> None:
+        for package in OURS:  # what rigs tell of their files at length is of this level
+            logging.getLogger(package).setLevel(logging.DEBUG if config.get("verbose") else logging.NOTSET)
+        try:
+            self.task(config)
+        finally:
+            unlock_folders()
+
+
+def run_directory() -> Path:
+    """The folder that Hydra gave this run."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def _stop(error: Exception, config_name: str) -> None:
+    message = explain(error, config_name)
+    if is_watched():
+        report(error, message)
+        sys.exit(1)
+    if message is None:
+        raise error
+    Console(stderr=True).print("[bold red]error:[/]", escape(message), highlight=False, soft_wrap=True)
+    sys.exit(1)

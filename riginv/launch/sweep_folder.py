@@ -1,0 +1,106 @@
+"""A sweep's folder: named by what was typed, and found again by `resume=true`."""
+
+import datetime
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from omegaconf import OmegaConf
+
+from riginv.errors import InputError
+from riginv.launch.sweep_record import JOBS
+from riginv.runs.run_folder import TIME, folder_name
+
+SWEEPS = Path("runs") / "sweep"
+TYPED = "multirun.yaml"  # Hydra writes it before the first job starts
+FOLDER = "hydra.sweep.dir="
+LONGEST = 80  # characters of its name
+IN_BRACKETS = re.compile(r"\[[^\]]*\]|\{[^}]*\}|\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'")  # a list or a text is one value
+SWEPT = re.compile(r"=.*,|=(range|choice|glob)\(")
+NOT_OF_THE_TASK = ("hydra.", "hydra/", "resume=", "verbose=", "-")
+
+
+def register_sweep_resolvers() -> None:
+    """Let configs say `${sweep_folder:command,overrides}` and `${sweep_job:number,folder,overrides}`."""
+    OmegaConf.register_new_resolver("sweep_folder", new_sweep_folder, replace=True, use_cache=True)
+    OmegaConf.register_new_resolver("sweep_job", job_name, replace=True)
+
+
+def new_sweep_folder(command: str, overrides: Sequence[str]) -> str:
+    """`runs/sweep/TIME_COMMAND_WHAT-IS-SWEPT`, such as `2026-11-22_16-10-00_train_seed-0-1-2`."""
+    shown = [text for text in overrides if text.startswith("experiment=") or SWEPT.search(IN_BRACKETS.sub("", text))]
+    name = "_".join([datetime.datetime.now().strftime(TIME), command, *map(_plain, shown)])[:LONGEST]
+    taken = len(list(SWEEPS.glob(f"{name}*")))
+    return str(SWEEPS / (f"{name}_{taken + 1}" if taken else name))
+
+
+def job_name(number: int, folder: str, overrides: Sequence[str]) -> str:
+    """`NUMBER_WHAT-SETS-IT-APART`, such as `03_model-holden_seed-1`."""
+    return folder_name("_".join([f"{number:02d}", *map(_plain, swept(Path(folder), overrides))]))
+
+
+def swept(folder: Path, overrides: Sequence[str]) -> list[str]:
+    """What sets a job apart from the others of its sweep: the overrides that were not typed as they are."""
+    shared = typed_before(folder) or []
+    return [text for text in overrides if text not in shared and not text.startswith(NOT_OF_THE_TASK)]
+
+
+def typed_before(folder: Path, command: str | None = None) -> list[str] | None:
+    """The arguments of the sweep in a folder, without `resume`; None where there is none (of that command)."""
+    try:
+        hydra: Any = yaml.safe_load((folder / TYPED).read_text(encoding="utf-8"))["hydra"]
+        name, arguments = hydra["job"]["config_name"], hydra["overrides"]["task"]
+    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError):
+        return None
+    return None if command not in (None, name) else [text for text in arguments if not text.startswith(NOT_OF_THE_TASK)]
+
+
+def with_sweep_folder(arguments: list[str], command: str) -> list[str]:
+    """Lead a command line that resumes a sweep to the sweep's folder, and complete it there by what was typed before.
+
+    Args:
+        arguments: options first.
+        command: the name of its config.
+
+    Raises:
+        InputError: the folder holds another sweep, or one that was not asked to be resumed.
+    """
+    if not {"-m", "--multirun", "hydra.mode=MULTIRUN"} & set(arguments):
+        return arguments
+    resume = any(text.lower() == "resume=true" for text in arguments)
+    given = [Path(text.removeprefix(FOLDER).strip("'\"")) for text in arguments if text.startswith(FOLDER)]
+    typed = [text for text in arguments if re.search("=|^~", text) and not text.startswith(NOT_OF_THE_TASK)]
+    others = [text for text in arguments if text not in typed]
+    if not given:
+        same = [path for path in sorted(SWEEPS.glob("*")) if _same(_begun(path, command), typed)] if resume else []
+        return [*others, *(typed_before(same[-1]) or []), f"{FOLDER}{same[-1]}"] if same else arguments
+    before = _begun(given[-1])
+    if before is None:
+        return arguments
+    if not resume:
+        raise InputError(
+            f"{given[-1]} holds a sweep already: add resume=true to run the jobs that are missing, "
+            "or choose another hydra.sweep.dir=DIR"
+        )
+    if typed and not _same(before, typed):
+        raise InputError(
+            f"{given[-1]} holds another sweep, of {' '.join(before)}: give the same arguments, or none, "
+            "or choose another hydra.sweep.dir=DIR"
+        )
+    return [*others, *before]
+
+
+def _begun(folder: Path, command: str | None = None) -> list[str] | None:
+    """The same, where a job was started: Hydra writes its file even if it refuses what was typed."""
+    return typed_before(folder, command) if (folder / JOBS).is_dir() else None
+
+
+def _same(before: list[str] | None, typed: list[str]) -> bool:
+    return before is not None and sorted(before) == sorted(typed)
+
+
+def _plain(text: str) -> str:
+    """A text without what a shell or Hydra would read as more than a letter: `seed=0` becomes `seed-0`."""
+    return re.sub(r"[^\w.+-]", "-", text.replace("=[", "=")).strip("-")

@@ -1,0 +1,63 @@
+"""The columns of a sweep's HPARAMS table in TensorBoard: every choice of its jobs, those that differ first, and every error."""
+
+import math
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from tensorboard.compat.proto.event_pb2 import Event
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.plugins.hparams import api_pb2, metadata, plugin_data_pb2
+from tensorboard.summary.writer.event_file_writer import EventFileWriter
+
+from riginv.runs.files import discard
+
+RESULT = "result"  # before the name of every final metric
+CHOICES = "hparams.yaml"  # TensorBoard's, in a run's folder
+EVENTS, ENDING = "events.out.tfevents.*", ".columns"
+
+
+def write_columns(sweep: Path, folders: Sequence[str], errors: Sequence[str]) -> None:
+    """Name the columns in a run of their own, which is the sweep's folder itself; jobs without choices are left out.
+
+    Args:
+        sweep: the sweep's folder.
+        folders: the names of its jobs' folders.
+        errors: the metrics that are shown.
+    """
+    values: dict[str, list[Any]] = defaultdict(list)
+    for file in (sweep / name / CHOICES for name in folders):
+        if file.is_file():
+            for key, value in yaml.safe_load(file.read_text(encoding="utf-8")).items():
+                values[key].append(value)
+    for old in sweep.glob(EVENTS + ENDING):
+        discard(old)
+    if not values:
+        return
+    choices = sorted((_column(key, given) for key, given in values.items()), key=lambda c: not c.differs)
+    results = [api_pb2.MetricInfo(name=api_pb2.MetricName(tag=f"{RESULT}/{key}")) for key in errors]
+    experiment = api_pb2.Experiment(hparam_infos=choices, metric_infos=results, time_created_secs=time.time())
+    held = metadata.create_summary_metadata(plugin_data_pb2.HParamsPluginData(experiment=experiment))
+    value = Summary.Value(tag=metadata.EXPERIMENT_TAG, metadata=held, tensor=metadata.NULL_TENSOR)
+    writer = EventFileWriter(str(sweep), filename_suffix=ENDING)
+    writer.add_event(Event(wall_time=time.time(), summary=Summary(value=[value])))
+    writer.close()
+
+
+def _column(key: str, values: list[Any]) -> api_pb2.HParamInfo:
+    """A choice of the jobs that have it; it differs where they differ."""
+    distinct = sorted(set(values), key=str)
+    info = api_pb2.HParamInfo(name=key, differs=len(distinct) > 1)
+    if all(isinstance(value, bool) for value in distinct):
+        info.type = api_pb2.DATA_TYPE_BOOL
+        info.domain_discrete.extend(distinct)
+    elif all(isinstance(value, int | float) and math.isfinite(value) for value in distinct):
+        info.type = api_pb2.DATA_TYPE_FLOAT64
+        info.domain_interval.min_value, info.domain_interval.max_value = min(distinct), max(distinct)
+    else:
+        info.type = api_pb2.DATA_TYPE_STRING
+        info.domain_discrete.extend(map(str, distinct))
+    return info

@@ -1,0 +1,99 @@
+"""Where each job of a sweep stands: one small file for each, in the sweep's folder, whatever process or machine it runs on.
+
+multirun.yaml         what was typed (Hydra's)
+jobs/NAME.json        how the job NAME stands
+jobs/NAME.log         what it printed, where it ran in a process of its own
+NAME/                 the job's own folder; failure.txt says why it failed
+sweep.csv, sweep.md   the table, once all have ended
+"""
+
+import json
+import platform
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from riginv.runs.files import discard, write_json, write_text
+from riginv.runs.run_folder import folder_name
+
+JOBS, FAILURE = "jobs", "failure.txt"
+TRACEBACK = "Traceback (most recent call last):"
+WAITING, RUNNING, FINISHED, FAILED = "waiting", "running", "finished", "failed"
+
+
+@dataclass
+class JobRecord:
+    """How one job stands.
+
+    Attributes:
+        number: its place in the sweep, from 0.
+        name: of its folder.
+        swept: what sets it apart, as KEY=VALUE.
+        state: waiting, running, finished or failed; still running, too, where everything was killed at once.
+        starts: how often it was started.
+        why: it failed, as one line.
+        seconds: its last start took.
+        host: the machine that it ran on.
+    """
+
+    number: int
+    name: str
+    swept: list[str]
+    state: str = WAITING
+    starts: int = 0
+    why: str = ""
+    seconds: float = 0.0
+    host: str = ""
+
+    @property
+    def label(self) -> str:
+        return " ".join(self.swept) or self.name
+
+    @property
+    def has_ended(self) -> bool:
+        return self.state in (FINISHED, FAILED)
+
+    def waits(self, sweep: Path) -> None:
+        """Note that it is still to be run."""
+        self._write(sweep, WAITING)
+
+    def started(self, sweep: Path) -> None:
+        """Note that it runs here, and forget why it failed before."""
+        discard(sweep / self.name / FAILURE)
+        self.starts, self.why, self.host = self.starts + 1, "", platform.node()
+        self._write(sweep, RUNNING)
+
+    def ended(self, sweep: Path, seconds: float, why: str | None) -> None:
+        """Note that it finished, or why it failed; `failure.txt` has the whole of that."""
+        self.seconds = round(seconds, 1)
+        if why is not None:
+            *before, self.why = why.strip().splitlines()
+            self.why = self.why if before[:1] == [TRACEBACK] else " ".join([*before, self.why])
+            write_text(sweep / self.name / FAILURE, why.strip() + "\n")
+        self._write(sweep, FINISHED if why is None else FAILED)
+
+    def _write(self, sweep: Path, state: str) -> None:
+        self.state = state
+        write_json(record_file(sweep, self.name), asdict(self))
+
+
+def record_file(sweep: Path, name: str) -> Path:
+    """Where a job's record lies; its log beside it."""
+    return sweep / JOBS / f"{folder_name(name)}.json"
+
+
+def read_record(sweep: Path, number: int, name: str, swept: list[str]) -> JobRecord:
+    """How a job stands; waiting, where nothing is known of it."""
+    return _read(record_file(sweep, name)) or JobRecord(number, name, swept)
+
+
+def read_records(sweep: Path) -> list[JobRecord]:
+    """How all jobs stand, in their order."""
+    records = [_read(path) for path in sweep.glob(f"{JOBS}/*.json")]
+    return sorted((record for record in records if record is not None), key=lambda record: record.number)
+
+
+def _read(path: Path) -> JobRecord | None:
+    try:
+        return JobRecord(**json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None  # not there, or damaged: as if the job had never been started

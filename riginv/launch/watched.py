@@ -1,0 +1,49 @@
+"""A process of a run that another one has started and watches (`riginv.launch.starter`): it speaks to that one alone.
+
+What ends it goes into a file of its own, so that of all that fail together one is heard. Where the process that watches dies,
+however it dies, this one ends too.
+"""
+
+import json
+import os
+import traceback
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from riginv.launch.apart import end_with
+
+WATCHER, REPORT = "RIGINV_WATCHER", "RIGINV_REPORT"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What ended a process.
+
+    Attributes:
+        text: a sentence for the user, or a traceback.
+        explained: whether it is that sentence.
+    """
+
+    text: str
+    explained: bool
+
+
+def is_watched() -> bool:
+    """Whether another process has started this one for its run."""
+    return WATCHER in os.environ
+
+
+def report(error: BaseException, message: str | None) -> None:
+    """Tell the process that watches what ends this one: a sentence, or where there is none the traceback."""
+    told = Report(message or "".join(traceback.format_exception(error)), explained=message is not None)
+    Path(os.environ[REPORT]).write_text(json.dumps(asdict(told)), encoding="utf-8")
+
+
+def read_report(path: Path) -> Report | None:
+    """What a process told at its end, if it could."""
+    return Report(**json.loads(path.read_text(encoding="utf-8"))) if path.is_file() and path.stat().st_size else None
+
+
+def end_with_watcher() -> None:
+    """End this process as soon as the one that watches it is gone."""
+    end_with(int(os.environ[WATCHER]))

@@ -1,0 +1,84 @@
+"""What is reported: vertex errors in mm, and the roughness of curves (paper, Tables 1 to 3)."""
+
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+
+from riginv.rig.interface import RigBackend
+
+AT_NEUTRAL = 1e-3  # of a control's range: nearer than this to neutral counts as there
+
+
+class VertexError(Metric):
+    """Distances between corresponding vertices, mm. Sums and counts only: how batches are cut does not change the result.
+
+    Args:
+        of_all_processes: where several share the meshes; all of them must then ask for the result.
+    """
+
+    higher_is_better = False
+    is_differentiable = False
+    full_state_update = False
+
+    total_mm: Tensor
+    total_of_max_mm: Tensor
+    max_mm: Tensor
+    vertices: Tensor
+    poses: Tensor
+
+    def __init__(self, of_all_processes: bool = False) -> None:
+        super().__init__(sync_on_compute=of_all_processes)
+        for name in ("total_mm", "total_of_max_mm", "vertices", "poses"):
+            self.add_state(name, torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("max_mm", torch.zeros((), dtype=torch.float64), dist_reduce_fx="max")
+
+    def update(self, found: Tensor, expected: Tensor, known: Tensor | None = None) -> None:
+        """Add poses: both `(batch, vertex, 3)`, mm.
+
+        Args:
+            known: the vertices that count, `(batch, vertex)`; None: all.
+        """
+        distances = torch.linalg.vector_norm(found - expected, dim=2).double()
+        if known is not None:
+            distances = torch.where(known, distances, 0.0)
+        greatest = distances.amax(dim=1)
+        self.total_mm += distances.sum()
+        self.total_of_max_mm += greatest.sum()
+        self.max_mm = torch.maximum(self.max_mm, greatest.max())
+        self.vertices += distances.numel() if known is None else known.sum()
+        self.poses += len(distances)
+
+    def compute(self) -> dict[str, Tensor]:
+        """`mean_vertex_error_mm` over all vertices of all poses, the `max_...` over them, and the mean of the poses' maxima."""
+        return {
+            "mean_vertex_error_mm": self.total_mm / self.vertices,
+            "max_vertex_error_mm": self.max_mm,
+            "mean_of_max_vertex_error_mm": self.total_of_max_mm / self.poses,
+        }
+
+
+def mean_distance(found: Tensor, expected: Tensor, known: Tensor | None = None) -> Tensor:
+    """The mean vertex distance of each mesh, `(mesh,)`, mm; arguments as in `VertexError.update`."""
+    distances = torch.linalg.vector_norm(found - expected, dim=2)
+    if known is None:
+        return distances.mean(dim=1)
+    return torch.where(known, distances, 0.0).sum(dim=1) / known.sum(dim=1).clamp_min(1)
+
+
+def roughness(controls: Tensor, numbers: Tensor | None = None) -> float:
+    """The mean squared second difference of curves `(frame, control)` (paper, Table 3); NaN without three frames in a row.
+
+    Args:
+        numbers: of the frames, `(frame,)`: where one is missing there is no second difference; None: none is.
+    """
+    squares = (controls[2:] - 2 * controls[1:-1] + controls[:-2]).square()
+    if numbers is not None and len(squares):
+        steps = numbers.diff()
+        squares = squares[(steps[1:] == steps.median()) & (steps[:-1] == steps.median())]
+    return float(squares.mean())
+
+
+def nonzero_controls(controls: Tensor, rig: RigBackend) -> float:
+    """How many of the controls `(frame, control)` are away from neutral, on average over the frames."""
+    away = (controls - rig.neutral_controls).abs() > AT_NEUTRAL * (rig.upper - rig.lower)
+    return float(away.sum(dim=1).double().mean())

@@ -1,0 +1,181 @@
+"""Pictures of meshes: rays cast by trimesh, shaded as clay."""
+
+import copy
+import re
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from PIL import Image, ImageDraw
+from torch import Tensor
+
+from riginv.rig.interface import RigBackend
+
+BACKGROUND = np.array([0.93, 0.93, 0.94])
+CLAY = np.array([0.80, 0.62, 0.53])
+KEY_LIGHT, FILL_LIGHT, RIM_LIGHT = np.array([-0.45, 0.55, 0.75]), np.array([0.7, 0.1, 0.5]), np.array([0.0, 0.6, -0.6])
+AMBIENT, KEY, FILL, RIM, SHINE, GAMMA = 0.16, 0.72, 0.28, 0.10, 0.12, 1.6
+HEAT_STOPS = np.array([[0.27, 0.33, 0.55], [0.35, 0.66, 0.62], [0.93, 0.86, 0.45], [0.85, 0.36, 0.22], [0.55, 0.05, 0.13]])
+HARD_EDGE = np.radians(30)
+FONT_SIZE, LINE, MARGIN, MOST_LINES, INK = 13, 16, 6, 3, (40, 40, 46)  # of labels
+BREAKS = re.compile(r"[^\s_]*[\s_]*")  # where a label may be broken: after spaces and underscores
+DISTANCE = 12.0  # of the camera, in half-heights of the picture: little perspective
+
+
+class Camera:
+    """Looks at the middle of a rest mesh from the front, turned by some degrees; the same for every pose of it.
+
+    Only where a pose leaves the picture does `following` move it, so that pictures of poses can be compared.
+    """
+
+    def __init__(self, vertices: Tensor, turn_degrees: float = 15.0, size: tuple[int, int] = (240, 290)) -> None:
+        points = vertices.detach().cpu().double().numpy()
+        self.middle = (points.max(axis=0) + points.min(axis=0)) / 2
+        angle = np.radians(-turn_degrees)
+        cos, sin = np.cos(angle), np.sin(angle)
+        self.rotation = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+        self.size = size
+        extent = np.abs((points - self.middle) @ self.rotation.T).max(axis=0)
+        self.half_height = 1.1 * max(extent[1], extent[0] * size[1] / size[0])
+
+    def following(self, *meshes: Tensor) -> "Camera":
+        """This camera, or, where meshes `(vertex, 3)` reach out of its picture, one like it that sees them whole."""
+        points = np.concatenate([mesh.detach().cpu().double().numpy() for mesh in meshes])
+        width = self.half_height * self.size[0] / self.size[1]
+        x, y, _ = np.abs((points - self.middle) @ self.rotation.T).max(axis=0)
+        if x <= width and y <= self.half_height:
+            return self
+        moved = copy.copy(self)
+        turned = points @ self.rotation.T
+        moved.middle = (turned.max(axis=0) + turned.min(axis=0)) / 2 @ self.rotation
+        extent = (turned.max(axis=0) - turned.min(axis=0)) / 2
+        moved.half_height = max(self.half_height, 1.1 * max(extent[1], extent[0] * self.size[1] / self.size[0]))
+        return moved
+
+    def picture(
+        self, vertices: Tensor, faces: Tensor, colors: Tensor | np.ndarray | None = None, smooth: int = 2
+    ) -> Image.Image:
+        """A picture of one mesh.
+
+        Args:
+            vertices: `(vertex, 3)`, mm.
+            faces: `(face, 3)`.
+            colors: `(vertex, 3)` in [0, 1]; None: clay.
+            smooth: rays along each side of a pixel.
+        """
+        points = (vertices.detach().cpu().double().numpy() - self.middle) @ self.rotation.T / self.half_height
+        triangles = faces.cpu().numpy()
+        mesh = trimesh.Trimesh(points, triangles, process=False)
+        width, height = self.size[0] * smooth, self.size[1] * smooth
+        origin, directions = self._rays(width, height)
+        where, ray, face = mesh.ray.intersects_location(
+            np.broadcast_to(origin, directions.shape), directions, multiple_hits=False
+        )
+        image = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
+        if len(ray):
+            weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], where)[..., None]
+            smooth_normals = _unit((mesh.vertex_normals[triangles[face]] * weights).sum(axis=1))
+            normals = mesh.face_normals[face] if is_angular(mesh) else smooth_normals
+            inside = (normals * directions[ray]).sum(axis=1, keepdims=True) > 0
+            painted = CLAY if colors is None else (np.asarray(colors)[triangles[face]] * weights).sum(axis=1)
+            image[ray] = shade(painted, np.where(inside, -0.6 * normals, normals))
+        pixels = (image.reshape(height, width, 3) ** (1 / GAMMA) * 255).round().astype(np.uint8)
+        return Image.fromarray(pixels).resize(self.size, Image.Resampling.LANCZOS)
+
+    def _rays(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        x = ((np.arange(width) + 0.5) / width * 2 - 1) * width / height
+        y = 1 - (np.arange(height) + 0.5) / height * 2
+        across, up = np.meshgrid(x, y)
+        origin = np.array([0.0, 0.0, DISTANCE])
+        return origin, _unit(np.stack([across.ravel(), up.ravel(), np.zeros(across.size)], axis=1) - origin)
+
+
+def is_angular(mesh: trimesh.Trimesh) -> bool:
+    """Whether a mesh is made of hard edges, as a box is, and no smooth surface."""
+    return len(mesh.face_adjacency_angles) > 0 and float(np.median(mesh.face_adjacency_angles)) > HARD_EDGE
+
+
+def shade(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Light surface points `(point, 3)` by their normals `(point, 3)`: a key, a fill, a rim light and a little shine."""
+
+    def light(direction: np.ndarray) -> np.ndarray:
+        return np.clip(normals @ _unit(direction), 0, None)[:, None]
+
+    lit = AMBIENT + KEY * light(KEY_LIGHT) + FILL * light(FILL_LIGHT) + RIM * light(RIM_LIGHT)
+    shine = SHINE * light(_unit(KEY_LIGHT) + np.array([0.0, 0.0, 1.0])) ** 24
+    return np.clip(colors * lit + shine, 0, 1)
+
+
+def heat_colors(distances: Tensor, top: float) -> np.ndarray:
+    """Colours `(vertex, 3)` for distances `(vertex,)`: blue at 0, dark red from `top` upwards."""
+    place = np.clip(distances.detach().cpu().numpy() / max(top, 1e-9), 0, 1) * (len(HEAT_STOPS) - 1)
+    return np.stack([np.interp(place, np.arange(len(HEAT_STOPS)), stop) for stop in HEAT_STOPS.T], axis=1)
+
+
+def grid(pictures: list[Image.Image], labels: list[str], columns: int) -> Image.Image:
+    """Pictures of one size in rows, each below its label, which is wrapped to the picture's width."""
+    width, height = pictures[0].size
+    lines = [wrapped(label, width - 2 * MARGIN) for label in labels]
+    band = max(map(len, lines)) * LINE + MARGIN
+    rows = -(-len(pictures) // columns)
+    paper = tuple((BACKGROUND ** (1 / GAMMA) * 255).astype(int))
+    sheet = Image.new("RGB", (width * columns, (height + band) * rows), paper)
+    draw = ImageDraw.Draw(sheet)
+    for number, (picture, text) in enumerate(zip(pictures, lines)):
+        left, top = number % columns * width, number // columns * (height + band)
+        for place, line in enumerate(text):
+            draw.text((left + MARGIN, top + MARGIN // 2 + place * LINE), line, fill=INK, font_size=FONT_SIZE)
+        sheet.paste(picture, (left, top + band))
+    return sheet
+
+
+def wrapped(text: str, width: float) -> list[str]:
+    """A text in lines of so many pixels; a word that is too long for one is broken, and what no line is left for is cut."""
+    lines = [""]
+    for word in BREAKS.findall(text):
+        if lines[-1] and _pixels(f"{lines[-1]}{word}".rstrip()) > width:
+            lines.append("")
+        while _pixels(word.rstrip()) > width:
+            fits = next(count for count in range(len(word) - 1, 0, -1) if count == 1 or _pixels(word[:count]) <= width)
+            lines[-1:] = [word[:fits], ""]
+            word = word[fits:]
+        lines[-1] += word
+    lines = [line.rstrip() for line in lines if line.strip()] or [""]
+    if len(lines) <= MOST_LINES:
+        return lines
+    last = f"{lines[MOST_LINES - 1]}..."
+    while _pixels(last) > width:
+        last = f"{last[:-4]}..."
+    return [*lines[: MOST_LINES - 1], last]
+
+
+def _pixels(text: str) -> float:
+    return ImageDraw.Draw(Image.new("RGB", (1, 1))).textlength(text, font_size=FONT_SIZE)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+class Pair(NamedTuple):
+    """A mesh that was asked for and the one that came out, each `(vertex, 3)`, mm, and what to call them."""
+
+    label: str
+    target: Tensor
+    result: Tensor
+
+
+def comparison(rig: RigBackend, pairs: list[Pair]) -> Image.Image:
+    """A row for each pair: target, result, and the error as heat, up to the largest of its row."""
+    camera, faces, colors = Camera(rig.rest_vertices), rig.faces, rig.vertex_colors()
+    colors = None if colors is None else colors.cpu()
+    pictures, labels = [], []
+    for label, target, result in pairs:
+        distances = (result - target).norm(dim=1)
+        top = float(distances.max())
+        heat = heat_colors(distances, top)
+        view = camera.following(target, result)
+        pictures += [view.picture(target, faces, colors), view.picture(result, faces, colors)]
+        pictures += [view.picture(result, faces, heat)]
+        labels += [label, "result", f"error: mean {float(distances.mean()):.2f}, red {top:.1f} mm"]
+    return grid(pictures, labels, columns=3)

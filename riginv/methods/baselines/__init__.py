@@ -1,0 +1,1 @@
+"""The prior methods that the paper cites."""

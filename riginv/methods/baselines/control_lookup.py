@@ -1,0 +1,76 @@
+"""From blendshape weights back to controls, by a table, as tools do that have the shapes but not the rig's logic."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from riginv.methods.baselines.sides import Sides
+from riginv.rig.mesh_space import RigInMeshSpace
+
+KNOTS = 32  # of each table
+FAINT = 0.1  # of what a side does at most: shapes that it drives less do not count as its own
+RIVAL = 0.5  # of a shape's best driver: a side that drives it less is not asked
+
+
+class Entry(NamedTuple):
+    """One shape that tells the weight of one side.
+
+    Attributes:
+        shape, side: indices.
+        curve: the shape's weight at each knot of the side's, `(knot,)`, never falling.
+    """
+
+    shape: int
+    side: int
+    curve: Tensor
+
+
+class ControlLookup:
+    """Which shape tells which control, and by which curve; measured from the rig, one control at a time.
+
+    Each shape tells the side that drives it and drives the fewest shapes beside it; a control that is told by several takes
+    their mean, one that is told by none stays at neutral, and of two sides the greater wins.
+
+    Args:
+        rig: one with blendshapes.
+    """
+
+    def __init__(self, rig: RigInMeshSpace) -> None:
+        self.sides, shapes = Sides(rig.rig), rig.rig.primary_count
+        knots = torch.arange(1, KNOTS + 1, dtype=torch.float64) / KNOTS
+        poses = (torch.eye(len(self.sides), dtype=torch.float64)[:, None] * knots[:, None]).flatten(0, 1)
+        with torch.no_grad():
+            pieces = [rig.rig.coefficients(self.sides.controls(piece))[:, :shapes].double() for piece in poses.split(512)]
+        curves = torch.cat(pieces).unflatten(0, (len(self.sides), KNOTS))
+        full = curves[:, -1]
+        drives = (full > FAINT * full.amax(dim=1, keepdim=True)).sum(dim=1)
+        self.entries = []
+        for shape in range(shapes):
+            rivals = (full[:, shape] >= RIVAL * full[:, shape].max()).nonzero()[:, 0]
+            if full[:, shape].max() > FAINT and len(rivals):
+                side = int(rivals[drives[rivals].argmin()])
+                curve = torch.cat([torch.zeros(1, dtype=torch.float64), curves[side, :, shape]]).cummax(dim=0).values
+                self.entries.append(Entry(shape, side, curve))
+
+    def __call__(self, weights: Tensor) -> Tensor:
+        """Weights of the primary shapes `(mesh, shape)` to controls `(mesh, control)`, within the limits."""
+        total = weights.new_zeros(len(weights), len(self.sides))
+        told = weights.new_zeros(len(self.sides))
+        for shape, side, curve in self.entries:
+            total[:, side] += _where(curve, weights[:, shape].contiguous())
+            told[side] += 1
+        found = total / told.clamp_min(1)
+        for group in self.sides.groups:
+            if len(group) == 2:
+                up, down = found[:, group[0]].clone(), found[:, group[1]].clone()
+                found[:, group[0]], found[:, group[1]] = torch.where(up >= down, up, 0.0), torch.where(down > up, down, 0.0)
+        return self.sides.controls(found)
+
+
+def _where(curve: Tensor, values: Tensor) -> Tensor:
+    """Where a curve over [0, 1] that never falls first reaches each value; 1 where it never does."""
+    place = torch.searchsorted(curve, values).clamp(1, len(curve) - 1)
+    before, after = curve[place - 1], curve[place]
+    share = ((values - before) / (after - before).clamp_min(torch.finfo(values.dtype).eps)).clamp(0, 1)
+    return (place - 1 + share) / (len(curve) - 1)

@@ -1,0 +1,48 @@
+"""Poses that regressions are fitted to."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.rig.batches import generator_at
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.sampling.meshes import MeshSampler
+
+PIECE = 500  # poses at a time
+
+
+def training_poses(rig: RigInMeshSpace, sampler: MeshSampler, count: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Mesh coordinates `(pose, coordinate)`, and how far the controls `(pose, control)` are from neutral, in ranges; the rest
+    pose is the first of them.
+
+    Raises:
+        InputError: there are fewer than three poses, or the sampler draws meshes without their controls.
+    """
+    if count < 3:
+        raise InputError(f"a regression on {count} poses was asked for, expected at least 3")
+    generator = generator_at(seed, "baseline poses")
+    batches = [sampler.sample(min(PIECE, count - start), generator) for start in range(0, count, PIECE)]
+    if "controls" not in batches[0]:
+        raise InputError("the sampler of a regression draws meshes without their controls: choose sampler=rig_poses")
+    neutral, span = rig.rig.neutral_controls, rig.rig.upper - rig.rig.lower
+    controls = torch.cat([neutral[None], *(batch["controls"] for batch in batches)])
+    coordinates = torch.cat([rig(neutral[None]).detach(), *(batch["coordinates"] for batch in batches)])
+    return coordinates[:count].double(), ((controls - neutral) / span)[:count].double()
+
+
+def as_controls(rig: RigInMeshSpace, away: Tensor) -> Tensor:
+    """Distances from neutral `(mesh, control)`, in ranges, as controls within the limits."""
+    own = rig.rig.neutral_controls.double() + away * (rig.rig.upper - rig.rig.lower).double()
+    return own.to(rig.rig.dtype).clamp(rig.rig.lower, rig.rig.upper)
+
+
+def in_pieces(coordinates: Tensor, size: int, solve: Callable[[Tensor], Tensor], controls: int) -> Tensor:
+    """The answers `(mesh, control)` of `solve` for meshes `(mesh, coordinate)`, `size` of them at a time.
+
+    A mesh that holds NaN or infinite values is solved as the rest mesh, and spoils no other.
+    """
+    whole = torch.isfinite(coordinates).all(dim=1, keepdim=True)
+    answers = [solve(piece) for piece in torch.where(whole, coordinates, 0.0).split(size) if len(piece)]
+    return torch.cat(answers) if answers else coordinates.new_zeros(0, controls)

@@ -1,0 +1,101 @@
+"""One method on one set: how good, how smooth, how sparse, how fast."""
+
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.evaluation.optimum import Optimum
+from riginv.evaluation.results import judge_controls
+from riginv.meshes.metrics import nonzero_controls
+from riginv.methods.base import Method
+from riginv.rig.interface import RigBackend
+from riginv.rig.mesh_sets import MeshSet
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a method reached on a set; the fields but the last are the columns of compare.csv.
+
+    None: of roughness, where the set is no clip; of the optimum, where none is known.
+    """
+
+    method: str
+    set: str
+    mean_vertex_error_mm: float
+    max_vertex_error_mm: float
+    roughness: float | None
+    nonzero_controls: float
+    ms_per_frame: float
+    training_seconds: float
+    optimum_ratio: float | None
+    optimum_mm: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+class Clocked(MeshSet):
+    """A set that keeps count of the seconds it takes to make its meshes, and hides the controls that made them."""
+
+    def __init__(self, meshes: MeshSet) -> None:
+        super().__init__(meshes.name, meshes.fps, frame_numbers=meshes.frame_numbers)
+        self.meshes, self.seconds = meshes, 0.0
+
+    def __len__(self) -> int:
+        return len(self.meshes)
+
+    def vertices(self, start: int, stop: int) -> Tensor:
+        began = time.perf_counter()
+        result = self.meshes.vertices(start, stop)
+        self.seconds += time.perf_counter() - began
+        return result
+
+
+def judged_row(
+    name: str,
+    method: Method,
+    true_rig: RigBackend,
+    meshes: MeshSet,
+    training_seconds: float,
+    optimum: Optimum | None = None,
+) -> Row:
+    """Let a method invert a set, and let the true rig judge what it found.
+
+    Args:
+        optimum: the best possible on some of the meshes, where it is known.
+
+    Raises:
+        InputError: the method gives controls that are not numbers, of another shape, or outside the rig's limits.
+    """
+    clocked = Clocked(meshes)
+    began = time.perf_counter()
+    controls = method.invert(clocked)
+    seconds = time.perf_counter() - began - clocked.seconds
+    _check(name, controls, true_rig, len(meshes))
+    judgement = judge_controls(true_rig, meshes, controls)
+    values = {key.partition("/")[2]: value for key, value in judgement.metrics.items()}
+    return Row(
+        method=name,
+        set=meshes.name,
+        mean_vertex_error_mm=values["mean_vertex_error_mm"],
+        max_vertex_error_mm=values["max_vertex_error_mm"],
+        roughness=values.get("roughness"),
+        nonzero_controls=nonzero_controls(controls, true_rig),
+        ms_per_frame=1e3 * seconds / len(meshes),
+        training_seconds=training_seconds,
+        optimum_ratio=optimum.ratio(judgement) if optimum else None,
+        optimum_mm=optimum.mean_mm if optimum else None,
+    )
+
+
+def _check(name: str, controls: Tensor, rig: RigBackend, count: int) -> None:
+    if controls.shape != (count, len(rig.controls)):
+        raise InputError(
+            f"method '{name}' gave controls of shape {tuple(controls.shape)}, expected {(count, len(rig.controls))}"
+        )
+    slack = 1e-5 * (rig.upper - rig.lower)
+    if not bool(((controls >= rig.lower - slack) & (controls <= rig.upper + slack)).all()):
+        raise InputError(f"method '{name}' gave controls that are NaN or outside the limits of rig '{rig.name}'")

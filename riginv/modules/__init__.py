@@ -1,1 +1,0 @@
-"""Lightning modules: thin, one for each thing that is trained."""

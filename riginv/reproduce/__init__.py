@@ -1,0 +1,1 @@
+"""The paper, reproduced: steps, tables, claims and the report."""

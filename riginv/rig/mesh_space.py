@@ -1,0 +1,180 @@
+"""Mesh space: the few coordinates in which a mesh loss equals the loss on all vertices, constant aside.
+
+A rig that ends in a linear map, x = rest + B (f(r) - f(neutral)), reaches only the span of its basis B. With B = Q R, Q
+orthonormal, and the mesh coordinates z = Q^T (x - rest) of a mesh x,
+
+    |x - rig(r)|^2  =  |z - R (f(r) - f(neutral))|^2  +  |what of x lies outside the span|^2,
+
+and the last term does not depend on r. For a black box, Q comes from samples instead, kept until a stated residual.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from riginv.errors import InputError
+from riginv.rig.interface import LinearRig, Pull
+
+SEARCHED_VERTICES = 3000  # that the number of components is searched by
+RANK_TOLERANCE = 1e-6  # of the largest singular value; directions below it are noise of a float32 basis
+
+
+class MeshSpace(nn.Module):
+    """An orthonormal frame of meshes around a rest mesh.
+
+    Attributes:
+        rest_vertices: `(vertex, 3)`, mm.
+        frame: Q, `(coordinate, vertex, 3)`; its rows are orthonormal, in order of importance.
+        residual_mm: mean distance of the meshes it was fitted to from the span of the frame; 0 where it is exact.
+    """
+
+    rest_vertices: Tensor
+    frame: Tensor
+
+    def __init__(self, rest_vertices: Tensor, frame: Tensor, residual_mm: float = 0.0) -> None:
+        super().__init__()
+        self.register_buffer("rest_vertices", rest_vertices, persistent=False)
+        self.register_buffer("frame", frame, persistent=False)
+        self.residual_mm = residual_mm
+
+    @classmethod
+    def from_rig(cls, rig: LinearRig) -> "MeshSpace":
+        """The exact mesh space of a rig that ends in a linear map: the span of its basis."""
+        axes = _axis_by_axis(rig.basis)
+        if axes is None:
+            frame, values = _orthonormal(rig.basis.flatten(1))
+            frame = frame.unflatten(1, rig.rest_vertices.shape)
+        else:
+            frame, values = _orthonormal_by_axis(rig.basis, axes)
+        kept = values > RANK_TOLERANCE * values.amax()
+        return cls(rig.rest_vertices, frame[kept].to(rig.dtype))
+
+    @classmethod
+    def from_samples(cls, rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> "MeshSpace":
+        """The principal components of sampled meshes, as many as it takes to come within `residual_mm` of them on average.
+
+        Args:
+            rest_vertices: `(vertex, 3)`, mm.
+            samples: `(sample, vertex, 3)`, mm.
+            residual_mm: the mean vertex distance, over all samples, that may remain.
+
+        Raises:
+            InputError: no samples, NaN or infinite values among them, or a residual that is not positive.
+        """
+        if not len(samples) or not torch.isfinite(samples).all():
+            raise InputError("a mesh space needs at least one sampled mesh, and no NaN or infinite values in any")
+        if not residual_mm > 0:
+            raise InputError(f"residual_mm is {residual_mm}, expected a distance above 0")
+        flat = (samples - rest_vertices).flatten(1).double()
+        right = _principal_directions(flat, residual_mm)
+        rank, coordinates = len(right), flat @ right.T
+        some = slice(None, None, max(1, len(rest_vertices) // SEARCHED_VERTICES))
+
+        def residual(count: int, vertices: slice) -> float:
+            of, by = (rows.unflatten(1, rest_vertices.shape)[:, vertices].flatten(1) for rows in (flat, right[:count]))
+            rest = of - coordinates[:, :count] @ by
+            return float(rest.unflatten(1, (-1, 3)).norm(dim=2).mean())
+
+        low, high = 0, rank  # the residual falls as components are added: bisect for the fewest that suffice
+        while low < high:
+            middle = (low + high) // 2
+            low, high = (low, middle) if residual(middle, some) <= residual_mm else (middle + 1, high)
+        count = max(low, 1)
+        remaining = residual(count, slice(None))
+        while remaining > residual_mm and count < rank:  # the vertices that were searched by may be those that are met best
+            count = min(rank, count + max(1, count // 100))
+            remaining = residual(count, slice(None))
+        frame = right[:count].unflatten(1, rest_vertices.shape).to(rest_vertices.dtype)
+        return cls(rest_vertices, frame, remaining)
+
+    @property
+    def size(self) -> int:
+        """The number of mesh coordinates."""
+        return len(self.frame)
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.rest_vertices)
+
+    def encode(self, vertices: Tensor) -> Tensor:
+        """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`: what the rig can reach of them."""
+        return (vertices - self.rest_vertices).flatten(1) @ self.frame.flatten(1).T
+
+    def decode(self, coordinates: Tensor) -> Tensor:
+        """Mesh coordinates `(batch, coordinate)` to meshes `(batch, vertex, 3)`, mm."""
+        return self.rest_vertices + (coordinates @ self.frame.flatten(1)).unflatten(1, self.rest_vertices.shape)
+
+
+def _principal_directions(flat: Tensor, residual_mm: float) -> Tensor:
+    """Orthonormal directions `(direction, value)` of samples `(sample, value)`, in order of importance.
+
+    They come of the samples' Gram matrix: far faster than a decomposition of the samples where these are long. As many as
+    leave a root mean square distance of `residual_mm` are enough, for the mean distance is no larger.
+    """
+    squares, vectors = torch.linalg.eigh(flat @ flat.T)
+    squares = squares.clamp_min(0).flip(0)
+    values = squares.sqrt()
+    rank = max(int((values > RANK_TOLERANCE * values[0].clamp_min(1e-12)).sum()), 1)
+    remaining = (squares.sum() - squares.cumsum(0)) / (len(flat) * flat.shape[1] / 3)
+    enough = int((remaining > residual_mm**2).sum()) + 1
+    rank = min(rank, enough)
+    directions = vectors.flip(1)[:, :rank].T @ flat
+    return torch.linalg.qr(directions.T)[0].T  # once more: the Gram matrix has squared the faint ones' rounding errors
+
+
+class RigInMeshSpace(nn.Module):
+    """A rig seen in its mesh space: `forward` maps controls to mesh coordinates, without ever making a vertex.
+
+    Attributes:
+        rig: the rig, which must end in a linear map.
+        space: its mesh space.
+        linear_map: R^T `(coefficient, coordinate)`: the coordinates that each coefficient moves by.
+    """
+
+    linear_map: Tensor
+
+    def __init__(self, rig: LinearRig, space: MeshSpace) -> None:
+        super().__init__()
+        self.rig, self.space = rig, space
+        self.register_buffer("linear_map", rig.basis.flatten(1) @ space.frame.flatten(1).T, persistent=False)
+        self.register_buffer("neutral_coefficients", rig.neutral_coefficients().detach(), persistent=False)
+
+    def forward(self, controls: Tensor) -> Tensor:
+        """Controls `(batch, control)` to mesh coordinates `(batch, coordinate)`; 0 at the neutral controls."""
+        return self.coordinates_of(self.rig.coefficients(controls))
+
+    @torch.no_grad()
+    def coordinates_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+        """As `forward`, without a graph, and the function that maps a gradient `(batch, coordinate)` to one of the controls."""
+        coefficients, pull = self.rig.coefficients_and_pull(controls)
+        return self.coordinates_of(coefficients), lambda gradient: pull(gradient @ self.linear_map.T)
+
+    def coordinates_of(self, coefficients: Tensor) -> Tensor:
+        """Coefficients `(batch, coefficient)` to mesh coordinates `(batch, coordinate)`."""
+        return (coefficients - self.neutral_coefficients) @ self.linear_map
+
+
+def _orthonormal(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Orthonormal rows `(coefficient, number)` with the same span, and the size of each, `(coefficient,)`, descending."""
+    q, r = torch.linalg.qr(rows.double().T)
+    left, values, _ = torch.linalg.svd(r)
+    return (q @ left[:, : len(values)]).T, values
+
+
+def _axis_by_axis(basis: Tensor) -> Tensor | None:
+    """The one axis `(coefficient,)` along which each coefficient moves vertices, as in skinning; None where one moves more."""
+    moved = torch.stack([basis[:, :, axis].ne(0).any(dim=1) for axis in range(3)], dim=1)
+    return moved.int().argmax(dim=1) if bool((moved.sum(dim=1) <= 1).all()) else None
+
+
+def _orthonormal_by_axis(basis: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
+    """What `_orthonormal` gives for a basis `(coefficient, vertex, 3)`, as three problems of a twenty-seventh of the size.
+
+    Coefficients of different axes move no coordinate in common, so that their spans are orthogonal as they are.
+    """
+    frames, sizes = [], []
+    for axis in range(3):
+        rows, values = _orthonormal(basis[axes == axis, :, axis])
+        frames.append(torch.stack([rows if other == axis else torch.zeros_like(rows) for other in range(3)], dim=2))
+        sizes.append(values)
+    values, order = torch.cat(sizes).sort(descending=True, stable=True)
+    return torch.cat(frames)[order], values

@@ -1,0 +1,42 @@
+"""What is printed beside tables: lines, notes and warnings, and a bar that says how far long work is."""
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import Progress, ProgressColumn
+from rich.text import Text
+
+
+class Bar:
+    """To be entered while the work goes on; where there is no terminal nothing is drawn.
+
+    Args:
+        columns: of Rich's.
+
+    Attributes:
+        console: to print beside the bar.
+        bar: Rich's own.
+    """
+
+    def __init__(self, *columns: ProgressColumn) -> None:
+        self.console = Console(stderr=True)
+        self.bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
+
+    def __enter__(self) -> Self:
+        self.bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.bar.stop()
+
+
+def show_lines(
+    lines: Sequence[str], notes: Sequence[str] = (), warnings: Sequence[str] = (), console: Console | None = None
+) -> None:
+    """Print lines, notes and warnings, each in a line of its own; to standard error, where no console is named."""
+    console = console or Console(stderr=True)
+    for start, texts, style in (("", lines, ""), ("note: ", notes, ""), ("warning: ", warnings, "yellow")):
+        for text in texts:
+            console.print(Text.assemble((start, style), text), highlight=False, soft_wrap=True)

@@ -1,0 +1,1 @@
+"""From a clip of meshes to controls over time."""

@@ -1,0 +1,107 @@
+"""What a user wants of the controls, resolved against a rig: which are free, held, static, dear, or tied in pairs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.rig.interface import RigBackend
+from riginv.tracking.control_names import ControlNames
+from riginv.tracking.preferences import Preferences
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What is wanted of a rig's controls.
+
+    Attributes:
+        free: whether a control is left to find, `(control,)`.
+        held: what those that are not stand at, `(control,)`; neutral unless said.
+        static: those that have one value for the clip, `(control,)`.
+        preferences: among all controls.
+    """
+
+    free: Tensor
+    held: Tensor
+    static: Tensor
+    preferences: Preferences
+
+    @property
+    def only_of_solvers(self) -> str:
+        """The key of a wish that a network alone cannot meet; empty where there is none."""
+        preferences = self.preferences
+        named = {
+            "controls.weights": bool((preferences.dearness != 1).any()),
+            "controls.symmetric": len(preferences.symmetric) > 0,
+            "controls.exclusive": len(preferences.exclusive) > 0,
+        }
+        return next((key for key, wished in named.items() if wished), "")
+
+    def with_held(self, controls: Tensor, values: Tensor) -> "Wishes":
+        """The same with further controls `(control,)`, by mask, held at values `(control,)`."""
+        return replace(self, free=self.free & ~controls, held=torch.where(controls, values, self.held))
+
+    def preferences_of_free(self) -> Preferences:
+        """The preferences among the free controls alone, by their numbers among these; pairs with a held one are dropped."""
+        place = torch.cumsum(self.free.long(), 0) - 1
+
+        def kept(pairs: Tensor) -> Tensor:
+            return place[pairs[self.free[pairs].all(dim=1)]]
+
+        ours = self.preferences
+        return replace(ours, dearness=ours.dearness[self.free], symmetric=kept(ours.symmetric), exclusive=kept(ours.exclusive))
+
+
+def resolve_wishes(rig: RigBackend, options: Mapping[str, Any]) -> Wishes:
+    """The wishes of a config's `controls`.
+
+    Raises:
+        InputError: a name, a value or a file is wrong; or no control is left free.
+    """
+    names = ControlNames(rig, options["unknown"])
+    free = torch.zeros(len(rig.controls), dtype=torch.bool)
+    free[names.fitting(options["activate"], "controls.activate")] = True
+    free[names.fitting(options["freeze"], "controls.freeze")] = False
+    dearness, held = torch.ones(len(rig.controls)), rig.neutral_controls.clone()
+    if options["mask"]:
+        for number, weight in names.mask(Path(str(options["mask"]))).items():
+            free[number] &= weight > 0
+            dearness[number] /= weight or 1.0
+    for glob, weight in _mapping(options, "weights").items():
+        _check_number(f"controls.weights.{glob}", weight, 0.0, 1e12)
+        dearness[names.fitting([glob], "controls.weights")] = float(weight)
+    for glob, value in _mapping(options, "hold").items():
+        for number in names.fitting([glob], "controls.hold"):
+            control = rig.controls[number]
+            _check_number(f"controls.hold.{glob}", value, control.lower, control.upper)
+            free[number], held[number] = False, value
+    static = torch.zeros_like(free)
+    static[names.fitting(options["static"], "controls.static")] = True
+    if not bool(free.any()):
+        raise InputError("controls.activate, freeze, hold and mask leave no control free: there is nothing to find")
+    pairs = {
+        key: torch.tensor(names.pairs(options[key], f"controls.{key}"), dtype=torch.long).reshape(-1, 2)
+        for key in ("symmetric", "exclusive")
+    }
+    for key in ("symmetric_mm2", "exclusive_mm2"):
+        _check_number(f"controls.{key}", options[key], 0.0, 1e6)
+    preferences = Preferences(
+        dearness, pairs["symmetric"], pairs["exclusive"], options["symmetric_mm2"], options["exclusive_mm2"]
+    )
+    return Wishes(free, held, static & free, preferences)
+
+
+def _mapping(options: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = options[key]
+    if value is not None and not isinstance(value, Mapping):
+        raise InputError(f"controls.{key} is {value!r}, expected names, each with a value: controls.{key}={{jawOpen: 1}}")
+    return {str(name): given for name, given in (value or {}).items()}
+
+
+def _check_number(key: str, value: Any, least: float, most: float) -> None:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
+        raise InputError(f"{key} is {value!r}, expected a number from {least:g} to {most:g}")

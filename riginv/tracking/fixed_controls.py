@@ -1,0 +1,51 @@
+"""A rig of which some controls are held: only the others are left to find."""
+
+from torch import Tensor
+
+from riginv.rig.interface import LinearRig, Pull
+from riginv.rig.jacobian import Jacobian
+
+
+class HeldRig(LinearRig):
+    """A rig with the free ones of its controls.
+
+    Args:
+        rig: the rig.
+        free: the numbers of the controls that are left, `(free control,)`.
+        held: what all controls are held at, `(control,)`; of the free ones it says nothing.
+    """
+
+    free: Tensor
+    held: Tensor
+
+    def __init__(self, rig: LinearRig, free: Tensor, held: Tensor) -> None:
+        controls = [rig.controls[number] for number in free.tolist()]
+        super().__init__(rig.name, controls, rig.rest_vertices, rig.faces, rig.basis, rig.coefficient_names, rig.primary_count)
+        self.rig, self.differentiable = rig, rig.differentiable
+        self.register_buffer("free", free, persistent=False)
+        self.register_buffer("held", held.to(rig.dtype), persistent=False)
+
+    def all_controls(self, free: Tensor) -> Tensor:
+        """Free controls `(batch, free control)` among the held ones, `(batch, control)`."""
+        return self.held.to(free).expand(len(free), -1).index_copy(1, self.free, free)
+
+    def coefficients(self, controls: Tensor) -> Tensor:
+        return self.rig.coefficients(self.all_controls(controls))
+
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        found, jacobian = self.rig.coefficient_jacobian(self.all_controls(controls))
+        return found, jacobian.of_controls(self.free)
+
+    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+        found, pull = self.rig.coefficients_and_pull(self.all_controls(controls))
+        return found, lambda gradient: pull(gradient).index_select(1, self.free)
+
+    def neutral_coefficients(self) -> Tensor:
+        """Those of the rest mesh, which the held controls may not be at."""
+        return self.rig.neutral_coefficients()
+
+    def features(self, coefficients: Tensor) -> Tensor | None:
+        return self.rig.features(coefficients)
+
+    def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
+        return self.rig.feature_change(before, after)

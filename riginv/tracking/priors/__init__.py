@@ -1,0 +1,1 @@
+"""Which controls go together, learned from takes or made up."""

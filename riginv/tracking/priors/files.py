@@ -1,0 +1,66 @@
+"""Priors as files: numbers as safetensors, and beside them, in the same folder, what they belong to as YAML."""
+
+from pathlib import Path
+
+import torch
+import yaml
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from riginv.errors import InputError, in_short
+from riginv.rig.identity import check_rig, describe
+from riginv.rig.interface import LinearRig
+from riginv.runs.files import check_regular, read_yaml, written_beside
+from riginv.tracking.priors.prior import ControlPrior
+
+NUMBERS, FACTS = "prior.safetensors", "prior.yaml"
+VERSION = 1
+LARGEST = 1 << 28  # bytes of the numbers: 4,000 controls
+
+
+def save_prior(folder: Path, prior: ControlPrior, rig: LinearRig, frames: int) -> None:
+    """Write a prior as a folder, whole or not at all.
+
+    Args:
+        rig: whose controls they are; the folder holds its identity.
+        frames: that it was learned from.
+    """
+    facts = {"riginv_prior": VERSION, "source": prior.source, "frames": frames, "rig": describe(rig, {})}
+    with written_beside(folder) as beside:
+        beside.mkdir()
+        save_file({"mean": prior.mean.contiguous(), "covariance": prior.covariance.contiguous()}, beside / NUMBERS)
+        (beside / FACTS).write_text(yaml.safe_dump(facts, sort_keys=False), encoding="utf-8")
+
+
+def load_prior(folder: Path, rig: LinearRig) -> ControlPrior:
+    """Read a prior.
+
+    Raises:
+        InputError: it is missing or damaged, or belongs to another rig.
+    """
+    facts = read_yaml(folder / FACTS)
+    if facts.get("riginv_prior") != VERSION or not isinstance(facts.get("rig"), dict):
+        raise InputError(f"{folder / FACTS}: no prior of this version of riginv: learn it again with riginv.learn_prior")
+    try:
+        check_rig(str(folder), facts["rig"], rig)
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise InputError(f"{folder / FACTS}: damaged ({in_short(error)}): learn the prior again") from None
+    path, count = folder / NUMBERS, len(rig.controls)
+    try:
+        check_regular(path)
+        if path.stat().st_size > LARGEST:
+            raise InputError(f"{path}: {path.stat().st_size:,} bytes, expected those of {count} controls")
+        read = load_file(path)
+        mean, covariance = read["mean"].double(), read["covariance"].double()
+    except (OSError, SafetensorError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read ({in_short(error)}): learn the prior again") from None
+    if mean.shape != (count,) or covariance.shape != (count, count) or not bool(torch.isfinite(covariance).all()):
+        raise InputError(
+            f"{path}: mean {tuple(mean.shape)} and covariance {tuple(covariance.shape)}, expected {count} controls"
+        )
+    covariance = (covariance + covariance.T) / 2
+    if torch.linalg.cholesky_ex(covariance)[1] != 0 or not bool(torch.isfinite(mean).all()):
+        raise InputError(f"{path}: its covariance is not positive definite: damaged; learn the prior again")
+    return ControlPrior(rig.control_names, mean, covariance, str(facts.get("source", ""))[:200])

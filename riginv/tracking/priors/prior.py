@@ -1,0 +1,117 @@
+"""A Gaussian over a rig's controls, in fractions of their ranges."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.rig.interface import RigBackend
+from riginv.solvers.weighed_prior import WeighedPrior
+
+RIDGE = 1e-4  # added to every variance: a control that never moved may still move by a hundredth of its range
+RADIUS_MM = 6.0  # within which measurements share their errors
+MOST_POINTS = 4000  # that are counted; of more every so-manieth tells as much
+
+
+@dataclass(frozen=True)
+class ControlPrior:
+    """Mean and covariance of a rig's controls; 0 is the lower limit of a control, 1 the upper.
+
+    Attributes:
+        names: of the controls, in the rig's order.
+        mean: `(control,)`, float64.
+        covariance: `(control, control)`, float64, positive definite.
+        source: what it was learned from, for people to read.
+    """
+
+    names: tuple[str, ...]
+    mean: Tensor
+    covariance: Tensor
+    source: str = ""
+
+    @cached_property
+    def precision(self) -> Tensor:
+        """The inverse of the covariance, `(control, control)`."""
+        return torch.cholesky_inverse(torch.linalg.cholesky(self.covariance))
+
+    @cached_property
+    def deviation(self) -> Tensor:
+        """Standard deviations `(control,)`."""
+        return self.covariance.diagonal().sqrt()
+
+    def weighed(self, noise_mm: float, measurements: float) -> "WeighedPrior":
+        """The prior as it counts against the mean squared distance of some measurements.
+
+        With independent errors of standard deviation `noise_mm` the most likely controls minimise
+        `0.5 mean(distance^2) + 0.5 noise_mm^2 / measurements (u - m)' C^-1 (u - m)`.
+
+        Args:
+            noise_mm: standard deviation of a measurement's error, mm, what the rig cannot make included.
+            measurements: how many independent ones there are (`independent_measurements`).
+        """
+        return WeighedPrior(self.mean, noise_mm**2 / max(measurements, 1.0) * self.precision)
+
+    def of(self, controls: Tensor) -> "ControlPrior":
+        """The prior of some controls given by number, `(some,)`: the others are left open."""
+        numbers = controls.tolist()
+        names = tuple(self.names[number] for number in numbers)
+        return ControlPrior(names, self.mean[controls], self.covariance[controls][:, controls], self.source)
+
+
+def learn_prior(rig: RigBackend, controls: Tensor, source: str = "", ridge: float = RIDGE) -> ControlPrior:
+    """The prior of controls that were found or recorded before.
+
+    Args:
+        controls: `(frame, control)`, in the rig's own units.
+        source: what they come from.
+        ridge: added to every variance.
+
+    Raises:
+        InputError: fewer than two frames, another number of controls, or values that are not finite.
+    """
+    if controls.ndim != 2 or controls.shape[1] != len(rig.controls) or len(controls) < 2:
+        raise InputError(
+            f"a prior of rig '{rig.name}' needs controls (frame, {len(rig.controls)}) of at least 2 frames, "
+            f"found shape {tuple(controls.shape)}"
+        )
+    if not bool(torch.isfinite(controls).all()):
+        raise InputError(f"a prior of rig '{rig.name}' cannot be learned from controls with NaN or infinite values")
+    lower, span = rig.lower.double().cpu(), (rig.upper - rig.lower).double().cpu()
+    units = ((controls.double().cpu() - lower) / span).clamp(0, 1)
+    mean = units.mean(dim=0)
+    covariance = (units - mean).T @ (units - mean) / (len(units) - 1)
+    return ControlPrior(rig.control_names, mean, covariance + ridge * torch.eye(len(mean), dtype=torch.float64), source)
+
+
+def blended(take: ControlPrior, default: ControlPrior, fraction: float = 0.9, least: float = 0.5) -> ControlPrior:
+    """What a take says, and for what it does not show, what holds without it.
+
+    Mean and covariance are those of a mixture; a control that hardly moved in the take keeps some freedom of its own.
+
+    Args:
+        fraction: of the take in the mixture.
+        least: the standard deviation of each control, at least, relative to that without the take.
+    """
+    rest = 1 - fraction
+    apart = take.mean - default.mean
+    covariance = fraction * take.covariance + rest * default.covariance + fraction * rest * torch.outer(apart, apart)
+    missing = (least * default.deviation).square() - covariance.diagonal()
+    covariance = covariance + torch.diag(missing.clamp_min(0))
+    source = "; ".join(filter(None, (take.source, default.source)))
+    return ControlPrior(take.names, fraction * take.mean + rest * default.mean, covariance, source)
+
+
+def independent_measurements(points: Tensor, radius_mm: float = RADIUS_MM) -> float:
+    """How many of some measured points `(point, 3)`, mm, have errors of their own: neighbours share theirs.
+
+    Points that lie apart count as 1 each; on a surface the number is its area over that of a disc, however densely it is
+    sampled, so that a prior means the same for a mesh, for a scan of it, and for markers.
+    """
+    if not len(points):
+        return 0.0
+    known = points.double().cpu().numpy()
+    known = known[:: -(-len(known) // MOST_POINTS)]
+    return float((1 / cKDTree(known).query_ball_point(known, radius_mm, return_length=True)).sum())

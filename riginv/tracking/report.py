@@ -1,0 +1,137 @@
+"""What riginv.invert shows: its guesses first, a bar while it works, and a table of how good the frames are."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import roma
+import torch
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+from torch import Tensor
+
+from riginv.animation.animation import Animation, FrameErrors
+from riginv.rig.interface import RigBackend
+from riginv.runs.console import Bar
+from riginv.tracking.regions import STILL
+
+WORST = 5  # frames that are named
+MEANINGS = {
+    "outside_training_range": "the mesh is unlike those that the network was trained on",
+    "outside_reach": "the rig cannot make this mesh",
+    "not_converged": "more solver steps would lower the error (refine=N, solver.steps)",
+    "lost": "the scan does not lie on the rig's surface",
+    "unexplained": "part of the scan is nowhere near the rig's surface",
+    "little_seen": "the scan has seen little of the rig",
+    "ambiguous": "scan and prior together leave the mesh unsure",
+    "no_scan": "no scan of 50 points or more, or the frame was excluded",
+    "missing_vertices": "some vertices are not known, or the frame was excluded",
+}
+
+
+class InversionProgress(Bar):
+    """To be entered; says what was guessed, then shows how far each pass is; without a terminal there is no bar.
+
+    Args:
+        frames: in each pass.
+        notes: what was guessed.
+    """
+
+    def __init__(self, frames: int, notes: Sequence[str]) -> None:
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(24),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        self.frames, self.passes = frames, {}
+        for note in notes:
+            self.console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
+
+    def advance(self, what: str, frames: int) -> None:
+        """So many frames more of a pass are done; none: it has begun, and cannot say how far it is."""
+        if what not in self.passes:
+            self.passes[what] = self.bar.add_task(what, total=self.frames if frames else None)
+        self.bar.advance(self.passes[what], frames)
+
+
+def show(
+    animation: Animation,
+    errors: FrameErrors,
+    judge: RigBackend,
+    folder: Path,
+    files: Sequence[str],
+    notes: Sequence[str],
+    measure: str = "vertex errors",
+    rows: Sequence[str] = ("mean over a frame's vertices", "worst vertex of a frame"),
+) -> None:
+    """Show how good the frames are, which to look at, and what was written."""
+    console = Console()
+    known = ~errors.mean_mm.isnan()
+    title = f"{escape(animation.source)}: {len(animation):,} frames at {animation.fps:g} a second, {measure} in mm"
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
+    for heading in ("", "mean", "median", "95 % below", "worst frame"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, values in zip(rows, (errors.mean_mm, errors.max_mm)):
+        table.add_row(name, *_figures(values[known]))
+    if errors.neutral_mm is not None:
+        table.add_row("neutral in its place", *_figures(errors.neutral_mm[known]))
+    console.print(table)
+    worst = ", ".join(_frame(animation, errors, row) for row in _worst(animation, errors, known))
+    console.print(
+        f"  Judged by the true rig, [bold]{escape(judge.name)}[/]. Worst frames: {escape(worst)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if errors.reach is not None:
+        console.print(f"  {_scale(errors)}", highlight=False, soft_wrap=True)
+    if animation.motion is not None:
+        console.print(f"  Rigid motion was removed: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
+    counts = Counter(flag for flags in errors.flags for flag in flags)
+    for flag, count in counts.most_common():
+        console.print(f"  [yellow]{flag}[/]: {count} frames: {MEANINGS[flag]}", highlight=False, soft_wrap=True)
+    if not counts:
+        console.print("  No frame is flagged.", highlight=False)
+    for note in notes:
+        console.print(f"  {note}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"  {folder}: {', '.join(files)}", highlight=False, soft_wrap=True, markup=False)
+
+
+def _scale(errors: FrameErrors) -> str:
+    """How the errors compare with the least that is possible."""
+    values, count = errors.summary(), len(errors.reach.rows)
+    ours, least = values["mean_error_there_mm"], values["least_mean_error_mm"]
+    frames = f"{count} frames spread over the clip" if count > 1 else "one frame"
+    return f"Least possible, from many starts, on {frames}: {least:.3g} mm; these curves: {ours:.3g} mm there."
+
+
+def _worst(animation: Animation, errors: FrameErrors, known: Tensor) -> list[int]:
+    """The rows of the worst frames, none within half a second of another."""
+    chosen: list[int] = []
+    for row in errors.worst(int(known.sum())):
+        if len(chosen) < WORST and all(abs(row - other) > animation.fps / 2 for other in chosen):
+            chosen.append(row)
+    return chosen
+
+
+def _extent(motion: Tensor) -> str:
+    """How far motions `(frame, 4, 4)` are from that of the middle frame."""
+    middle = motion[len(motion) // 2]
+    turns = torch.rad2deg(roma.rotmat_geodesic_distance(motion[:, :3, :3], middle[:3, :3].expand(len(motion), -1, -1)))
+    moves = (motion - middle)[:, :3, 3].norm(dim=1)
+    return f"up to {float(turns.max()):.3g} degrees and {float(moves.max()):.3g} mm from the middle frame"
+
+
+def _figures(values: Tensor) -> list[str]:
+    return [f"{float(value):.3g}" for value in (values.mean(), values.median(), values.quantile(0.95), values.max())]
+
+
+def _frame(animation: Animation, errors: FrameErrors, row: int) -> str:
+    region = errors.worst_region[row]
+    where = f", worst at the {region}" if region else ""
+    where = ", worst where no shape moves the mesh" if region == STILL else where
+    return f"{int(animation.frame_numbers[row])} ({float(errors.mean_mm[row]):.2g} mm{where})"

@@ -1,0 +1,1 @@
+"""Scans of any topology, matched by the surface of the rig."""

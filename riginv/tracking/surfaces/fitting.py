@@ -1,0 +1,198 @@
+"""One scan: controls and rigid motion together, by Levenberg-Marquardt on pairs that are found anew at every step."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.solvers.box_step import box_step, damping_diagonal
+from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.tracking.surfaces.matching import Pairs, Target, as_tensor, match
+from riginv.tracking.surfaces.motion import Motion
+from riginv.tracking.surfaces.rig_surface import RigSurface
+
+START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e3
+TRIES = 3  # of more and more damping on one linearisation
+TURN, SHIFT_MM = 2.0, 200.0  # the extent of the box in which rigid motion steps: never met
+NOISE = 4.0  # times the typical distance of good pairs: the scale does not fall below
+OFF_KINK = 0.02  # of a control's range, either way from neutral
+SIDES_MM = 3.0  # the scale at which sides are chosen
+MIDDLE = 0.5  # of that box
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How the steps of one fit go.
+
+    Attributes:
+        steps: at most.
+        first_scale_mm, last_scale_mm: of Geman and McClure's weights; the last is wider where a scan is noisy.
+        factor: by which the scale falls at every step.
+        reach: of a control's range, at most in one step.
+        settled: a fit is done once the scale has come down and no control moves by more, of its range.
+        degrees: between two normals, beyond which a pair counts nothing.
+        sides_at: the steps before which controls at a kink are put on the side that descends.
+    """
+
+    steps: int = 22
+    first_scale_mm: float = 20.0
+    last_scale_mm: float = 0.5
+    factor: float = 0.8
+    reach: float = 0.15
+    settled: float = 0.002
+    degrees: float = 60.0
+    sides_at: tuple[int, ...] = ()
+
+
+FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
+FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, settled=0.01)
+
+
+class State(NamedTuple):
+    """Where a fit stands.
+
+    Attributes:
+        units: controls `(control,)` in fractions of their ranges.
+        motion: from the rig's frame to the scan's.
+    """
+
+    units: Tensor
+    motion: Motion
+
+
+class Normal(NamedTuple):
+    """The data term of one frame near a state: `0.5 sum(weight residual^2)`, mm^2, with gradient and Gauss-Newton Hessian.
+
+    The first columns are the controls, the last six, where the scan may move, rotation and shift in units of their box.
+    """
+
+    cost: float
+    gradient: Tensor
+    hessian: Tensor
+
+
+class SurfaceFit:
+    """Fits of one rig to scans.
+
+    Args:
+        rig: its surface.
+        prior: how likely controls are; the base that decides between controls that do the same is added to it.
+        moves: whether rigid motion is to be found.
+        base: mm^2 for a control that leaves neutral by its whole range.
+    """
+
+    def __init__(self, rig: RigSurface, prior: WeighedPrior | None, moves: bool = True, base: float = 1e-6) -> None:
+        self.surface, self.moves = rig, moves
+        backend = rig.rig
+        self.lower = backend.lower.double().cpu()
+        self.span = backend.upper.double().cpu() - self.lower
+        self.neutral = (backend.neutral_controls.double().cpu() - self.lower) / self.span
+        count = len(self.span)
+        ridge = base * torch.eye(count, dtype=torch.float64)
+        if prior is None:
+            self.prior = WeighedPrior(self.neutral, ridge)
+        else:
+            self.prior = WeighedPrior(prior.mean.double(), prior.precision.double() + ridge)
+
+    def controls(self, units: Tensor) -> Tensor:
+        """Controls in their own units, within the limits of the rig."""
+        backend = self.surface.rig
+        return (self.lower + self.span * units).to(backend.dtype).clamp(backend.lower, backend.upper)
+
+    def fit(self, target: Target, start: State, schedule: Schedule) -> State:
+        """Improve a state by the steps of a schedule."""
+        state, damping, typical = start, START_DAMPING, 0.0
+        for step in range(schedule.steps):
+            if step in schedule.sides_at:
+                state = self.take_sides(target, state, schedule)
+            last = max(schedule.last_scale_mm, NOISE * typical)
+            scale = max(last, schedule.first_scale_mm * schedule.factor**step)
+            state, moved, damping, typical = self.step(target, state, scale, schedule, damping)
+            if moved < schedule.settled and scale <= last:
+                break
+        return state
+
+    def step(
+        self, target: Target, state: State, scale_mm: float, schedule: Schedule, damping: float
+    ) -> tuple[State, float, float, float]:
+        """One step: the new state, how far the controls went at most, the damping to go on with, and the typical distance."""
+        posed = self.surface.posed(self.coefficients(state.units))
+        pairs = match(self.surface, posed, target, state.motion, scale_mm, schedule.degrees)
+        near = Linearised(self, state, pairs)
+        before = near.normal.cost + float(self.prior.cost(state.units[None]))
+        for _ in range(TRIES):
+            change = near.step(damping, schedule.reach)
+            after = near.cost(change)
+            if after <= before:
+                break
+            damping = min(damping * 8, MOST_DAMPING)
+        else:
+            return state, 0.0, damping, pairs.typical_mm
+        moved = float(change[: len(state.units)].abs().max())
+        return near.moved(change), moved, max(damping / 3, LEAST_DAMPING), pairs.typical_mm
+
+    def take_sides(self, target: Target, state: State, schedule: Schedule) -> State:
+        """A state whose two-sided controls near neutral, where many have a kink, stand on the side that helps more."""
+        kinks = (self.neutral > 0) & (self.neutral < 1) & ((state.units - self.neutral).abs() < OFF_KINK)
+        if not bool(kinks.any()):
+            return state
+        posed = self.surface.posed(self.coefficients(state.units))
+        pairs = match(self.surface, posed, target, state.motion, max(SIDES_MM, schedule.last_scale_mm), schedule.degrees)
+        sides = [torch.where(kinks, self.neutral + way, state.units) for way in (OFF_KINK, -OFF_KINK)]
+        rise, fall = (Linearised(self, State(units, state.motion), pairs).normal.gradient[: len(kinks)] for units in sides)
+        up, down = -rise, fall
+        units = torch.where(kinks & (up > 0) & (up >= down), sides[0], state.units)
+        return State(torch.where(kinks & (down > 0) & (down > up), sides[1], units), state.motion)
+
+    def coefficients(self, units: Tensor) -> Tensor:
+        """The rig's coefficients `(coefficient,)`."""
+        with torch.no_grad():
+            return self.surface.rig.coefficients(self.controls(units)[None])[0].float()
+
+
+class Linearised:
+    """The pairs of a fit near a state: residuals linear in the rig's coefficients and in rigid motion."""
+
+    def __init__(self, fit: SurfaceFit, state: State, pairs: Pairs) -> None:
+        self.fit, self.state = fit, state
+        self.rows = pairs.rows(fit.surface)
+        self.residual, self.weights = as_tensor(pairs.residual), as_tensor(pairs.weights)
+        self.coefficients, jacobian = fit.surface.linearise(fit.controls(state.units))
+        columns = jacobian.times(self.rows) * fit.span.float()
+        if fit.moves:
+            box = np.array([TURN] * 3 + [SHIFT_MM] * 3)
+            self.motion_rows = as_tensor(pairs.motion_rows(fit.surface.centre) * box)
+            columns = torch.cat([columns, self.motion_rows], dim=1)
+        weighed = self.weights[:, None] * columns
+        cost = 0.5 * float(self.weights @ self.residual.square())
+        self.normal = Normal(cost, (weighed.T @ self.residual).double(), (weighed.T @ columns).double())
+
+    def step(self, damping: float, reach: float) -> Tensor:
+        """The change `(control + motion,)` that the model asks for, within the limits of the controls."""
+        prior, count = self.fit.prior, len(self.state.units)
+        hessian, gradient = self.normal.hessian.clone(), self.normal.gradient.clone()
+        hessian[:count, :count] += prior.precision
+        gradient[:count] += prior.gradient(self.state.units[None])[0]
+        at = torch.cat([self.state.units, torch.full((len(gradient) - count,), MIDDLE, dtype=torch.float64)])
+        added = damping_diagonal(hessian[None], torch.tensor([damping], dtype=torch.float64))
+        return box_step(hessian[None], gradient[None], at[None], added)[0].clamp(-reach, reach)
+
+    def cost(self, change: Tensor) -> float:
+        """The objective after a change, with the same pairs: exact in the controls, linear in rigid motion."""
+        count = len(self.state.units)
+        units = self.state.units + change[:count]
+        residual = self.residual + self.rows @ (self.fit.coefficients(units) - self.coefficients)
+        if self.fit.moves:
+            residual = residual + self.motion_rows @ change[count:].float()
+        return 0.5 * float(self.weights @ residual.square()) + float(self.fit.prior.cost(units[None]))
+
+    def moved(self, change: Tensor) -> State:
+        """The state after a change."""
+        count = len(self.state.units)
+        motion = self.state.motion
+        if self.fit.moves:
+            turn, shift = change[count : count + 3].numpy() * TURN, change[count + 3 :].numpy() * SHIFT_MM
+            motion = motion.after(turn, shift, self.fit.surface.centre)
+        return State((self.state.units + change[:count]).clamp(0, 1), motion)

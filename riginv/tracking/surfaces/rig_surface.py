@@ -1,0 +1,135 @@
+"""A rig's mesh as a surface: posed, sampled, and differentiated along normals at any of its points."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import trimesh
+from torch import Tensor
+
+from riginv.rig.interface import LinearRig
+from riginv.rig.jacobian import Jacobian
+from riginv.tracking.surfaces.triangles import TriangleMesh, border_edges, unit
+
+DIRECTIONS = 64  # rays from each vertex that tell how exposed it is
+EXPOSED = 0.15  # the fraction of the rays of its hemisphere that leave an outer vertex without a hit
+LIFT_MM = 0.05  # of rays above the surface, so that they do not hit where they start
+
+
+class Posed(NamedTuple):
+    """A pose of a rig, one frame.
+
+    Attributes:
+        coefficients: `(coefficient,)`.
+        mesh: the surface.
+    """
+
+    coefficients: Tensor
+    mesh: TriangleMesh
+
+
+class RigSurface:
+    """The surface of a rig that ends in a linear map.
+
+    Args:
+        rig: the rig.
+        samples: how many of its outer vertices stand for the skin, spread evenly.
+        stillness: how much each vertex counts when rigid motion is looked for, `(vertex,)`; None: all alike.
+
+    Attributes:
+        outer: whether each vertex can be seen from outside, `(vertex,)`.
+        sampled: the vertices that stand for the skin, `(sample,)`.
+        centre: of the rest mesh, `(3,)`, mm: what rigid motion turns about.
+    """
+
+    def __init__(self, rig: LinearRig, samples: int = 1500, stillness: np.ndarray | None = None) -> None:
+        self.rig = rig
+        self.stillness = np.ones(len(rig.rest_vertices)) if stillness is None else stillness
+        self.faces = np.ascontiguousarray(rig.faces.cpu().numpy(), np.int64)
+        self.border = border_edges(self.faces)
+        rest = rig.rest_vertices.cpu().numpy().astype(np.float64)
+        self.outer = exposure(rest, self.faces) > EXPOSED
+        if not self.outer.any():
+            self.outer[:] = True
+        self.centre = rest[self.outer].mean(axis=0)
+        outer = np.flatnonzero(self.outer)
+        self.sampled = outer[farthest_points(rest[outer], samples)]
+        self._rest = rig.rest_vertices.float()
+        self._basis = rig.basis.float().flatten(1)  # (coefficient, 3 vertices)
+        self._rows = self._basis.T.contiguous()  # (3 vertices, coefficient)
+        self._neutral = rig.neutral_coefficients()[0].detach().float()
+
+    @torch.no_grad()
+    def pose(self, controls: Tensor) -> Posed:
+        """The rig's surface at controls `(control,)`."""
+        coefficients = self.rig.coefficients(controls[None].to(self.rig.dtype))[0].float()
+        return self.posed(coefficients)
+
+    @torch.no_grad()
+    def posed(self, coefficients: Tensor) -> Posed:
+        """The rig's surface at coefficients `(coefficient,)`."""
+        return Posed(coefficients, TriangleMesh(self.vertices(coefficients), self.faces, self.border))
+
+    @torch.no_grad()
+    def vertices(self, coefficients: Tensor) -> np.ndarray:
+        """The rig's vertices `(vertex, 3)` at coefficients `(coefficient,)`, mm."""
+        moved = ((coefficients - self._neutral) @ self._basis).view(-1, 3)
+        return (self._rest + moved).numpy()
+
+    @torch.no_grad()
+    def linearise(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        """Coefficients `(coefficient,)` at controls `(control,)`, and their Jacobian."""
+        coefficients, jacobian = self.rig.coefficient_jacobian(controls[None].to(self.rig.dtype))
+        return coefficients[0].float(), jacobian
+
+    def rows(self, corners: np.ndarray, barycentric: np.ndarray, normals: np.ndarray) -> Tensor:
+        """How far each coefficient moves points of the surface along normals, `(point, coefficient)`, mm per unit.
+
+        Args:
+            corners, barycentric: of the points, `(point, corner)`.
+            normals: `(point, 3)`.
+        """
+        count, each = len(corners), corners.shape[1] * 3
+        columns = (3 * corners[:, :, None] + np.arange(3)).reshape(-1)
+        values = (barycentric[:, :, None] * normals[:, None]).astype(np.float32).reshape(-1)
+        starts = torch.arange(0, count * each + 1, each)
+        matrix = torch.sparse_csr_tensor(
+            starts, torch.from_numpy(columns), torch.from_numpy(values), (count, len(self._rows)), check_invariants=False
+        )
+        return matrix @ self._rows
+
+
+def exposure(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The fraction of the directions of each vertex's hemisphere in which nothing of the mesh is in the way, `(vertex,)`."""
+    mesh = trimesh.Trimesh(points, faces, process=False)
+    normals = TriangleMesh(points, faces).normals
+    directions = _sphere(DIRECTIONS)
+    facing = normals @ directions.T > 0.05
+    vertex, direction = np.nonzero(facing)
+    start = points[vertex] + LIFT_MM * normals[vertex]
+    hit = mesh.ray.intersects_any(start, directions[direction])
+    free = np.bincount(vertex[~hit], minlength=len(points))
+    return free / np.maximum(facing.sum(axis=1), 1)
+
+
+def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
+    """The numbers `(count,)` of points that lie as far from one another as they can, greedily."""
+    if count >= len(points):
+        return np.arange(len(points))
+    points = points.astype(np.float32)
+    chosen = np.zeros(count, np.int64)
+    chosen[0] = np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1))
+    distance = np.full(len(points), np.inf, np.float32)
+    for number in range(1, count):
+        distance = np.minimum(distance, ((points - points[chosen[number - 1]]) ** 2).sum(axis=1))
+        chosen[number] = distance.argmax()
+    return np.sort(chosen)
+
+
+def _sphere(count: int) -> np.ndarray:
+    """Directions `(count, 3)` spread evenly over the sphere (Fibonacci)."""
+    number = np.arange(count) + 0.5
+    z = 1 - 2 * number / count
+    angle = np.pi * (1 + 5**0.5) * number
+    ring = np.sqrt(1 - z**2)
+    return unit(np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1))

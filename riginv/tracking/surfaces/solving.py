@@ -1,0 +1,164 @@
+"""Scans to controls, frame after frame: where each starts, when it is tried anew, and what it is worth."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from riginv.rig.interface import LinearRig
+from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.tracking.priors.performances import STRONG, PoseLibrary
+from riginv.tracking.priors.prior import ControlPrior, independent_measurements
+from riginv.tracking.surfaces.alignment import Aligner
+from riginv.tracking.surfaces.fitting import FROM_NEAR, FROM_SCRATCH, Schedule, State, SurfaceFit
+from riginv.tracking.surfaces.matching import Target
+from riginv.tracking.surfaces.motion import Motion
+from riginv.tracking.surfaces.quality import Quality, quality
+from riginv.tracking.surfaces.restarts import hidden_controls, promising
+from riginv.tracking.surfaces.rig_surface import RigSurface
+from riginv.tracking.surfaces.triangles import Surface
+
+OFF_KINKS = 0.02  # of a control's range, that a start keeps away from its limits
+
+
+@dataclass(frozen=True)
+class ScanSettings:
+    """How scans are solved.
+
+    Attributes:
+        samples: of the rig's skin, and of the scan.
+        noise_mm: standard deviation of the distance that remains between the scan and the best mesh of the rig: what the
+            prior is weighed by.
+        base: mm^2 for a control that leaves neutral by its whole range, beside the prior.
+        from_scratch, from_near: the steps of a fit.
+        explained: the fraction of a scan's points that a fit should explain, or other starts are tried.
+        starts: how many of these, at most.
+        seen: the fraction of the rig's skin below which a frame is flagged as `little_seen`.
+        lost_mm: mean distance of a scan from the rig above which a frame is flagged as `lost`.
+        unexplained: the fraction of a scan's points, explained, below which a frame is flagged as `unexplained`.
+        ambiguous_mm: standard deviation of the skin's vertices that scan and prior leave, above which it is `ambiguous`.
+    """
+
+    samples: int = 1500
+    noise_mm: float = 0.1
+    base: float = 1e-6
+    from_scratch: Schedule = FROM_SCRATCH
+    from_near: Schedule = FROM_NEAR
+    explained: float = 0.98
+    starts: int = 1
+    seen: float = 0.25
+    lost_mm: float = 1.0
+    unexplained: float = 0.95
+    ambiguous_mm: float = 0.7
+
+
+@dataclass(frozen=True)
+class SolvedScan:
+    """What was found for one scan.
+
+    Attributes:
+        state: controls and rigid motion.
+        quality: how well they explain it.
+        restarted: whether other starts were tried.
+        turned: whether the scan had to be turned by right angles to be found at all.
+    """
+
+    state: State
+    quality: Quality
+    restarted: bool = False
+    turned: bool = False
+
+
+@dataclass
+class ScanSolver:
+    """Solves scans of one rig.
+
+    Attributes:
+        rig: what is solved through.
+        prior: how likely its controls are.
+        settings: how.
+        moves: whether rigid motion is to be found.
+        stillness: how much each vertex counts when the scan is first looked for, `(vertex,)`; None: all alike.
+    """
+
+    rig: LinearRig
+    prior: ControlPrior
+    settings: ScanSettings = field(default_factory=ScanSettings)
+    moves: bool = True
+    stillness: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        self.surface = RigSurface(self.rig, self.settings.samples, self.stillness)
+        self.start = self.prior.mean.clamp(OFF_KINKS, 1 - OFF_KINKS)
+        first = self.fit_of(1.0)
+        mesh, outer = self.surface.posed(first.coefficients(self.start)).mesh, np.flatnonzero(self.surface.outer)
+        self.aligner = Aligner(mesh, outer, self.surface.sampled, self.surface.stillness)
+        self.library = PoseLibrary.of(self.rig)
+        self.hidden, self.fit_neutral = hidden_controls(first), first.neutral
+
+    def target(self, surface: Surface) -> Target:
+        """A scan, prepared."""
+        return Target.of(surface, self.settings.samples)
+
+    def fit(self, target: Target) -> SurfaceFit:
+        """The fit of a scan, with the prior as it counts beside so many measurements."""
+        return self.fit_of(independent_measurements(torch.from_numpy(target.points)))
+
+    def variance_per_measurement(self, target: Target) -> float:
+        """Of a scan, mm^2: what a prior in fractions of the ranges is weighed by."""
+        return self.settings.noise_mm**2 / max(independent_measurements(torch.from_numpy(target.points)), 1)
+
+    def fit_of(self, measurements: float) -> SurfaceFit:
+        """The fit of a scan that holds so many independent measurements."""
+        weighed: WeighedPrior = self.prior.weighed(self.settings.noise_mm, measurements)
+        return SurfaceFit(self.surface, weighed, self.moves, self.settings.base)
+
+    def solve(self, target: Target, before: SolvedScan | None = None) -> SolvedScan:
+        """Solve a scan, from the frame before where that helps.
+
+        Where the answer does not explain the scan, it is solved from scratch; and where that does not either, from the most
+        promising of some poses. The best by the robust distance and the prior is kept.
+        """
+        fit, best = self.fit(target), None
+        if before is not None:
+            best = self._try(fit, target, before.state, self.settings.from_near)
+            expected = min(self.settings.explained, before.quality.explained - 0.01)
+            if best.quality.explained >= expected:
+                return best
+        motion, turned = Motion.none(), False
+        if self.moves:
+            aligned = self.aligner.align(target)
+            motion, turned = aligned.motion, aligned.turned
+        fresh = self._try(fit, target, State(self.start, motion), self.settings.from_scratch)
+        best = self._better(best, replace(fresh, turned=turned))
+        if best.quality.explained < self.settings.explained and self.settings.starts:
+            best = self._restart(fit, target, best)
+        return best
+
+    def _restart(self, fit: SurfaceFit, target: Target, best: SolvedScan) -> SolvedScan:
+        motion, near = best.state.motion, self.library.around(best.state.units)
+        fresh, starts = self.library.around(self.start), []
+        for number in self.hidden:
+            starts.append(self.start.clone())
+            starts[-1][number] = STRONG if self.fit_neutral[number] < 1 else 1 - STRONG
+        starts += [fresh[number] for number in promising(fit, target, motion, best.quality, near, self.settings.starts)]
+        for units in starts:
+            best = self._better(best, self._try(fit, target, State(units, motion), self.settings.from_scratch))
+        return replace(best, restarted=True)
+
+    def _try(self, fit: SurfaceFit, target: Target, start: State, schedule: Schedule) -> SolvedScan:
+        state = fit.fit(target, start, schedule)
+        return SolvedScan(state, quality(fit, target, state))
+
+    @staticmethod
+    def _better(one: SolvedScan | None, other: SolvedScan) -> SolvedScan:
+        return other if one is None or other.quality.objective < one.quality.objective else one
+
+    def flags(self, found: SolvedScan) -> list[str]:
+        """Why a frame is worth a look: `lost`, `unexplained`, `little_seen`."""
+        named = {
+            "lost": not found.quality.scan_mm < self.settings.lost_mm or found.quality.explained < 0.5,
+            "unexplained": found.quality.explained < self.settings.unexplained,
+            "little_seen": found.quality.seen < self.settings.seen,
+        }
+        return [name for name, holds in named.items() if holds]

@@ -1,0 +1,126 @@
+"""A clip of scans from end to end: each frame from the one before, then all at once; one scan is in memory at a time."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.clips.units import Meaning
+from riginv.errors import InputError
+from riginv.tracking.surfaces.clip import ScanSmoothness, smooth_scans
+from riginv.tracking.surfaces.matching import Target
+from riginv.tracking.surfaces.scans import ScanSequence
+from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
+from riginv.tracking.surfaces.uncertainty import Uncertainty, open_controls, uncertainty
+
+AMBIGUOUS, NO_SCAN = "ambiguous", "no_scan"
+LOOKED_AT = 24  # frames, spread over the clip, that tell which controls scans leave open
+
+
+@dataclass(frozen=True)
+class ScanTrack:
+    """What came of a clip of scans.
+
+    Attributes:
+        controls: `(frame, control)`, within the rig's limits.
+        motion: from the rig's mesh to the scans, mm, y up, `(frame, 4, 4)`.
+        scan_mm, rig_mm: mean distance of each scan's explained points from the rig, and of the rig's seen skin from the scan,
+            `(frame,)`; NaN where there is no scan.
+        seen: the fraction of the rig's skin that each scan has seen, `(frame,)`.
+        explained: the fraction of each scan's points that the rig explains, `(frame,)`.
+        flags: why each frame is worth a look: `lost`, `unexplained`, `little_seen`, `ambiguous`, `no_scan`.
+        open_controls: the names of controls that the scans do not determine: they stay where the prior has them.
+        notes: whole sentences for the user.
+    """
+
+    controls: Tensor
+    motion: Tensor
+    scan_mm: Tensor
+    rig_mm: Tensor
+    seen: Tensor
+    explained: Tensor
+    flags: list[list[str]]
+    open_controls: list[str]
+    notes: list[str]
+
+
+def track_scans(
+    solver: ScanSolver,
+    scans: ScanSequence,
+    meaning: Meaning,
+    frames: Sequence[int],
+    smoothness: ScanSmoothness | None = None,
+    advance: Callable[[str, int], None] = lambda what, frames: None,
+) -> ScanTrack:
+    """Controls and rigid motion of some frames of a clip.
+
+    Args:
+        meaning: of the scans' numbers.
+        frames: the numbers of the frames to solve, in order, counted from 0; -1 for one that is left out.
+        smoothness: of the curves; None: each frame for itself.
+        advance: told what is done, and how many frames are.
+
+    Raises:
+        InputError: no frame has a scan, or none can be brought onto the rig.
+    """
+
+    def load(row: int) -> Target | None:
+        scan = scans.scan(frames[row]) if frames[row] >= 0 else None
+        cleaned = None if scan is None else scan.cleaned()
+        return None if cleaned is None else solver.target(cleaned.surface(meaning.mm, meaning.axes.double().numpy()))
+
+    found: list[SolvedScan | None] = []
+    for row in range(len(frames)):
+        target, before = load(row), next((each for each in reversed(found[-3:]) if each is not None), None)
+        found.append(None if target is None else solver.solve(target, before))
+        advance("each frame", 1)
+    given = [each is not None for each in found]
+    _check(scans, [each for each in found if each is not None], solver)
+    if smoothness is not None and len(found) > 2:
+        found = smooth_scans(solver, load, found, smoothness, lambda done: advance("the whole clip", done))
+    else:
+        found = _nearest(found)
+    looked = [row for row in np.unique(np.linspace(0, len(found) - 1, LOOKED_AT).astype(int)) if given[row]]
+    unsure = {row: uncertainty(solver, load(row), found[row]) for row in looked}
+    return _result(solver, found, given, unsure)
+
+
+def _check(scans: ScanSequence, found: list[SolvedScan], solver: ScanSolver) -> None:
+    if not found:
+        raise InputError(f"{scans.path}: no frame holds a scan of 50 points or more: there is nothing to fit")
+    if all("lost" in solver.flags(each) for each in found):
+        distance = min(each.quality.explained for each in found)
+        raise InputError(
+            f"{scans.path}: none of its {len(found)} scans can be brought onto rig '{solver.rig.name}' (at most {distance:.0%} "
+            f"of a scan's points come near it): is it a scan of this rig's actor, in the unit that was taken, with normals "
+            f"that point outwards? reading.unit and reading.up say what the numbers mean"
+        )
+
+
+def _nearest(found: list[SolvedScan | None]) -> list[SolvedScan]:
+    known = np.array([row for row, each in enumerate(found) if each is not None])
+    return [found[known[np.abs(known - row).argmin()]] for row in range(len(found))]
+
+
+def _result(solver: ScanSolver, found: list[SolvedScan], given: list[bool], unsure: dict[int, Uncertainty]) -> ScanTrack:
+    fit, settings = solver.fit_of(1.0), solver.settings
+    rows = np.array(sorted(unsure))
+    flags, notes = [], []
+    for row, (each, there) in enumerate(zip(found, given)):
+        near = unsure[int(rows[np.abs(rows - row).argmin()])]
+        ambiguous = [AMBIGUOUS] if near.skin_mm > settings.ambiguous_mm else []
+        flags.append([*solver.flags(each), *ambiguous] if there else [NO_SCAN])
+    turned = sum(each.turned for each in found)
+    if turned:
+        notes.append(f"{turned} scans had to be turned by right angles to be found: reading.up=z may say why")
+    numbers = torch.tensor([each.quality[1:5] if there else [torch.nan] * 4 for each, there in zip(found, given)])
+    return ScanTrack(
+        torch.stack([fit.controls(each.state.units) for each in found]),
+        torch.stack([torch.from_numpy(each.state.motion.matrix).float() for each in found]),
+        *numbers.float().T,
+        flags,
+        open_controls(solver, list(unsure.values())),
+        notes,
+    )

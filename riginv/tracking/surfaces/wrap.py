@@ -1,0 +1,207 @@
+"""A mesh wrapped onto a scan of somebody: its topology, the other's shape.
+
+A similarity first, by closest points; then a displacement of each vertex towards the scan that is smooth at first and follows
+it ever more closely (nonrigid ICP after Amberg, Romdhani and Vetter, 2007, with a Laplacian in place of affine maps).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from riginv.errors import InputError
+from riginv.tracking.surfaces.alignment import Aligner
+from riginv.tracking.surfaces.matching import Target
+from riginv.tracking.surfaces.motion import Motion, fit_motion
+from riginv.tracking.surfaces.rig_surface import EXPOSED, exposure, farthest_points
+from riginv.tracking.surfaces.triangles import Hits, Surface, TriangleMesh, border_edges
+
+SAMPLES = 1500
+FOLLOWED = 12  # vertices of the skin whose displacement a part that hangs free follows, such as an eyeball
+TOO_FAR_MM = 8.0  # robust mean distance beyond which a scan is of something else
+WIDE_MM, SCALE_MM = 20.0, 5.0  # of Geman and McClure's weights, at least, at first and in the end
+
+
+@dataclass(frozen=True)
+class WrapSettings:
+    """How a mesh is wrapped.
+
+    Attributes:
+        similarity_rounds: of similarity by closest points.
+        stiffness: of each round's displacement, against the distance of one vertex; falling.
+        normal_fraction: of a displacement that goes along the normal of the scan; the rest is sliding.
+        degrees: between the normals of a vertex and of the scan, beyond which a vertex is not drawn to it.
+        usable_mm: the distance up to which a vertex counts as lying on the scan.
+    """
+
+    similarity_rounds: int = 25
+    stiffness: tuple[float, ...] = (100.0, 50.0, 25.0, 12.0, 6.0, 3.0, 1.5, 0.8, 0.4, 0.2)
+    normal_fraction: float = 0.9
+    degrees: float = 60.0
+    usable_mm: float = 1.5
+
+
+class Wrapped(NamedTuple):
+    """A mesh that was wrapped onto a scan.
+
+    Attributes:
+        vertices: where the scan lies, mm, `(vertex, 3)`.
+        local: the same in the frame of the mesh, without similarity: what differs from the rest mesh is the person,
+            `(vertex, 3)`.
+        scale: of the scan against the mesh.
+        motion: from the mesh's frame, scaled, to the scan's.
+        distance_mm: of each vertex from the scan, `(vertex,)`; NaN where it does not lie on it.
+        usable: the fraction of the outer skin's vertices that lie on the scan.
+    """
+
+    vertices: np.ndarray
+    local: np.ndarray
+    scale: float
+    motion: Motion
+    distance_mm: np.ndarray
+    usable: float
+
+
+def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSettings | None = None) -> Wrapped:
+    """Fit a mesh to a scan.
+
+    Args:
+        rest: vertices of the mesh `(vertex, 3)`, mm.
+        faces: its triangles `(face, 3)`.
+        scan: in mm; where it lies and how large it is is found.
+
+    Raises:
+        InputError: the scan cannot be brought onto the mesh.
+    """
+    settings, rest = settings or WrapSettings(), rest.astype(np.float64)
+    outer = np.flatnonzero(exposure(rest, faces) > EXPOSED)
+    border = border_edges(faces)
+    scale, motion = _similarity(rest, faces, outer, scan, settings)
+    inside = lambda points: motion.undo(points) / scale  # noqa: E731
+    skin = _skin(rest, faces, outer)
+    moving, displacement = np.flatnonzero(skin), np.zeros_like(rest)
+    drawn = np.zeros(len(rest), bool)
+    drawn[outer] = True
+    smoothness = _smoothness(faces, skin)
+    least = np.geomspace(WIDE_MM, SCALE_MM, len(settings.stiffness))
+    for stiffness, least_mm in zip(settings.stiffness, least):
+        mesh = TriangleMesh(rest + displacement, faces, border)
+        hits, weights = _draw(mesh, moving, scan, motion, scale, settings, float(least_mm))
+        weights = weights * drawn[moving]
+        towards = inside(hits.points) - mesh.points[moving]
+        normals = motion.undo_direction(hits.normals)
+        along = (towards * normals).sum(axis=1, keepdims=True) * normals
+        aim = displacement[moving] + along + (1 - settings.normal_fraction) * (towards - along)
+        matrix = sparse.diags_array(weights) + stiffness * smoothness
+        factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        displacement[moving] = factor.solve(weights[:, None] * aim)
+        displacement = _with_loose_parts(rest, faces, skin, displacement)
+    local = rest + displacement
+    hits, weights = _draw(TriangleMesh(local, faces, border), np.arange(len(rest)), scan, motion, scale, settings)
+    distance = np.where((weights > 0) & (hits.distance < settings.usable_mm) & drawn, hits.distance, np.nan)
+    usable = float(np.isfinite(distance[drawn & skin]).mean())
+    return Wrapped(motion.apply(scale * local), local, scale, motion, distance, usable)
+
+
+def _draw(
+    mesh: TriangleMesh,
+    some: np.ndarray,
+    scan: Surface,
+    motion: Motion,
+    scale: float,
+    settings: WrapSettings,
+    least_mm: float = SCALE_MM,
+) -> tuple[Hits, np.ndarray]:
+    """The closest points of a scan to some vertices, in the scan's frame, and how much each draws."""
+    hits = scan.closest(motion.apply(scale * mesh.points[some]))
+    cosine = (mesh.normals[some] @ motion.rotation.T * hits.normals).sum(axis=1)
+    typical = max(3 * float(np.median(hits.distance)), least_mm)
+    good = (cosine > np.cos(np.radians(settings.degrees))) & ~hits.on_border
+    return hits, np.where(good, 1 / (1 + (hits.distance / typical) ** 2) ** 2, 0.0)
+
+
+def _similarity(
+    rest: np.ndarray, faces: np.ndarray, outer: np.ndarray, scan: Surface, settings: WrapSettings
+) -> tuple[float, Motion]:
+    mesh = TriangleMesh(rest, faces)
+    sampled = outer[farthest_points(rest[outer], SAMPLES)]
+    found = Aligner(mesh, outer, sampled, np.ones(len(rest))).align(Target.of(scan, SAMPLES), thorough=True)
+    if found.distance_mm > TOO_FAR_MM:
+        raise InputError(
+            f"the scan cannot be brought onto the mesh: its points stay {found.distance_mm:.1f} mm away and more: is it the "
+            f"same part of a person, in the unit that was taken, with normals that point outwards?"
+        )
+    scale, motion, target = 1.0, found.motion, Target.of(scan, SAMPLES)
+    for _ in range(settings.similarity_rounds):
+        hits, weights = _draw(mesh, sampled, scan, motion, scale, settings)
+        ours, theirs, normals = motion.apply(scale * rest[sampled]), hits.points, hits.normals
+        back = mesh.closest(motion.undo(target.points) / scale)
+        other = motion.apply(scale * back.points)
+        cosine = (back.normals @ motion.rotation.T * target.normals).sum(axis=1)
+        good = (cosine > np.cos(np.radians(settings.degrees))) & ~back.on_border
+        distance = np.linalg.norm(other - target.points, axis=1)
+        further = np.where(good, 1 / (1 + (distance / SCALE_MM) ** 2) ** 2, 0.0)
+        pairs = zip((ours, theirs, normals, weights), (other, target.points, target.normals, further))
+        scale, motion = _similarity_step(*(np.concatenate(both) for both in pairs), scale, motion)
+    return scale, motion
+
+
+def _similarity_step(
+    ours: np.ndarray, theirs: np.ndarray, normals: np.ndarray, weights: np.ndarray, scale: float, motion: Motion
+) -> tuple[float, Motion]:
+    """One step of weighted least squares of distances along normals, in rotation, shift and scale."""
+    centre = np.average(ours, axis=0, weights=weights + 1e-12)
+    away = ours - centre
+    rows = np.concatenate([np.cross(away, normals), normals, (away * normals).sum(axis=1, keepdims=True)], axis=1)
+    square = rows.T @ (weights[:, None] * rows)
+    change = np.linalg.solve(
+        square + 1e-6 * np.diag(square.diagonal()), rows.T @ (weights * ((theirs - ours) * normals).sum(1))
+    )
+    small, factor = Rotation.from_rotvec(change[:3]).as_matrix(), float(np.exp(change[6]))
+    return scale * factor, Motion(small @ motion.rotation, factor * small @ (motion.shift - centre) + centre + change[3:6])
+
+
+def _skin(rest: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> np.ndarray:
+    """The vertices of the connected part that most outer vertices belong to, `(vertex,)`."""
+    _, part = connected_components(_adjacency(faces, len(rest)), directed=False)
+    return part == np.bincount(part[outer]).argmax()
+
+
+def _smoothness(faces: np.ndarray, skin: np.ndarray) -> sparse.csc_array:
+    """Half the squared edges and five times the squared Laplacian of a displacement of the skin."""
+    adjacency = _adjacency(faces, len(skin))[skin][:, skin]
+    degrees = adjacency.sum(axis=1)
+    edges = sparse.diags_array(degrees) - adjacency
+    laplacian = sparse.diags_array(1 / np.maximum(degrees, 1)) @ edges
+    return (0.5 * edges + 5.0 * laplacian.T @ laplacian).tocsc()
+
+
+def _adjacency(faces: np.ndarray, count: int) -> sparse.csr_array:
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    matrix = sparse.csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    matrix = matrix + matrix.T
+    matrix.data[:] = 1.0
+    return matrix.tocsr()
+
+
+def _with_loose_parts(rest: np.ndarray, faces: np.ndarray, skin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """Parts that hang free, such as eyeballs and teeth, follow the skin near them as rigid pieces."""
+    if skin.all():
+        return displacement
+    result = displacement.copy()
+    count, part = connected_components(_adjacency(faces, len(rest)), directed=False)
+    ours = np.flatnonzero(skin)
+    tree = cKDTree(rest[ours])
+    for number in range(count):
+        members = np.flatnonzero(part == number)
+        if skin[members[0]]:
+            continue
+        near = ours[tree.query(rest[members], k=min(FOLLOWED, len(ours)))[1].reshape(-1)]
+        motion = fit_motion(rest[near], rest[near] + displacement[near], np.ones(len(near)))
+        result[members] = motion.apply(rest[members]) - rest[members]
+    return result

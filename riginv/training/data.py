@@ -1,0 +1,87 @@
+"""The stream of training batches, drawn as training goes, and the small fixed sets that are watched meanwhile."""
+
+from collections.abc import Callable, Iterator
+
+import lightning as L
+import torch
+from torch.utils.data import DataLoader, IterableDataset
+
+from riginv.errors import InputError
+from riginv.rig.batches import PoseBatch, generator_at
+from riginv.sampling.meshes import MeshSampler
+
+
+class Tickets(IterableDataset):
+    """The numbers of the steps still to come in this epoch; a batch is drawn from its number alone.
+
+    A run that goes on after a stop asks where it stands, and sees the very batches that it would have seen.
+    """
+
+    def __init__(self, steps_per_epoch: int, current_step: Callable[[], int]) -> None:
+        self.steps_per_epoch, self.current_step = steps_per_epoch, current_step
+
+    def __len__(self) -> int:
+        return self.steps_per_epoch
+
+    def __iter__(self) -> Iterator[int]:
+        step = self.current_step()
+        return iter(range(step, (step // self.steps_per_epoch + 1) * self.steps_per_epoch))
+
+
+class PoseDataModule(L.LightningDataModule):
+    """Draws every training batch from the sampler with a generator of its own; nothing is stored.
+
+    Where several processes train together each draws the whole batch and keeps its share: what is seen does not depend on how
+    many there are.
+
+    Args:
+        sampler: what to train on.
+        validation: sets to watch, by name: all their meshes as one batch, in mesh coordinates.
+        batch_size: meshes in a training batch, those of all processes together.
+        steps_per_epoch: training steps between two looks at the validation sets.
+        seed: of the training batches.
+
+    Raises:
+        InputError: a size is below 1.
+    """
+
+    def __init__(
+        self, sampler: MeshSampler, validation: dict[str, PoseBatch], batch_size: int, steps_per_epoch: int, seed: int
+    ) -> None:
+        super().__init__()
+        for name, value in (("batch_size", batch_size), ("steps_per_epoch", steps_per_epoch)):
+            if value < 1:
+                raise InputError(f"data.{name} is {value}, expected at least 1")
+        self.sampler, self.validation = sampler, validation
+        self.batch_size, self.steps_per_epoch, self.seed = batch_size, steps_per_epoch, seed
+
+    @property
+    def validation_names(self) -> list[str]:
+        return list(self.validation)
+
+    def train_dataloader(self) -> DataLoader:
+        return DataLoader(Tickets(self.steps_per_epoch, lambda: self.trainer.global_step), batch_size=None)
+
+    def val_dataloader(self) -> list[DataLoader]:
+        size = -(-self.batch_size // self.trainer.world_size)
+        shares = [{key: values[self.rows] for key, values in poses.items()} for poses in self.validation.values()]
+        return [DataLoader(batches(poses, size), batch_size=None) for poses in shares]
+
+    def on_after_batch_transfer(self, batch: torch.Tensor | PoseBatch, dataloader_idx: int) -> PoseBatch:
+        if isinstance(batch, dict):
+            return batch
+        self.sampler.at_step(int(batch))
+        device = self.trainer.strategy.root_device
+        generator = generator_at(self.seed, "training", int(batch), 0, device=device)
+        return self.sampler.to(device).sample_rows(self.batch_size, generator, self.rows)
+
+    @property
+    def rows(self) -> slice:
+        """Of a batch, those of this process: every so manieth, so that the parts of a mixture are spread evenly."""
+        return slice(self.trainer.global_rank, None, self.trainer.world_size)
+
+
+def batches(poses: PoseBatch, size: int) -> list[PoseBatch]:
+    """Cut one large batch into batches of `size`."""
+    pieces = {key: values.split(size) for key, values in poses.items()}
+    return [PoseBatch(zip(pieces, piece)) for piece in zip(*pieces.values())]

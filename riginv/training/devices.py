@@ -1,0 +1,162 @@
+"""Which of a run's processes this one is: on several devices a run is one process for each (Lightning's DDP).
+
+torchrun and srun start them; where nothing has, `riginv.launch.starter` does. The first process alone prints and writes.
+"""
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from lightning.fabric.plugins.environments import (
+    ClusterEnvironment,
+    LightningEnvironment,
+    LSFEnvironment,
+    MPIEnvironment,
+    SLURMEnvironment,
+    TorchElasticEnvironment,
+)
+from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
+
+from riginv.errors import InputError
+from riginv.launch.watched import is_watched
+
+
+@dataclass(frozen=True)
+class Process:
+    """One process of a run.
+
+    Attributes:
+        rank: its number; the first, 0, is the one that writes.
+        count: of all processes of the run.
+        environment: where Lightning learns of the others; None where there are none, or they are still to be started.
+    """
+
+    rank: int = 0
+    count: int = 1
+    environment: ClusterEnvironment | None = None
+
+    @property
+    def must_start_others(self) -> bool:
+        return self.count > 1 and self.environment is None
+
+    @property
+    def shows(self) -> bool:
+        """Whether it shows the result: the first does, or the one that has started it."""
+        return self.rank == 0 and not is_watched()
+
+
+def this_process(config: dict[str, Any]) -> Process:
+    """Which process of a run this one is, from its plain config and from what has started it.
+
+    Raises:
+        InputError: the processes that are there are not those that the config asks for, or cannot be started here.
+    """
+    trainer = config["trainer"]
+    count = trainer["devices"] * trainer["num_nodes"]
+    if config["data"]["batch_size"] < count:
+        raise InputError(
+            f"data.batch_size is {config['data']['batch_size']}, the meshes of all devices together, expected at least one for "
+            f"each of the {count} (trainer.devices x trainer.num_nodes)"
+        )
+    environment = _environment(trainer, count)
+    if count > 1 and _is_swept_over(environment):
+        raise InputError(
+            f"trainer.devices={trainer['devices']} cannot be part of a sweep (-m): every job would start processes of its own, "
+            f"beside those of the sweep, or each of these the whole sweep; sweep with trainer.devices=1, or with trainer=slurm "
+            f"through a launcher that starts all processes of a job (hydra/launcher=submitit_slurm)"
+        )
+    if environment is None:
+        return Process(0, count)
+    if environment.world_size() != count and not is_watched():
+        raise InputError(
+            f"{environment.world_size()} processes were started, trainer.devices={trainer['devices']} x "
+            f"trainer.num_nodes={trainer['num_nodes']} asks for {count}: give both as they were started"
+        )
+    rank = int(os.environ["RANK"]) if is_watched() else environment.global_rank()
+    if count > 1 and not is_watched() and not _folder_is_named():
+        raise InputError(
+            "several processes that were started apart need one folder: name it with hydra.run.dir=DIR, the same for all"
+        )
+    return Process(rank, count, environment if count > 1 else None)
+
+
+def _environment(trainer: dict[str, Any], count: int) -> ClusterEnvironment | None:
+    """What has started the processes of a run, if anything has."""
+    if is_watched():
+        return LightningEnvironment()
+    if TorchElasticEnvironment.detect():
+        return TorchElasticEnvironment()
+    if not trainer["starts_processes"]:
+        return _started_from_outside()
+    if count == 1:
+        return None
+    if trainer["num_nodes"] > 1:
+        raise InputError(
+            f"trainer.num_nodes is {trainer['num_nodes']}: processes on other machines cannot be started from here; "
+            f"use trainer=slurm under srun, or torchrun"
+        )
+    return None
+
+
+def _started_from_outside() -> ClusterEnvironment:
+    if SLURMEnvironment.detect():
+        try:
+            return SLURMEnvironment(auto_requeue=False)  # checkpoints and resume=true do it
+        except RuntimeError as error:
+            raise InputError(f"trainer.starts_processes=false: {str(error).splitlines()[0]}") from None
+    for kind in (LSFEnvironment, MPIEnvironment):
+        if kind.detect():
+            return kind()
+    raise InputError(
+        "trainer.starts_processes=false (as of trainer=slurm) finds no processes: start the command with srun, or choose "
+        "trainer=ddp, which starts them"
+    )
+
+
+def _is_swept_over(environment: ClusterEnvironment | None) -> bool:
+    """Whether the processes of a run would have to come of a job of a sweep, or each go through the whole sweep."""
+    if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
+        return False
+    return environment is None or HydraConfig.get().launcher._target_.endswith(".BasicLauncher")
+
+
+def _folder_is_named() -> bool:
+    if not HydraConfig.initialized() or HydraConfig.get().mode == RunMode.MULTIRUN:
+        return True
+    return any(override.startswith("hydra.run.dir=") for override in HydraConfig.get().overrides.hydra)
+
+
+def share_a_batch() -> bool:
+    """Whether several processes train together."""
+    return torch.distributed.is_available() and torch.distributed.is_initialized()
+
+
+def part() -> None:
+    """Let each process go its own way after training: the others end while the first one judges."""
+    if share_a_batch():
+        torch.distributed.destroy_process_group()
+
+
+def over_processes(means: Tensor, count: int) -> tuple[Tensor, float]:
+    """Means over the meshes of all processes, from those over the `count` meshes of this one.
+
+    Returns:
+        The means, and what this process's loss has to be multiplied by: gradients are averaged over the processes, whatever
+        their shares of the batch, so that a larger share must count for more.
+    """
+    sums = torch.cat([means.double() * count, means.new_tensor([count], dtype=torch.float64)])
+    torch.distributed.all_reduce(sums)
+    total = sums[-1]
+    return (sums[:-1] / total).to(means.dtype), float(count * torch.distributed.get_world_size() / total)
+
+
+def check_normalisation(network: nn.Module, device: torch.device) -> None:
+    """Raises InputError where a network normalises over batches that processes on CPUs would each see a part of."""
+    if device.type == "cpu" and any(isinstance(part, _BatchNorm) for part in network.modules()):
+        raise InputError(
+            "the network normalises over a batch, which several processes on CPUs cannot share: use trainer.devices=1"
+        )

@@ -1,0 +1,83 @@
+"""A training step in two halves of the batch, each computed by one thread, on however many cores there are."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
+
+from riginv.rig.batches import PoseBatch
+from riginv.runs.threads import Workers
+
+HALVES = 2
+WORTH_SPLITTING = 1 << 24  # multiplications of a batch with all weights: below it a second thread has nothing to gain
+LossAndFound = Callable[[PoseBatch], tuple[Tensor, Tensor]]
+
+
+def can_be_halved(network: nn.Module, losses: Sequence[nn.Module]) -> bool:
+    """Whether the halves of a batch can be computed apart: nothing normalises over it, and losses are means over the meshes."""
+    normalised = any(isinstance(part, _BatchNorm) for part in network.modules())
+    return not normalised and all(getattr(loss, "mean_of_meshes", False) for loss in losses)
+
+
+def worth_halving(rows: int, weights: Sequence[nn.Parameter]) -> bool:
+    """Whether a batch on a CPU is large enough."""
+    return rows >= HALVES and weights[0].device.type == "cpu" and rows * sum(w.numel() for w in weights) >= WORTH_SPLITTING
+
+
+def in_halves(
+    compute: LossAndFound, batch: PoseBatch, weights: Sequence[nn.Parameter], workers: Workers
+) -> tuple[Tensor, Tensor]:
+    """The loss of a batch and what was found, from those of its halves; the loss brings the gradients of the weights along.
+
+    Halves, and the order in which they are added up, are the same whatever computes them: so is every bit of the result.
+
+    Args:
+        compute: the mean loss over the meshes of a batch, with a graph, and what was found `(batch, coordinate)`, without one.
+    """
+    count = len(batch["coordinates"])
+    sizes = [count - count // HALVES, count // HALVES]
+    halves = [PoseBatch(zip(batch, rows)) for rows in zip(*(values.split(sizes) for values in batch.values()))]
+
+    def half(part: PoseBatch, share: float) -> tuple[Tensor, Tensor, tuple[Tensor | None, ...]]:
+        loss, found = compute(part)
+        scale = torch.full_like(loss, share)
+        return share * loss.detach(), found, torch.autograd.grad(loss, weights, scale, allow_unused=True)
+
+    tasks = [lambda part=part, size=size: half(part, size / count) for part, size in zip(halves, sizes)]
+    (loss, found, gradients), (second_loss, second_found, second_gradients) = workers.run(tasks)
+    used = [number for number, gradient in enumerate(gradients) if gradient is not None]
+
+    def add(numbers: list[int]) -> None:
+        torch._foreach_add_([gradients[number] for number in numbers], [second_gradients[number] for number in numbers])
+
+    workers.run([lambda numbers=numbers: add(numbers) for numbers in _evenly([gradients[n].numel() for n in used], used)])
+    total = _WithGradients.apply(loss + second_loss, list(gradients), *weights)
+    return total, torch.cat([found, second_found])
+
+
+def _evenly(sizes: list[int], numbers: list[int]) -> list[list[int]]:
+    """Numbers in `HALVES` runs of about the same total size."""
+    runs, filled, total = [[] for _ in range(HALVES)], 0, max(sum(sizes), 1)
+    for number, size in zip(numbers, sizes):
+        runs[min(HALVES - 1, HALVES * filled // total)].append(number)
+        filled += size
+    return [run for run in runs if run]
+
+
+class _WithGradients(torch.autograd.Function):
+    """A loss whose gradients by the weights are known already."""
+
+    @staticmethod
+    def forward(
+        ctx: torch.autograd.function.FunctionCtx, loss: Tensor, gradients: list[Tensor | None], *weights: Tensor
+    ) -> Tensor:
+        ctx.gradients = gradients
+        return loss.clone()
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, scale: Tensor) -> tuple[Tensor | None, ...]:
+        gradients, ctx.gradients = ctx.gradients, []  # handed on, not copied: they are as large as the network
+        if float(scale) != 1:
+            gradients = [None if gradient is None else scale * gradient for gradient in gradients]
+        return None, None, *gradients

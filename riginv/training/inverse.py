@@ -1,0 +1,83 @@
+"""The paper's inverse: a network from meshes to controls, with the loss on the mesh that the rig makes of them (Sec. 3.3)."""
+
+import torch
+from torch import Tensor, nn
+
+from riginv.errors import InputError
+from riginv.networks.inverse import Answer, InverseNetwork
+from riginv.rig.batches import PoseBatch
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.training.losses import LengthLoss, MeanDistanceLoss
+from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
+
+
+class InverseModule(RigModule):
+    """Trains an inverse through a differentiable rig, from meshes alone.
+
+    Args:
+        loss: on every answer of the network.
+        sampled_vertices: the last answer is asked for the mean distance of so many vertices instead; 0: for the same loss.
+
+    Raises:
+        InputError: no gradient passes through the rig.
+    """
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        network: InverseNetwork,
+        loss: nn.Module,
+        make_optimizer: OptimizerFactory,
+        make_schedule: ScheduleFactory,
+        sampled_vertices: int = 0,
+    ) -> None:
+        super().__init__(rig, network, make_optimizer, make_schedule)
+        if not rig.rig.differentiable:
+            raise InputError(
+                f"no gradient passes through rig '{rig.rig.name}', and the mesh loss needs one: train a surrogate of it with "
+                f"model=forward, then train the inverse through that with rig=surrogate rig.bundle=DIR"
+            )
+        self.loss = loss
+        self.last_loss = MeanDistanceLoss(rig.space.frame, sampled_vertices) if sampled_vertices else loss
+
+    @property
+    def losses(self) -> list[nn.Module]:
+        return [self.loss, self.last_loss]
+
+    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+        answers = self.network.answers(batch["coordinates"])
+        losses = [*(self.loss for _ in answers[1:]), self.last_loss]
+        values, gradients = zip(*(value_and_gradient(loss, answer) for loss, answer in zip(losses, answers)))
+        return _Summed.apply(sum(values), *gradients, *(answer.raw for answer in answers)), answers[-1].found
+
+    def results(self, batch: PoseBatch) -> Tensor:
+        return self.true_rig(self.network(batch["coordinates"]))
+
+
+def value_and_gradient(loss: nn.Module, answer: Answer) -> tuple[Tensor, Tensor]:
+    """The loss of an answer, and its gradient `(batch, control)` by the raw outputs, neither with a graph.
+
+    The rig is not differentiated anew: a loss that looks at the length of each error alone has the gradient that the network's
+    next stage sees, times a number for each mesh; that of any other loss is pulled through the rig.
+    """
+    if isinstance(loss, LengthLoss):
+        share = 2 / len(answer.squares) * loss.slopes(answer.squares)
+        return loss.of_squares(answer.squares).mean(), share[:, None] * answer.gradient
+    with torch.enable_grad():
+        found = answer.found.detach().requires_grad_()
+        value = loss(found, answer.target)
+    return value.detach(), answer.pull(torch.autograd.grad(value, found)[0])
+
+
+class _Summed(torch.autograd.Function):
+    """A value whose gradients by raw outputs are known already."""
+
+    @staticmethod
+    def forward(ctx: torch.autograd.function.FunctionCtx, value: Tensor, *gradients_and_raws: Tensor) -> Tensor:
+        ctx.save_for_backward(*gradients_and_raws[: len(gradients_and_raws) // 2])
+        return value.clone()
+
+    @staticmethod
+    def backward(ctx: torch.autograd.function.FunctionCtx, scale: Tensor) -> tuple[Tensor | None, ...]:
+        gradients = ctx.saved_tensors
+        return None, *(None for _ in gradients), *(scale * gradient for gradient in gradients)

@@ -1,0 +1,165 @@
+"""What the Lightning modules share: an optimiser for the network alone, a guard, and validation in mm."""
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import lightning as L
+import torch
+from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
+from torchmetrics import MeanMetric
+
+from riginv.errors import InputError, NonFiniteLossError
+from riginv.geometry.kernels.library import why_not
+from riginv.meshes.metrics import VertexError
+from riginv.rig.batches import PoseBatch
+from riginv.rig.interface import RigBackend
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.runs.threads import Workers
+from riginv.training.devices import check_normalisation, over_processes, share_a_batch
+from riginv.training.halves import can_be_halved, in_halves, worth_halving
+from riginv.training.losses import root_mean_square_mm
+
+OptimizerFactory = Callable[[Iterable[nn.Parameter]], Optimizer]
+ScheduleFactory = Callable[[Optimizer], LRScheduler | ReduceLROnPlateau]
+
+
+class RigModule(L.LightningModule, ABC):
+    """Trains one network on poses in mesh coordinates.
+
+    Args:
+        rig: the rig in mesh space, frozen: gradients pass through it, nothing in it learns.
+        network: what learns.
+        make_optimizer: from parameters to an optimiser.
+        make_schedule: from the optimiser to its schedule; a plateau schedule watches the training loss, epoch by epoch.
+
+    Attributes:
+        kind: of bundle that it makes: `inverse` (meshes to controls) or `forward` (a surrogate).
+        true_rig: what validation asks; the rig itself unless another one is set.
+        workers: threads that compute halves of a batch; None: batches are computed whole.
+        stop_below_lr: training ends once the schedule has brought the learning rate below this (paper: 1e-6); None: never.
+    """
+
+    kind = "inverse"
+    true_rig: RigBackend
+    stop_below_lr: float | None = None
+    workers: Workers | None = None
+
+    def __init__(
+        self, rig: RigInMeshSpace, network: nn.Module, make_optimizer: OptimizerFactory, make_schedule: ScheduleFactory
+    ) -> None:
+        super().__init__()
+        self.rig, self.network = rig.requires_grad_(False), network
+        self.true_rig = rig.rig
+        self.make_optimizer, self.make_schedule = make_optimizer, make_schedule
+        self.epoch_loss = MeanMetric(nan_strategy="ignore", sync_on_compute=False)  # it is given the means of all processes
+        self.epoch_loss.persistent(True)  # so that a run stopped within an epoch still sees the whole of it
+        self.errors: list[VertexError] = []
+
+    @abstractmethod
+    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+        """The mean loss over the meshes of a batch, and the coordinates that were found for it, without a graph."""
+
+    @property
+    def losses(self) -> list[nn.Module]:
+        """All that `loss_and_found` asks."""
+        return [self.loss]
+
+    def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
+        loss, found = self._in_halves(batch) if self.halved else self.loss_and_found(batch)
+        return self.learn(loss, found, batch["coordinates"])
+
+    def _in_halves(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+        weights = [weight for weight in self.network.parameters() if weight.requires_grad]
+        if not worth_halving(len(batch["coordinates"]), weights):
+            return self.loss_and_found(batch)
+        return in_halves(self.loss_and_found, batch, weights, self.workers)
+
+    @functools.cached_property
+    def halved(self) -> bool:
+        """Whether batches that are worth it are computed in halves."""
+        return self.workers is not None and can_be_halved(self.network, self.losses)
+
+    @abstractmethod
+    def results(self, batch: PoseBatch) -> Tensor:
+        """The meshes `(batch, vertex, 3)`, mm, that come of a batch; of controls it is the true rig that makes them."""
+
+    def setup(self, stage: str) -> None:
+        if self.trainer.world_size > 1:
+            check_normalisation(self.network, self.trainer.strategy.root_device)
+
+    def on_train_start(self) -> None:
+        if self.halved and self.device.type == "cpu" and self.trainer.is_global_zero:
+            self.workers.look()
+            missing = why_not()
+            print(f"training on {self.workers.describe()}{f'; no compiled kernels: {missing}' if missing else ''}", flush=True)
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Raises InputError where a checkpoint is of another network."""
+        expected, found = self.state_dict(), checkpoint["state_dict"]
+        differing = sorted(
+            str(name)
+            for name in expected.keys() | found.keys()
+            if getattr(expected.get(name), "shape", None) != getattr(found.get(name), "shape", None)
+        )
+        if differing:
+            raise InputError(f"the checkpoint does not fit the network: {differing[0]:.80} differs; remove it to start over")
+
+    def configure_optimizers(self) -> dict:
+        optimizer = self.make_optimizer([weight for weight in self.network.parameters() if weight.requires_grad])
+        schedule = self.make_schedule(optimizer)
+        plateau = isinstance(schedule, ReduceLROnPlateau)
+        how = {"interval": "epoch", "monitor": "train/epoch_loss"} if plateau else {"interval": "step"}
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, **how}}
+
+    def lr_scheduler_step(self, scheduler: LRScheduler | ReduceLROnPlateau, metric: Tensor | None) -> None:
+        super().lr_scheduler_step(scheduler, metric)
+        if self.stop_below_lr is not None and all(rate < self.stop_below_lr for rate in scheduler.get_last_lr()):
+            self.trainer.should_stop = True
+
+    def learn(self, loss: Tensor, coordinates: Tensor, target: Tensor) -> Tensor:
+        """Log a training step's loss and error, those of all processes together, and return the loss to learn from.
+
+        Raises:
+            NonFiniteLossError: the loss is NaN or infinite, in any process: all of them raise it.
+        """
+        seen, share = loss.detach(), 1.0
+        error = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count)
+        if share_a_batch():
+            (seen, squared), share = over_processes(torch.stack([seen, error.square()]), len(target))
+            error = squared.sqrt()
+        if not torch.isfinite(seen):
+            raise NonFiniteLossError(
+                f"the loss became {seen.item()} at step {self.global_step}; the checkpoint holds the last good state saved "
+                f"before: start a new run with a lower model.optimizer.lr"
+            )
+        self.epoch_loss.update(seen)
+        self.log("train/loss", seen)
+        self.log("train/rms_vertex_error_mm", error, prog_bar=True)
+        return loss if share == 1.0 else share * loss
+
+    def on_train_epoch_end(self) -> None:
+        self.log("train/epoch_loss", self.epoch_loss.compute())
+        self.epoch_loss.reset()
+
+    @property
+    def validation_names(self) -> list[str]:
+        return self.trainer.datamodule.validation_names
+
+    def on_validation_epoch_start(self) -> None:
+        self.errors = [VertexError(of_all_processes=True).to(self.device) for _ in self.validation_names]
+
+    def validation_step(self, batch: PoseBatch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        if not len(batch["coordinates"]):  # more processes than meshes
+            return
+        self.errors[dataloader_idx].update(self.results(batch), self.rig.space.decode(batch["coordinates"]))
+
+    def on_validation_epoch_end(self) -> None:
+        for name, error in zip(self.validation_names, self.errors):
+            for key, value in error.compute().items():
+                self.log(
+                    f"val/{name}/{key}", value.float(), prog_bar=key.startswith("mean_v") and name != "random_combinations"
+                )

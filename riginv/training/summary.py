@@ -1,0 +1,46 @@
+"""What a finished run reached, and what to do with it."""
+
+from pathlib import Path
+from typing import Any
+
+from riginv.config.arguments import fits
+from riginv.config.building import OURS
+from riginv.errors import InputError
+from riginv.runs.files import read_json
+from riginv.runs.run_folder import BUNDLE, METRICS, POSES, RunFolder
+from riginv.runs.tables import COLUMNS, print_results, sets_of
+
+
+def show(folder: RunFolder) -> None:
+    """Show what a finished run reached, and what to do with it."""
+    metrics = checked(folder.path / METRICS, read_json(folder.path / METRICS))
+    steps, seconds = metrics["train/steps"], metrics["train/seconds"]
+    more = " capture=CLIP" if {"capture", "simulated_performance"} & set(sets_of(metrics)) else ""
+    if folder.config["rig"]["_target_"].partition(".")[0] not in OURS:
+        more += " rig=NAME --config-dir DIR"  # a bundle names no code of others: the user does
+    print_results(
+        metrics,
+        f"{steps:,} steps in {seconds / 60:.1f} minutes",
+        notes=[
+            f"The trained model:  {folder.path / BUNDLE}",
+            f"Its worst poses:    {folder.path / POSES}",
+            f"Judge it again:     python -m riginv.evaluate bundle='{folder.path / BUNDLE}'{more}",
+            f"Watch or compare:   tensorboard --logdir {folder.path.parent}",
+        ],
+    )
+
+
+def checked(path: Path, metrics: dict[str, Any]) -> dict[str, Any]:
+    """The metrics of a finished run, as they were written.
+
+    Raises:
+        InputError: a figure is missing, or is no number.
+    """
+    needed = {"train/steps", "train/seconds", "true_rig"} | {f"{name}/{key}" for name in sets_of(metrics) for key, _ in COLUMNS}
+    for key in sorted(needed | metrics.keys()):
+        expected = str if key == "true_rig" else float if key in needed else float | None
+        if not fits(metrics.get(key), expected):
+            raise InputError(
+                f"{path}: {key} is {metrics.get(key)!r:.80}: altered; remove the file, and resume=true makes it anew"
+            )
+    return metrics
