@@ -43,10 +43,10 @@ class Published:
         for _ in range(iterations):
             for side, terms in enumerate(self.used):
                 weights[side] = 1.0
-                slope = self.products(weights)[terms] @ self.deltas[terms]
+                derivative = self.products(weights)[terms] @ self.deltas[terms]
                 weights[side] = 0.0
                 rest = self.products(weights) @ self.deltas - target
-                weights[side] = min(max(-(SPARSITY + slope @ rest) / (slope @ slope), 0.0), 1.0)
+                weights[side] = min(max(-(SPARSITY + derivative @ rest) / (derivative @ derivative), 0.0), 1.0)
         return weights
 
 

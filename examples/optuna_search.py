@@ -16,7 +16,7 @@ from hydra import compose, initialize_config_dir
 from riginv.config.messages import CONFIGS
 from riginv.config.validation import validate
 from riginv.errors import InputError, NonFiniteLossError
-from riginv.launch.closed_output import hush
+from riginv.launch.closed_output import filter_warnings
 from riginv.runs.run_folder import METRICS, find_run_folder, plain_config
 from riginv.train import fit
 from riginv.training.assembly import build_rig, build_true_rig
@@ -63,7 +63,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path("runs/search"))
     given = parser.parse_args()
-    hush()
+    filter_warnings()
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
         try:
             study = search(given.overrides, given.trials, given.out)

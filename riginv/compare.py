@@ -13,7 +13,7 @@ from riginv.evaluation.optimum import find_optima
 from riginv.launch.command import command, run_directory
 from riginv.methods.base import Method, suited_methods
 from riginv.methods.comparison import ComparisonProgress, keep_rows, kept_rows, show, write_tables
-from riginv.methods.evaluation import judged_row
+from riginv.methods.evaluation import evaluated_row
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig.recorded import RecordedRig
 from riginv.runs.run_folder import find_run_folder, plain_config
@@ -52,7 +52,7 @@ def compare(config: DictConfig) -> None:
                 seconds, rows = prepare(method, plain["seed"]), []
                 for meshes in sets:
                     progress.at(name, meshes.name.replace("_", " "))
-                    row = judged_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name))
+                    row = evaluated_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name))
                     rows.append(row.as_dict())
                 keep_rows(folder.path, name, {**facts, "source": method.source}, rows)
             progress.finished(name, rows)

@@ -17,7 +17,7 @@ from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
 from riginv.rig.size import show_rig
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 from riginv.runs.run_folder import plain_config
 
 
@@ -34,7 +34,7 @@ def contact_sheet(config: DictConfig) -> None:
     shown = dict(list(named.items())[: plain["expressions"]])
     poses = {"neutral": rig.neutral_controls, **shown, **random_poses(rig, plain["random_poses"], plain["seed"])}
     sheet = draw(rig, poses, plain["columns"], plain["turn_degrees"])
-    with written_beside(out) as beside:
+    with atomic_write(out) as beside:
         sheet.save(beside, format="PNG", optimize=True)
     more = len(named) - len(shown)
     left_out = f"; {more} more of its expressions are not drawn (expressions=null draws all)" if more else ""

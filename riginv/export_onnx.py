@@ -28,8 +28,8 @@ from riginv.launch.command import command
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
-from riginv.runs.files import discard, written_beside
-from riginv.runs.locks import alone
+from riginv.runs.files import atomic_write, discard
+from riginv.runs.locks import exclusive_lock
 from riginv.runs.run_folder import plain_config
 
 OPSET = 18
@@ -63,7 +63,10 @@ def export_onnx(config: DictConfig) -> None:
     check_packages()
     inverse = load_inverse(plain["bundle"], build(plain["rig"], kind=RigBackend) if plain["rig"].get("_target_") else None)
     console = Console()
-    with alone(out), console.status("tracing the network, through the rig's own derivative where it has one; up to minutes"):
+    with (
+        exclusive_lock(out),
+        console.status("tracing the network, through the rig's own derivative where it has one; up to minutes"),
+    ):
         parity = write_onnx(out, inverse, plain["poses"])
     table = Table(title=f"{escape(str(out))}: {out.stat().st_size / 1e6:.1f} MB", box=box.SIMPLE, title_justify="left")
     table.add_column("")
@@ -96,7 +99,7 @@ def write_onnx(path: Path, inverse: Inverse, poses: int = 64) -> Parity:
     meshes = random_meshes(inverse, max(poses, TRACED))
     program = _program(inverse, meshes[:TRACED])
     program.model.metadata_props.update(_metadata(inverse))
-    with written_beside(path) as beside:
+    with atomic_write(path) as beside:
         named = beside.with_name(f"{beside.name}.onnx")
         try:
             with _quietly():

@@ -12,9 +12,9 @@ from riginv.clips.clip import Clip
 from riginv.clips.description import describe
 from riginv.clips.description_text import NAMES, named, rows
 from riginv.clips.live_link import Recording, read_live_link
-from riginv.clips.open import open_alone, open_clip
+from riginv.clips.open import open_clip, open_exclusively
 from riginv.clips.options import FrameOptions, ReadingOptions, clip_options
-from riginv.clips.units import meaning_alone
+from riginv.clips.units import meaning_without_rig
 from riginv.config.building import build
 from riginv.config.validation import validate
 from riginv.errors import InputError, printable
@@ -86,10 +86,10 @@ def open_without_rig(path: str, reading: ReadingOptions, frames: FrameOptions) -
     """A clip in its own unit, where the file says none, and notes about what was guessed.
 
     Raises:
-        InputError: as `open_alone` and `meaning_alone`.
+        InputError: as `open_exclusively` and `meaning_without_rig`.
     """
-    sequence = open_alone(path, reading)
-    meaning = meaning_alone(sequence, reading.unit, reading.scale, reading.up, reading.fps)
+    sequence = open_exclusively(path, reading)
+    meaning = meaning_without_rig(sequence, reading.unit, reading.scale, reading.up, reading.fps)
     clip = Clip(sequence, meaning, frames.first, frames.last, frames.exclude)
     return clip, [*sequence.facts.notes, *meaning.notes]
 

@@ -21,8 +21,8 @@ from riginv.launch.command import command
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.recorded import RecordedRig
 from riginv.rig.size import show_rig
-from riginv.runs.files import sha256, written_beside
-from riginv.runs.locks import alone
+from riginv.runs.files import atomic_write, sha256
+from riginv.runs.locks import exclusive_lock
 from riginv.runs.run_folder import plain_config
 from riginv.tracking.assembly import WHOLE_CLIP, build_parts, chosen_method
 from riginv.tracking.reach import with_reach
@@ -68,7 +68,7 @@ def invert(config: DictConfig) -> None:
     show_rig(true_rig, plain["rig"])
     notes = [*said, *notes]
     parts = build_parts(plain, clip, rig, true_rig, inverse)
-    with alone(out), InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
+    with exclusive_lock(out), InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
         free_folder(out)
         arguments = (clip, parts.inverter, parts.judge, plain["window"], progress.advance)
         if parts.method == WHOLE_CLIP:
@@ -82,7 +82,7 @@ def invert(config: DictConfig) -> None:
         facts = made_by(plain, parts.method)
         source = Path(plain["clip"]).name
         animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
-        with written_beside(out) as beside:
+        with atomic_write(out) as beside:
             beside.mkdir()
             files, remarks = write_results(beside, clip, animation, errors, plain, progress.advance)
     remarks += [f"warning: {warning}" for warning in describe(clip).new_warnings(described)]
@@ -92,14 +92,14 @@ def invert(config: DictConfig) -> None:
 def invert_surface(config: dict[str, Any], rig: LinearRig, true_rig: RigBackend, scans: PreparedScans, out: Path) -> None:
     """Invert a clip of scans by their surfaces, and leave the folder `out`."""
     numbers = scans.frame_numbers
-    with alone(out), InversionProgress(len(numbers), scans.notes) as progress:
+    with exclusive_lock(out), InversionProgress(len(numbers), scans.notes) as progress:
         free_folder(out)
         track = track_scans(scans.solver, scans.scans, scans.meaning, scans.rows, scans.smoothness, progress.advance)
         facts, source = made_by(config, SURFACE), Path(config["clip"]).name
         motion = track.motion if scans.solver.moves else None
         animation = Animation(true_rig, track.controls, scans.meaning.fps, numbers, motion, source, facts)
         errors, remarks = frame_errors(track, numbers), remarks_of(track)
-        with written_beside(out) as beside:
+        with atomic_write(out) as beside:
             beside.mkdir()
             files, more = write_results(beside, None, animation, errors, config, progress.advance)
             files += write_scan_table(beside, track, numbers)

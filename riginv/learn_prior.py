@@ -9,7 +9,7 @@ from rich.console import Console
 from riginv.errors import InputError
 from riginv.invert import free_folder
 from riginv.launch.command import command
-from riginv.runs.locks import alone
+from riginv.runs.locks import exclusive_lock
 from riginv.runs.run_folder import plain_config
 from riginv.tracking.priors.files import save_prior
 from riginv.tracking.priors.performances import default_prior
@@ -29,7 +29,7 @@ def learn(config: DictConfig) -> None:
     if not isinstance(fraction, int | float) or isinstance(fraction, bool) or not 0 < fraction <= 1:
         raise InputError(f"fraction is {fraction!r}, expected a number above 0 and up to 1: of the takes in the prior")
     rig = build_rig(plain)
-    with alone(out):
+    with exclusive_lock(out):
         prior, frames = default_prior(rig), 0
         if takes:
             controls = torch.cat([controls_of(Path(take), rig, plain["first"], plain["last"]) for take in takes])

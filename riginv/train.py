@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 from riginv.clips.description_text import show_clip
 from riginv.config.building import class_of
 from riginv.config.validation import validate
-from riginv.evaluation.models import judge_model, load_model, surrogate_config, write_results
+from riginv.evaluation.models import evaluate_model, load_model, surrogate_config, write_results
 from riginv.inference.bundle import is_damaged, write_bundle
 from riginv.launch.command import command, run_directory
 from riginv.launch.starter import run_in_processes
@@ -68,9 +68,9 @@ def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, 
     if not folder.written_here:
         return
     model = load_model(folder.path / BUNDLE, rig)
-    judgements = judge_model(model, true_rig, plain["judging"]["test_poses"], clip)
+    results = evaluate_model(model, true_rig, plain["judging"]["test_poses"], clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": plain["seed"]}
-    log_results(trainer.logger, write_results(folder.path, judgements, true_rig, facts), trainer.global_step)
+    log_results(trainer.logger, write_results(folder.path, results, true_rig, facts), trainer.global_step)
 
 
 def fit_network(

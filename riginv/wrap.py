@@ -15,7 +15,7 @@ from riginv.errors import InputError
 from riginv.launch.command import command
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
-from riginv.runs.files import write_text, written_beside
+from riginv.runs.files import atomic_write, write_text
 from riginv.runs.run_folder import plain_config
 from riginv.tracking.surfaces.meaning import meaning_of_scans
 from riginv.tracking.surfaces.scans import FileScans, Scan
@@ -39,7 +39,7 @@ def run(config: DictConfig) -> None:
     found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface, WrapSettings())
     write_text(out, obj_text(found.vertices, rig.faces.cpu().numpy()))
     picture = out.with_suffix(".png")
-    with written_beside(picture) as beside:
+    with atomic_write(picture) as beside:
         distance_map(rig, found, surface).save(beside, format="PNG", optimize=True)
     mean = float(np.nanmean(found.distance_mm))
     console.print(

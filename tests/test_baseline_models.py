@@ -88,7 +88,7 @@ def test_measured_poses_are_met_exactly(toy):
             assert apart.abs().max() < 1e-2, found  # terms fainter than measured.LEAST_MM are left out
 
 
-def test_the_objectives_gradient_is_its_slope(toy):
+def test_the_objectives_gradient_is_its_derivative(toy):
     objective = ModelObjective(MODELS["tables"](toy), vertex_count=1, prior=0.3, sparsity=2.0)
     weights = 0.02 + 0.93 * some_weights(objective.model, 4)
     target = torch.randn(4, toy.space.size, generator=generator_at(1, "weights"), dtype=torch.float64) * 20
@@ -96,8 +96,8 @@ def test_the_objectives_gradient_is_its_slope(toy):
     torch.testing.assert_close(near.cost, objective.cost(weights, target))
     for side in range(8):
         move = step * torch.eye(8, dtype=torch.float64)[side]
-        slope = (objective.cost(weights + move, target) - objective.cost(weights - move, target)) / (2 * step)
-        torch.testing.assert_close(near.gradient[:, side], slope, atol=1e-3, rtol=1e-4)
+        derivative = (objective.cost(weights + move, target) - objective.cost(weights - move, target)) / (2 * step)
+        torch.testing.assert_close(near.gradient[:, side], derivative, atol=1e-3, rtol=1e-4)
 
 
 def published_visit(model, weights: np.ndarray, target: np.ndarray, sparsity: float) -> None:
@@ -110,10 +110,10 @@ def published_visit(model, weights: np.ndarray, target: np.ndarray, sparsity: fl
     for side in range(len(weights)):
         used = (members == side).any(axis=1)
         weights[side] = 1.0
-        slope = (factors(weights) * used) @ deltas
+        derivative = (factors(weights) * used) @ deltas
         weights[side] = 0.0
         rest = factors(weights) @ deltas - target
-        weights[side] = min(max(-(sparsity + slope @ rest) / (slope @ slope), 0.0), 1.0)
+        weights[side] = min(max(-(sparsity + derivative @ rest) / (derivative @ derivative), 0.0), 1.0)
 
 
 def test_coordinate_descent_in_gram_form_is_the_published_one(toy):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.evaluation.results import judge_controls
+from riginv.evaluation.results import evaluate_controls
 from riginv.methods.base import suited_methods
 from riginv.methods.baselines.blendshape_weights import BlendshapeWeights
 from riginv.methods.baselines.clustered_gaussian_processes import ClusteredGaussianProcesses
@@ -83,7 +83,7 @@ def prepared(name: str, rig, seed: int = 0):
 
 
 def share_left(controls, rig, poses) -> float:
-    metrics = judge_controls(rig.rig, poses, controls).metrics
+    metrics = evaluate_controls(rig.rig, poses, controls).metrics
     return metrics["poses/mean_vertex_error_mm"] / metrics["poses/neutral_mean_vertex_error_mm"]
 
 

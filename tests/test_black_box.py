@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from riginv.rig.batches import generator_at
-from riginv.rig.black_box import FittedRig
+from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.contract import check_rig
 from riginv.rig.pairs import read_pairs, write_pairs
 from riginv.rig.random_controls import sparse_controls
@@ -29,7 +29,7 @@ def table() -> dict[str, np.ndarray]:
 
 
 def test_a_black_box_is_fitted_to_its_poses():
-    fitted = FittedRig.sampled(BlackBox(), samples=100, residual_mm=1e-3)
+    fitted = BlackBoxRig.sampled(BlackBox(), samples=100, residual_mm=1e-3)
     assert len(fitted.basis) <= 12 and not fitted.differentiable  # the toy has twelve shapes
     check_rig(fitted)
     controls = torch.rand(5, 7, generator=torch.Generator().manual_seed(0))

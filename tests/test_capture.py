@@ -13,7 +13,7 @@ from riginv.clips.performance import simulated_performance
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses
 from riginv.evaluation.optimum import find_optima
-from riginv.evaluation.results import judge_controls
+from riginv.evaluation.results import evaluate_controls
 from riginv.reproduce.preflight import check_capture
 from riginv.reproduce.sets import the_sets
 from riginv.rig.batches import generator_at
@@ -23,8 +23,8 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.objective import PRIOR, Objective
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.capture import content_key, open_capture
-from riginv.tracking.fixed_controls import HeldRig
-from riginv.tracking.rigid import moved
+from riginv.tracking.fixed_controls import FixedControlsRig
+from riginv.tracking.rigid import apply_motion
 from riginv.tracking.rigid_check import RigidCheck, check_rigid
 from riginv.tracking.solving import BySolver
 from riginv.tracking.stillness import stillness
@@ -82,11 +82,11 @@ def test_what_is_not_known_counts_for_no_error(rig, meshes, tmp_path):
     assert torch.isfinite(whole).all() and (~known).sum() == 50 and not known[3, 10:60].any()
     assert (whole[3] - meshes[3]).norm(dim=1).mean() < 0.1  # the rig's own mesh stands in
     neutral = rig.neutral_controls.repeat(len(found), 1)
-    judgement = judge_controls(rig, found, neutral)
+    result = evaluate_controls(rig, found, neutral)
     distances = (rig.rest_vertices - whole).norm(dim=2)
-    assert judgement.metrics["capture/mean_vertex_error_mm"] == pytest.approx(float(distances[known].mean()), rel=1e-5)
-    assert judgement.metrics["capture/max_vertex_error_mm"] == pytest.approx(float(distances[known].max()), rel=1e-5)
-    assert judgement.errors_mm[3] == pytest.approx(float(distances[3][known[3]].mean()), rel=1e-5)
+    assert result.metrics["capture/mean_vertex_error_mm"] == pytest.approx(float(distances[known].mean()), rel=1e-5)
+    assert result.metrics["capture/max_vertex_error_mm"] == pytest.approx(float(distances[known].max()), rel=1e-5)
+    assert result.errors_mm[3] == pytest.approx(float(distances[3][known[3]].mean()), rel=1e-5)
     assert torch.isfinite(find_optima(rig, [found])["capture"].errors_mm).all()
 
 
@@ -155,7 +155,7 @@ def test_advice_about_captures_is_right_for_any_rig(run):
 
 
 def solver(rig: LinearRig, space: RigInMeshSpace) -> BySolver:
-    held = HeldRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
+    held = FixedControlsRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
     return BySolver(Objective(RigInMeshSpace(held, space.space), PRIOR), None, 30, 1, 0)
 
 
@@ -201,13 +201,13 @@ def test_a_clip_within_its_own_noise_is_left_alone(noise_mm, toy):
 @pytest.mark.parametrize("size", [(0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (0.0, 0.2), (200.0, 60.0)])
 def test_motion_that_is_there_is_found_however_small(size, toy):
     still = random_poses(toy.rig, FRAMES).vertices(0, FRAMES)
-    assert check(toy.rig, toy, moved(slight(FRAMES, *size), still)).moves
+    assert check(toy.rig, toy, apply_motion(slight(FRAMES, *size), still)).moves
 
 
 def test_motion_of_a_few_frames_and_of_all_alike_is_found(toy):
     still = random_poses(toy.rig, FRAMES).vertices(0, FRAMES)
     few = still.clone()
-    few[5:8] = moved(slight(3, 20, 10), few[5:8])
+    few[5:8] = apply_motion(slight(3, 20, 10), few[5:8])
     assert check(toy.rig, toy, few).moves
     assert check(toy.rig, toy, still + torch.tensor([0.4, 0.0, 0.0])).moves
 
@@ -219,13 +219,13 @@ def test_the_faces_own_noise_is_no_motion(face, face_in_space):
     acted = simulated_performance(face).vertices(300, 312)
     found = check(face, face_in_space, acted)
     assert not found.moves and found.extent_mm < 0.2
-    assert check(face, face_in_space, moved(slight(12, 0.5, 0.5), acted)).moves
+    assert check(face, face_in_space, apply_motion(slight(12, 0.5, 0.5), acted)).moves
 
 
 def test_invert_leaves_alone_what_does_not_move_and_says_so(run, rig, meshes, tmp_path):
     plain = ("look.page=false", "look.sheet=false", "method=levenberg_marquardt")
     written(tmp_path / "still.npz", meshes, rig)
-    written(tmp_path / "slight.npz", moved(slight(FRAMES, 0.5, 0.5), meshes), rig)
+    written(tmp_path / "slight.npz", apply_motion(slight(FRAMES, 0.5, 0.5), meshes), rig)
     still = run("invert", *TOY, *plain, "clip=still.npz", "out=a")
     assert still.code == 0 and "no rigid motion found" in still.text and "was taken out" not in still.text
     assert "motion" not in json.loads((tmp_path / "a/curves.json").read_text())

@@ -7,11 +7,11 @@ import torch
 
 from riginv.errors import InputError
 from riginv.evaluation.optimum import find_optima
-from riginv.evaluation.results import judge_controls
+from riginv.evaluation.results import evaluate_controls
 from riginv.methods.base import Method
 from riginv.methods.baselines.holden_network import HoldenNetwork
 from riginv.methods.direct import Neutral
-from riginv.methods.evaluation import Clocked, judged_row
+from riginv.methods.evaluation import Clocked, evaluated_row
 from riginv.methods.network import Network
 from riginv.methods.solvers import Refined
 from riginv.rig.mesh_sets import PosedRig
@@ -100,7 +100,7 @@ def test_a_network_is_refined_in_the_solvers_mesh_space_whatever_its_own(run, to
     flipped = RigInMeshSpace(toy.rig, MeshSpace(toy.rig.rest_vertices, -toy.space.frame.flip(0)))
     meshes = PosedRig("poses", toy.rig, poses(toy.rig, 8))
     one, other = (Refined(rig, bundle).invert(meshes) for rig in (toy, flipped))
-    errors = [judge_controls(toy.rig, meshes, found).metrics["poses/mean_vertex_error_mm"] for found in (one, other)]
+    errors = [evaluate_controls(toy.rig, meshes, found).metrics["poses/mean_vertex_error_mm"] for found in (one, other)]
     assert errors[1] == pytest.approx(errors[0], rel=0.2)
 
 
@@ -154,7 +154,7 @@ class Liar(Method):
 @pytest.mark.parametrize("wrong", ["short", "nan", "beyond"])
 def test_a_method_that_gives_no_controls_is_named(toy, wrong):
     with pytest.raises(InputError, match="method 'liar' gave controls"):
-        judged_row("liar", Liar(toy, wrong), toy.rig, PosedRig("poses", toy.rig, poses(toy.rig, 4)), 0.0)
+        evaluated_row("liar", Liar(toy, wrong), toy.rig, PosedRig("poses", toy.rig, poses(toy.rig, 4)), 0.0)
 
 
 def test_no_method_sees_the_answer(toy):

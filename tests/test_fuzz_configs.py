@@ -25,7 +25,7 @@ from riginv.inspect import show_clip_file
 from riginv.launch.command import options_first
 from riginv.methods.base import suited_methods
 from riginv.reproduce.cast import rig_in_space
-from riginv.reproduce.preflight import check_budget, check_capture, check_rig, choose_judge
+from riginv.reproduce.preflight import check_budget, check_capture, check_rig, choose_true_rig
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import RunFolder, plain_config, register_folder_resolvers
@@ -93,7 +93,7 @@ def before_reproducing(plain: dict[str, Any], folder: Path) -> None:
     rig = rig_in_space(plain["rig"])
     check_capture(plain, rig.rig)
     check_rig(plain["body"])
-    choose_judge(plain["true_rig"], rig.rig)
+    choose_true_rig(plain["true_rig"], rig.rig)
 
 
 COMMANDS: dict[str, tuple[list[str], Callable]] = {

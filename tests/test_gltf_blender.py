@@ -28,8 +28,8 @@ def smooth(size: int, keys: int) -> np.ndarray:
 
 def with_tangents(values: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Keys of a cubic spline `(key, 3, number)` whose tangents are the curves' own."""
-    slopes = np.gradient(values, times, axis=0)
-    return np.stack([slopes, values, slopes], axis=1)
+    derivatives = np.gradient(values, times, axis=0)
+    return np.stack([derivatives, values, derivatives], axis=1)
 
 
 def avatar() -> tuple[AvatarWriter, list[int]]:

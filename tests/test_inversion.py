@@ -19,11 +19,11 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.tracking.alternation import WindowInverter, bridged, bridged_motion
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.assembly import EACH_FRAME, WHOLE_CLIP, build_parts, build_solver
-from riginv.tracking.constraints import resolve_wishes
-from riginv.tracking.fixed_controls import HeldRig
+from riginv.tracking.constraints import resolve_constraints
+from riginv.tracking.fixed_controls import FixedControlsRig
 from riginv.tracking.preferences import PreferringObjective
 from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
-from riginv.tracking.rigid import fit_rigid, moved, unmoved
+from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
 from riginv.tracking.run import Inversion, Smoothness, invert_clip, invert_smoothly
 from riginv.tracking.solving import BySolver
 from riginv.tracking.stillness import moves_itself, stillness
@@ -76,7 +76,7 @@ def tumbled(meshes: torch.Tensor, seed: int = 0) -> tuple[torch.Tensor, torch.Te
     motion = torch.eye(4).repeat(count, 1, 1)
     motion[:, :3, :3] = roma.rotvec_to_rotmat(axes * torch.rand(count, 1, generator=generator) * torch.pi / 2)
     motion[:, :3, 3] = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1) * 1000
-    return moved(motion, meshes), motion
+    return apply_motion(motion, meshes), motion
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_rigid_motion_is_found_whatever_a_third_of_the_vertices_does(rig):
     target, motion = tumbled(still)
     found = fit_rigid(rest[None], target, torch.ones(len(rest)))
     assert (found - motion).abs().max() < 1e-3
-    assert (unmoved(found, moved(found, still)) - still).abs().max() < 1e-2
+    assert (remove_motion(found, apply_motion(found, still)) - still).abs().max() < 1e-2
     target[3, 5:] = torch.nan
     assert torch.isfinite(fit_rigid(rest[None], target, torch.ones(len(rest)))).all()
 
@@ -112,7 +112,7 @@ def test_rigid_motion_is_found_whatever_a_third_of_the_vertices_does(rig):
 @pytest.fixture(scope="module")
 def face_solver(face, face_in_space) -> BySolver:
     settings = config(solver={"descent_steps": 0, "key_starts": 1, "steps": 15})
-    return build_solver(settings, face_in_space, resolve_wishes(face, settings["controls"]), None, None, EACH_FRAME)
+    return build_solver(settings, face_in_space, resolve_constraints(face, settings["controls"]), None, None, EACH_FRAME)
 
 
 @torch.no_grad()
@@ -128,7 +128,7 @@ def test_a_moved_clip_gives_the_controls_of_the_unmoved_one(face, face_solver, a
     assert max(errors) - min(errors) < 0.05
     judged = [float((one.results - one.still).norm(dim=2).mean()) for one in (still, found)]
     assert abs(judged[0] - judged[1]) < 0.01
-    assert (moved(found.motion, found.results) - meshes).norm(dim=2).mean() < errors[0] + 0.05
+    assert (apply_motion(found.motion, found.results) - meshes).norm(dim=2).mean() < errors[0] + 0.05
     assert (found.motion[:, :3, :3] - motion[:, :3, :3]).abs().max() < 0.01
 
 
@@ -245,8 +245,8 @@ def test_a_region_that_is_none_is_refused(content, name, message, rig, tmp_path)
         vertex_weights(rig, {}, {}, 0.0)
 
 
-def wishes(rig, **options):
-    return resolve_wishes(rig, {**CONFIG["controls"], **options})
+def constraints(rig, **options):
+    return resolve_constraints(rig, {**CONFIG["controls"], **options})
 
 
 def test_held_controls_stay_and_the_others_make_up_for_them(rig, meshes):
@@ -259,7 +259,7 @@ def test_held_controls_stay_and_the_others_make_up_for_them(rig, meshes):
 
 def test_a_held_rig_is_the_rig(rig):
     held = torch.rand(len(rig.controls), generator=generator_at(0, "held"))
-    part = HeldRig(rig, torch.tensor([1, 3, 6]), held)
+    part = FixedControlsRig(rig, torch.tensor([1, 3, 6]), held)
     free = torch.rand(4, 3, generator=generator_at(0, "free"))
     whole = held.repeat(4, 1)
     whole[:, [1, 3, 6]] = free
@@ -272,7 +272,7 @@ def test_a_held_rig_is_the_rig(rig):
 def test_the_gradient_of_preferences_is_that_of_their_cost(rig):
     """Against finite differences in float64, for every kind of preference at once."""
     rig = ToyRig().double()
-    preferences = wishes(
+    preferences = constraints(
         rig, weights={"bump*": 50.0}, symmetric=[["bump0", "bump1"]], exclusive=[["bump2", "side"], ["bump3", "all"]]
     ).preferences
     objective = PreferringObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, preferences)
@@ -284,8 +284,8 @@ def test_the_gradient_of_preferences_is_that_of_their_cost(rig):
         ahead, behind = units.clone(), units.clone()
         ahead[:, column] += step
         behind[:, column] -= step
-        slope = (objective._preference(ahead)[0] - objective._preference(behind)[0]) / (2 * step)
-        assert torch.allclose(slope, gradient[:, column], rtol=1e-4, atol=1e-4)
+        derivative = (objective._preference(ahead)[0] - objective._preference(behind)[0]) / (2 * step)
+        assert torch.allclose(derivative, gradient[:, column], rtol=1e-4, atol=1e-4)
 
 
 def test_symmetric_pairs_move_alike_and_exclusive_ones_do_not_meet(rig, meshes):
@@ -329,16 +329,16 @@ def test_a_whole_clip_is_smoother_than_its_frames(rig, meshes):
 def test_names_that_nobody_knows_follow_the_policy(rig, tmp_path):
     for options in ({"freeze": ["jaw*"]}, {"weights": {"jaw": 2.0}}, {"symmetric": [["bump0", "jaw"]]}, {"hold": {"jaw": 0}}):
         with pytest.raises(InputError, match="toy' has no such control"):
-            wishes(rig, **options)
-        assert bool(wishes(rig, **options, unknown="ignore_new").free.all())
+            constraints(rig, **options)
+        assert bool(constraints(rig, **options, unknown="ignore_new").free.all())
     mask = tmp_path / "mask.json"
     mask.write_text('{"bump0": 0, "bump1": 1, "jaw": 1}')
     for policy, message in (("error", "jaw"), ("ignore_missing", "jaw"), ("ignore_new", "does not name 5 of the 7 controls")):
         with pytest.raises(InputError, match=message):
-            wishes(rig, mask=str(mask), unknown=policy)
-    assert wishes(rig, mask=str(mask), unknown="ignore_both").free.tolist() == [False] + 6 * [True]
+            constraints(rig, mask=str(mask), unknown=policy)
+    assert constraints(rig, mask=str(mask), unknown="ignore_both").free.tolist() == [False] + 6 * [True]
     with pytest.raises(InputError, match="controls.unknown is 'perhaps'"):
-        wishes(rig, unknown="perhaps")
+        constraints(rig, unknown="perhaps")
 
 
 @pytest.mark.parametrize(
@@ -355,7 +355,7 @@ def test_names_that_nobody_knows_follow_the_policy(rig, tmp_path):
 def test_a_mask_that_is_none_is_refused(name, content, rig, tmp_path):
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=name):
-        wishes(rig, mask=str(tmp_path / name))
+        constraints(rig, mask=str(tmp_path / name))
 
 
 def test_values_that_cannot_be_meant_are_refused(rig):
@@ -367,11 +367,11 @@ def test_values_that_cannot_be_meant_are_refused(rig):
         {"freeze": "bump0"},
     ):
         with pytest.raises(InputError):
-            wishes(rig, **options)
+            constraints(rig, **options)
 
 
 def test_sides_are_paired_by_their_names(face):
-    names, pairs = face.control_names, wishes(face, symmetric="auto").preferences.symmetric.tolist()
+    names, pairs = face.control_names, constraints(face, symmetric="auto").preferences.symmetric.tolist()
     assert [names.index("browDownLeft"), names.index("browDownRight")] in pairs and len(pairs) > 20
 
 

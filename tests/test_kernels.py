@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from riginv.geometry.blendshapes import add_to_columns, combination_pull, combination_weights, screen, screen_pull
-from riginv.geometry.curves import curves_and_slopes, evaluate_curves, pack_curves
+from riginv.geometry.curves import curves_and_derivatives, evaluate_curves, pack_curves
 from riginv.geometry.kernels.build import LEVELS, CompilationError, compile_library, find_compiler
 from riginv.geometry.kernels.library import kernels, kernels_for, pure_torch
 from riginv.rig.interface import LinearRig
@@ -36,8 +36,8 @@ def both(function, *arguments):
 def test_curves_equal_those_of_pure_torch(count, longest_handle):
     table = pack_curves(random_curves(count, longest_handle))
     inputs = torch.rand(7, count, dtype=torch.float64) * 6 - 1
-    inputs[0] = table[:, 0, 0]  # a curve's start has the slope of its first segment
-    for found, expected in zip(*both(curves_and_slopes, table, inputs)):
+    inputs[0] = table[:, 0, 0]  # a curve's start has the derivative of its first segment
+    for found, expected in zip(*both(curves_and_derivatives, table, inputs)):
         torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-11)
 
 
@@ -52,8 +52,8 @@ def test_curves_with_vertical_tangents_equal_those_of_pure_torch():
 def test_nan_stays_nan_and_infinity_is_an_end():
     table = pack_curves(random_curves(3, 0.4))
     inputs = torch.tensor([[torch.nan, torch.inf, -torch.inf]], dtype=torch.float64)
-    (values, slopes), (pure, _) = both(curves_and_slopes, table, inputs)
-    assert values[0, 0].isnan() and slopes[0, 1:].tolist() == [0, 0]
+    (values, derivatives), (pure, _) = both(curves_and_derivatives, table, inputs)
+    assert values[0, 0].isnan() and derivatives[0, 1:].tolist() == [0, 0]
     torch.testing.assert_close(values[0, 1:], pure[0, 1:])
 
 

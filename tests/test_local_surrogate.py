@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from riginv.networks.dependencies import find_dependencies
-from riginv.networks.local import LocalPerceptrons, LocalSurrogate
+from riginv.networks.local import LocalMlps, LocalSurrogate
 from riginv.rig.batches import generator_at
 from riginv.rig.random_controls import SparseControls
 from riginv.sampling.meshes import RigPoses
@@ -37,7 +37,7 @@ def test_the_faces_wires_are_found():
 
 def test_an_output_sees_its_own_inputs_only():
     torch.manual_seed(0)
-    local = LocalPerceptrons(3, 2, 8)
+    local = LocalMlps(3, 2, 8)
     local.index.copy_(torch.tensor([[0, 1], [3, -1], [-1, -1]]))
     inputs = torch.randn(5, 4, requires_grad=True)
     seen = torch.stack([torch.autograd.grad(local(inputs)[:, output].sum(), inputs)[0][0] != 0 for output in range(3)])

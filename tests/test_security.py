@@ -65,7 +65,7 @@ RIGS = [
         "rest_vertices": 3,
         "faces": None,
     },
-    lambda mark: {"_target_": "riginv.rig.black_box.FittedRig", "rig": "x", "basis": 5},
+    lambda mark: {"_target_": "riginv.rig.black_box.BlackBoxRig", "rig": "x", "basis": 5},
 ]
 
 

@@ -1,4 +1,4 @@
-"""Configs of strangers: folders for --config-dir, tags, pickles of Hydra and run folders. They choose, and run nothing."""
+"""Configs of stale: folders for --config-dir, tags, pickles of Hydra and run folders. They choose, and run nothing."""
 
 import shutil
 

@@ -1,4 +1,4 @@
-"""Scenes of strangers: .blend files with scripts, stages and avatars that point elsewhere. Nothing runs or is fetched."""
+"""Scenes of stale: .blend files with scripts, stages and avatars that point elsewhere. Nothing runs or is fetched."""
 
 import json
 import os

@@ -286,8 +286,8 @@ def test_the_mean_distance_is_what_it_says_and_so_is_its_gradient(toy):
     for control in range(7):
         moved = units.clone()
         moved[:, control] += step
-        slope = (objective.cost(moved, coordinates) - objective.cost(units, coordinates)) / step
-        torch.testing.assert_close(slope, gradient[:, control], rtol=1e-3, atol=1e-3)
+        derivative = (objective.cost(moved, coordinates) - objective.cost(units, coordinates)) / step
+        torch.testing.assert_close(derivative, gradient[:, control], rtol=1e-3, atol=1e-3)
 
 
 def test_steps_on_the_mean_distance_lower_it(toy):

@@ -8,7 +8,7 @@ from riginv.solvers.descent import descend
 from riginv.solvers.every_mesh import solve_meshes
 from riginv.solvers.levenberg_marquardt import REACH, levenberg_marquardt
 from riginv.solvers.objective import Objective
-from riginv.solvers.starts import first_start, start_at_random, start_by_slope
+from riginv.solvers.starts import first_start, start_at_random, start_by_derivative
 from tests.test_solvers import Degenerate, in_space, poses
 
 
@@ -51,7 +51,7 @@ def test_other_starts_are_strewn_around_the_first_where_features_gave_it(body_ob
 
 def test_an_idle_control_starts_at_neutral_and_the_others_do_not(toy):
     objective = Objective(in_space(Degenerate()))
-    start = start_by_slope(objective, objective.rig(poses(objective.rig.rig, 4)))
+    start = start_by_derivative(objective, objective.rig(poses(objective.rig.rig, 4)))
     assert (start[:, 7] == 0).all() and (start[:, :7] != objective.neutral[:7]).all()
     assert (start_at_random(objective, start, 2)[:, 7] == 0).all()
 

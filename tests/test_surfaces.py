@@ -72,8 +72,8 @@ def test_gradients_are_those_of_finite_differences(fit):
     for number in range(len(gradient)):
         change, step = torch.zeros(len(gradient), dtype=torch.float64), 1e-3 if number < 7 else 1e-4
         change[number] = step
-        slope = (linear.cost(change) - linear.cost(-change)) / (2 * step)
-        assert slope == pytest.approx(float(gradient[number]), rel=2e-2, abs=2e-3 * float(gradient.abs().max()))
+        derivative = (linear.cost(change) - linear.cost(-change)) / (2 * step)
+        assert derivative == pytest.approx(float(gradient[number]), rel=2e-2, abs=2e-3 * float(gradient.abs().max()))
 
 
 def test_rigid_motion_moves_pairs_as_their_rows_say(fit):

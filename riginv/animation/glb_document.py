@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 
 COMPONENTS = {np.dtype(np.float32): 5126, np.dtype(np.uint32): 5125, np.dtype(np.uint16): 5123}
 SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
@@ -101,7 +101,7 @@ class GlbDocument:
         self.content["buffers"] = [{"byteLength": len(self.binary)}]
         text = json.dumps(self.content, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
-        with written_beside(path) as beside, beside.open("wb") as file:
+        with atomic_write(path) as beside, beside.open("wb") as file:
             file.write(struct.pack("<3I", MAGIC, VERSION, 12 + 8 + len(text) + 8 + len(self.binary)))
             file.write(struct.pack("<2I", len(text), JSON_CHUNK) + text)
             file.write(struct.pack("<2I", len(self.binary), BINARY_CHUNK))

@@ -17,7 +17,7 @@ from riginv.solvers.bounded import bounded_least_squares
 FILE = "live_link.csv"
 ANGLES = [f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll")]
 TIMECODE_FPS = 60  # the app counts 60 frames a second in its timecode, whatever it records at
-PIECE = 256  # frames at a time
+BATCH_SIZE = 256  # frames at a time
 RIDGE = 1e-5  # of a shape's own size: between shapes that do the same, the weights are shared
 
 
@@ -97,7 +97,7 @@ def nearest_weights(rig: RigBackend, deltas: Tensor, controls: Tensor) -> Tensor
     size.copy_(torch.where(size > 0, size * (1 + RIDGE), 1.0))  # a shape without any size takes no part
     along = rig.basis.flatten(1).double() @ flat.T if isinstance(rig, LinearRig) else None
     found = []
-    for piece in controls.split(PIECE):
+    for piece in controls.split(BATCH_SIZE):
         if along is None:
             aim = (rig(piece) - rig.rest_vertices).flatten(1).double() @ flat.T
         else:

@@ -13,7 +13,7 @@ from riginv.errors import InputError
 from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig, RigBackend
 
-PIECE = 128  # meshes at a time
+BATCH_SIZE = 128  # meshes at a time
 LOOKED_AT = 6  # frames of the clip, at which the reach of each control is measured
 STEP = 0.05  # of a control's range
 TIGHTER = 0.8  # of what a frame was allowed, where its mesh went too far
@@ -94,15 +94,15 @@ def straight_line_keys(seconds: np.ndarray, values: np.ndarray, allowed: np.ndar
 
 
 def _farthest(seconds: np.ndarray, values: np.ndarray, allowed: np.ndarray, row: int) -> int:
-    """The last frame that a line from frame `row` may end on: its slope lies between those that pass all frames between."""
+    """The last frame that a line from frame `row` may end on: its derivative lies between those that pass all frames between."""
     window, last = FIRST_WINDOW, len(values) - 1
     while True:
         stop = min(row + window, last)
         away = seconds[row + 1 : stop + 1] - seconds[row]
         rise, slack = values[row + 1 : stop + 1] - values[row], allowed[row + 1 : stop + 1]
         lowest, highest = np.maximum.accumulate((rise - slack) / away), np.minimum.accumulate((rise + slack) / away)
-        slope = rise / away
-        serves = (slope[1:] >= lowest[:-1]) & (slope[1:] <= highest[:-1])
+        derivative = rise / away
+        serves = (derivative[1:] >= lowest[:-1]) & (derivative[1:] <= highest[:-1])
         closed = np.flatnonzero(lowest > highest)
         if len(closed) or stop == last:
             reached = np.flatnonzero(serves)
@@ -128,7 +128,7 @@ def _reach_mm(animation: Animation) -> Tensor:
 def distances_mm(rig: RigBackend, before: Tensor, after: Tensor) -> np.ndarray:
     """How far the vertex that moved most went, `(mesh,)`, mm, from one set of controls `(mesh, control)` to another."""
     found = []
-    for one, other in zip(before.split(PIECE), after.split(PIECE)):
+    for one, other in zip(before.split(BATCH_SIZE), after.split(BATCH_SIZE)):
         if isinstance(rig, LinearRig):
             change = (rig.coefficients(other) - rig.coefficients(one)) @ rig.basis.flatten(1)
             found.append(change.unflatten(1, (-1, 3)).norm(dim=2).amax(dim=1))

@@ -9,7 +9,7 @@ from riginv.animation.animation import Animation
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig, RigBackend
 
-PIECE = 256  # frames at a time
+BATCH_SIZE = 256  # frames at a time
 STILL = 1e-6  # of a weight: a correction that never leaves 0 by more is left out
 FAINT_MM = 1e-5  # a vertex that a shape moves by less is not in it
 
@@ -40,7 +40,7 @@ def check_drawable(rig: RigBackend, name: str) -> None:
 def moving_shapes(animation: Animation) -> Shapes:
     """Every shape that a rig drives directly, and of those that correct these the ones that move in this animation."""
     rig = animation.rig
-    weights = torch.cat([rig.coefficients(piece) for piece in animation.controls.split(PIECE)])
+    weights = torch.cat([rig.coefficients(piece) for piece in animation.controls.split(BATCH_SIZE)])
     kept = (weights.abs() > STILL).any(dim=0)
     kept[: rig.primary_count] = True
     names = [name for name, keep in zip(rig.coefficient_names, kept.tolist()) if keep]

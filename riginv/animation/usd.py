@@ -14,7 +14,7 @@ from riginv.animation.skeletons import local_poses
 from riginv.errors import InputError
 from riginv.geometry.skeleton import Skeleton
 from riginv.rig.interface import RigBackend
-from riginv.runs.files import discard, written_beside
+from riginv.runs.files import atomic_write, discard
 
 FILE = "animation.usdc"
 CM = 0.1  # per mm
@@ -57,7 +57,7 @@ def write(path: Path, animation: Animation) -> None:
         _add_shapes(stage, mesh, moves, animation)
     _add_joints(skeleton, mesh, moves, animation, joints or _one_joint(animation.rig))
     _add_controls(moves, animation)
-    with written_beside(path) as beside:
+    with atomic_write(path) as beside:
         named = beside.with_name(f"{beside.name}.usdc")  # USD goes by the ending
         try:
             stage.GetRootLayer().Export(str(named))

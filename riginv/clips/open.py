@@ -86,7 +86,7 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) ->
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")
 
 
-def open_alone(path: str, options: ReadingOptions) -> MeshSequence:
+def open_exclusively(path: str, options: ReadingOptions) -> MeshSequence:
     """Open a clip where there is no rig: its reader chooses the meshes by itself.
 
     Raises:

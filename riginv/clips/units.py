@@ -70,7 +70,7 @@ def meaning_of(clip: MeshSequence, rig: RigBackend, unit: Any, scale: Any, up: A
     return Meaning(mm * scale, TO_Y_UP[axis], rate, notes, unit_source, axis, up_source, rate_source)
 
 
-def meaning_alone(clip: MeshSequence, unit: Any, scale: Any, up: Any, fps: Any) -> Meaning:
+def meaning_without_rig(clip: MeshSequence, unit: Any, scale: Any, up: Any, fps: Any) -> Meaning:
     """What a clip's numbers mean where there is no rig to compare its size with; arguments as for `meaning_of`.
 
     Raises:

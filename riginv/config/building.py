@@ -2,7 +2,7 @@
 
 A config names a class (`_target_`) and gives its arguments. What is built must be of the kind that is asked for: a rig, a
 network. Configs that a user names may name any such class, and within it classes of its own package, of riginv, rigs and
-torch. Configs that came with a bundle are a stranger's: they may only name classes of riginv and rigs, their arguments are
+torch. Configs that came with a bundle are untrusted: they may only name classes of riginv and rigs, their arguments are
 plain values, and what a class keeps to users (`only_by_hand`, such as the path of a program to run) is ignored.
 """
 
@@ -27,7 +27,7 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
         config: `_target_` and the arguments of the class.
         given: objects that every class takes first, such as the rig.
         kind: what the class must be, such as a `RigBackend`; None: anything.
-        only: packages whose classes may be named, for a stranger's file: no class may be named within; None: any.
+        only: packages whose classes may be named, for an untrusted file: no class may be named within; None: any.
 
     Raises:
         InputError: the class does not exist, is of another kind, may not be named, or does not take the arguments.

@@ -82,7 +82,7 @@ def _kind(value: Any) -> str:
     return next((words for kind, words in KINDS if isinstance(value, kind)), "null")
 
 
-def blame(error: Exception, config: DictConfig, config_name: str, hydra: DictConfig) -> str | None:
+def diagnose(error: Exception, config: DictConfig, config_name: str, hydra: DictConfig) -> str | None:
     """The sentence for a command that failed as it may by a value of another kind than usual, where there is such a value."""
     usual = usual_config(config_name, hydra) if isinstance(error, DOES_NOT_FIT) else None
     return None if usual is None else wrong_kind(plain(config), usual)

@@ -7,14 +7,14 @@ from riginv.config.building import OURS, build
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses, random_sets
 from riginv.evaluation.optimum import find_optima
-from riginv.evaluation.results import Judgement, check_same_controls, judge_inverse, judge_rig
+from riginv.evaluation.results import EvaluationResult, check_same_controls, evaluate_inverse, evaluate_rig
 from riginv.inference.bundle import read_bundle
 from riginv.inference.inverse import Inverse, load_inverse
 from riginv.meshes.rendering import comparison
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.recorded import RecordedRig
-from riginv.runs.files import write_json, written_beside
+from riginv.runs.files import atomic_write, write_json
 from riginv.runs.run_folder import METRICS, POSES
 from riginv.runs.tables import NO_RIG
 
@@ -41,7 +41,9 @@ def load_model(folder: str | Path, rig: RigBackend | None = None, refine: int = 
     return load_inverse(folder, rig, refine)
 
 
-def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, clip: MeshSet | None) -> list[Judgement]:
+def evaluate_model(
+    model: Inverse | LinearRig, true_rig: RigBackend, poses: int, clip: MeshSet | None
+) -> list[EvaluationResult]:
     """Judge an inverse on the random test sets and a clip, or a surrogate on random poses, by the true rig.
 
     Of a rig that is known by recorded poses alone, those that were held out judge; what an inverse finds is then made into
@@ -60,30 +62,32 @@ def judge_model(model: Inverse | LinearRig, true_rig: RigBackend, poses: int, cl
     if isinstance(true_rig, RecordedRig):
         held_out = true_rig.held_out
         if not isinstance(model, Inverse):
-            return [judge_rig(rig, held_out)]
+            return [evaluate_rig(rig, held_out)]
         sets = [held_out, *([clip] if clip else [])]
-        return [*(judge_inverse(model, rig, meshes) for meshes in sets), judge_rig(rig, held_out.named("surrogate"))]
+        return [*(evaluate_inverse(model, rig, meshes) for meshes in sets), evaluate_rig(rig, held_out.named("surrogate"))]
     if not isinstance(model, Inverse):
-        return [judge_rig(model, random_poses(true_rig, poses))]
+        return [evaluate_rig(model, random_poses(true_rig, poses))]
     sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]
     optima = find_optima(true_rig, sets)
-    judgements = [judge_inverse(model, true_rig, meshes) for meshes in sets]
-    for judgement in judgements:
-        if optimum := optima.get(judgement.meshes.name):
-            judgement.metrics.update(optimum.metrics(judgement))
-    return judgements
+    results = [evaluate_inverse(model, true_rig, meshes) for meshes in sets]
+    for result in results:
+        if optimum := optima.get(result.meshes.name):
+            result.metrics.update(optimum.metrics(result))
+    return results
 
 
-def write_results(folder: Path, judgements: list[Judgement], true_rig: RigBackend, more: dict[str, float]) -> dict[str, Any]:
+def write_results(
+    folder: Path, results: list[EvaluationResult], true_rig: RigBackend, more: dict[str, float]
+) -> dict[str, Any]:
     """Write `poses.png`, the worst and the median mesh of each set, and `metrics.json`, and return the metrics.
 
     Args:
         more: further metrics, by key.
     """
-    pairs = [pair for judgement in judgements for pair in judgement.worst_and_median()]
-    with written_beside(folder / POSES) as beside:
+    pairs = [pair for result in results for pair in result.worst_and_median()]
+    with atomic_write(folder / POSES) as beside:
         comparison(true_rig, pairs).save(beside, format="PNG")
-    metrics = {key: value for judgement in judgements for key, value in judgement.metrics.items()}
+    metrics = {key: value for result in results for key, value in result.metrics.items()}
     metrics |= {**more, "true_rig": NO_RIG if isinstance(true_rig, RecordedRig) else true_rig.name}
     write_json(folder / METRICS, metrics)
     return metrics

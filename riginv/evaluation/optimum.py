@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from riginv.evaluation.results import Judgement
+from riginv.evaluation.results import EvaluationResult
 from riginv.geometry.neighbours import evenly
 from riginv.meshes.metrics import mean_distance
 from riginv.rig.batches import generator_at
@@ -42,14 +42,14 @@ class Optimum:
     def mean_mm(self) -> float:
         return float(self.errors_mm.double().mean())
 
-    def ratio(self, judgement: Judgement) -> float:
+    def ratio(self, result: EvaluationResult) -> float:
         """How many times the optimum a result's mean error is, on the same meshes."""
-        return float(judgement.errors_mm[self.rows].double().mean()) / max(self.mean_mm, LEAST_MM)
+        return float(result.errors_mm[self.rows].double().mean()) / max(self.mean_mm, LEAST_MM)
 
-    def metrics(self, judgement: Judgement) -> dict[str, float]:
+    def metrics(self, result: EvaluationResult) -> dict[str, float]:
         """The optimum and the ratio to it, by `SET/key`."""
-        name = judgement.meshes.name
-        values = {"optimum_mean_vertex_error_mm": self.mean_mm, "optimum_ratio": self.ratio(judgement)}
+        name = result.meshes.name
+        values = {"optimum_mean_vertex_error_mm": self.mean_mm, "optimum_ratio": self.ratio(result)}
         return {f"{name}/{key}": value for key, value in values.items()}
 
 

@@ -16,11 +16,11 @@ from riginv.meshes.rendering import Pair
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import MeshSet
 
-PIECE = 128  # meshes at a time
+BATCH_SIZE = 128  # meshes at a time
 
 
 @dataclass(frozen=True)
-class Judgement:
+class EvaluationResult:
     """What came of one test set.
 
     Attributes:
@@ -49,7 +49,7 @@ class Judgement:
         return Pair(label, self.meshes.vertices(row, row + 1)[0], self.rig(self.controls[row : row + 1])[0])
 
 
-def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, meshes: MeshSet) -> Judgement:
+def evaluate_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, meshes: MeshSet) -> EvaluationResult:
     """How well the controls that were found for meshes bring these back.
 
     Args:
@@ -58,20 +58,20 @@ def judge_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, mesh
     return _judge(true_rig, meshes, lambda start, vertices: invert(vertices))
 
 
-def judge_controls(true_rig: RigBackend, meshes: MeshSet, controls: Tensor) -> Judgement:
+def evaluate_controls(true_rig: RigBackend, meshes: MeshSet, controls: Tensor) -> EvaluationResult:
     """How well controls `(mesh, control)` that were found for the meshes of a set bring these back."""
     return _judge(true_rig, meshes, lambda start, vertices: controls[start : start + len(vertices)])
 
 
-def judge_rig(rig: RigBackend, poses: MeshSet) -> Judgement:
+def evaluate_rig(rig: RigBackend, poses: MeshSet) -> EvaluationResult:
     """How far a rig, such as a surrogate, lies from poses of the true rig, given the controls that made them."""
-    return judge_controls(rig, poses, poses.controls)
+    return evaluate_controls(rig, poses, poses.controls)
 
 
 @torch.no_grad()
-def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor], Tensor]) -> Judgement:
+def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor], Tensor]) -> EvaluationResult:
     found, neutral, errors, curves = VertexError(), VertexError(), [], []
-    for start, vertices in meshes.pieces(PIECE):
+    for start, vertices in meshes.batches(BATCH_SIZE):
         controls = controls_of(start, vertices)
         results = rig(controls)
         known = meshes.known(start, start + len(vertices))
@@ -85,10 +85,10 @@ def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor]
     if meshes.fps and not math.isnan(rough := roughness(controls, meshes.frame_numbers)):
         values["roughness"] = rough
     metrics = {f"{meshes.name}/{key}": value for key, value in values.items()}
-    return Judgement(metrics, torch.cat(errors), meshes, rig, controls)
+    return EvaluationResult(metrics, torch.cat(errors), meshes, rig, controls)
 
 
-def build_judge(config: Mapping[str, Any], rig: RigBackend) -> RigBackend:
+def make_true_rig(config: Mapping[str, Any], rig: RigBackend) -> RigBackend:
     """The rig of a config that is to judge `rig`; a class that can stand for another rig (`twin_of`) is told which.
 
     Raises:

@@ -79,20 +79,20 @@ def combination_pull(weights: Tensor, members: Tensor, gradient: Tensor) -> Tens
     return _pull(weights, members, gradient, False)
 
 
-def screen_slopes(activations: Tensor, sources: Tensor) -> Tensor:
+def screen_derivatives(activations: Tensor, sources: Tensor) -> Tensor:
     """The derivative `(batch, shape, slot)` of each shape of `screen` by the driver in each slot; 0 in empty slots."""
     compiled = kernels_for(activations, sources)
     if compiled is not None:
-        return _slopes(compiled, activations, sources, True)
+        return _derivatives(compiled, activations, sources, True)
     padded = torch.cat([activations, activations.new_zeros(activations.shape[0], 1)], dim=1)
     return _products_of_others(1 - padded[:, sources]) * (sources >= 0)
 
 
-def combination_slopes(weights: Tensor, members: Tensor) -> Tensor:
+def combination_derivatives(weights: Tensor, members: Tensor) -> Tensor:
     """The derivative `(batch, combination, slot)` of each of `combination_weights` by the weight of each member."""
     compiled = kernels_for(weights, members)
     if compiled is not None:
-        return _slopes(compiled, weights, members, False)
+        return _derivatives(compiled, weights, members, False)
     padded = torch.cat([weights, weights.new_ones(weights.shape[0], 1)], dim=1)
     return _products_of_others(padded[:, members]) * (members >= 0)
 
@@ -126,8 +126,8 @@ def _products_of_others(factors: Tensor) -> Tensor:
 def _pull(factors: Tensor, members: Tensor, gradient: Tensor, complement: bool) -> Tensor:
     compiled = kernels_for(factors, members, gradient)
     if compiled is None:
-        slopes = (screen_slopes if complement else combination_slopes)(factors, members)
-        entries = (slopes * gradient[:, :, None]).flatten(1)  # 0 in empty slots, which may then stand for any column
+        derivatives = (screen_derivatives if complement else combination_derivatives)(factors, members)
+        entries = (derivatives * gradient[:, :, None]).flatten(1)  # 0 in empty slots, which may then stand for any column
         return add_to_columns(torch.zeros_like(factors), members.flatten().clamp_min(0), entries)
     factors, gradient = plain_rows(factors), plain_rows(gradient)
     pulled = factors.new_empty(factors.shape)
@@ -137,12 +137,12 @@ def _pull(factors: Tensor, members: Tensor, gradient: Tensor, complement: bool) 
     return pulled
 
 
-def _slopes(compiled: Kernels, factors: Tensor, members: Tensor, complement: bool) -> Tensor:
+def _derivatives(compiled: Kernels, factors: Tensor, members: Tensor, complement: bool) -> Tensor:
     factors, (products, slots) = plain_rows(factors), members.shape
-    slopes = factors.new_empty(len(factors), products, slots)
+    derivatives = factors.new_empty(len(factors), products, slots)
     given = (factors, factors.stride(0), factors.shape[1], members.contiguous(), products, slots, int(complement))
-    compiled.call("products_slopes", factors.dtype, *given, slopes, len(factors))
-    return slopes
+    compiled.call("products_derivatives", factors.dtype, *given, derivatives, len(factors))
+    return derivatives
 
 
 def _combined(compiled: Kernels, factors: Tensor, members: Tensor, complement: bool) -> Tensor:

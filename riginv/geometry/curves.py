@@ -62,7 +62,7 @@ def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
         inputs: `(batch, curve)`.
 
     Returns:
-        `(batch, curve)`; differentiable in `inputs`. At a key the slope is that of the segment to its right, at the ends
+        `(batch, curve)`; differentiable in `inputs`. At a key the derivative is that of the segment to its right, at the ends
         that of the end segments, so that a control at its limit still has a gradient.
     """
     compiled = kernels_for(table, inputs)
@@ -76,16 +76,16 @@ def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def curves_and_slopes(table: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """The value of each curve at its own input, and its slope there, both `(batch, curve)`; as `evaluate_curves`."""
+def curves_and_derivatives(table: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """The value of each curve at its own input, and its derivative there, both `(batch, curve)`; as `evaluate_curves`."""
     compiled = kernels_for(table, inputs)
     if compiled is not None:
         return _solved(compiled, table, inputs)
     x, (start, width, a, b, c, d, e, f, g) = _segments(table, inputs)
     t = _solve(a, b, c, (x - start) / width)
     along = ((3 * a * t + 2 * b) * t + c).clamp_min(torch.finfo(t.dtype).eps) * width
-    slope = ((3 * d * t + 2 * e) * t + f) / along
-    return ((d * t + e) * t + f) * t + g, torch.where(x == inputs, slope, 0.0)
+    derivative = ((3 * d * t + 2 * e) * t + f) / along
+    return ((d * t + e) * t + f) * t + g, torch.where(x == inputs, derivative, 0.0)
 
 
 @contextmanager
@@ -100,30 +100,30 @@ def fixed_iterations(count: int = FIXED) -> Iterator[None]:
 
 
 class _CompiledCurves(torch.autograd.Function):
-    """`evaluate_curves` by a kernel, which gives the slopes along with the values."""
+    """`evaluate_curves` by a kernel, which gives the derivatives along with the values."""
 
     @staticmethod
     def forward(ctx: torch.autograd.function.FunctionCtx, inputs: Tensor, table: Tensor, compiled: Kernels) -> Tensor:
-        values, slopes = _solved(compiled, table, inputs)
-        ctx.save_for_backward(inputs, table, slopes)
+        values, derivatives = _solved(compiled, table, inputs)
+        ctx.save_for_backward(inputs, table, derivatives)
         return values
 
     @staticmethod
     def backward(ctx: torch.autograd.function.FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None]:
-        inputs, table, slopes = ctx.saved_tensors
+        inputs, table, derivatives = ctx.saved_tensors
         if torch.is_grad_enabled():
             return pure_gradients(lambda given: evaluate_curves(table, given), inputs, gradient), None, None
-        return gradient * slopes, None, None
+        return gradient * derivatives, None, None
 
 
 def _solved(compiled: Kernels, table: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """The values and slopes of curves by a kernel."""
+    """The values and derivatives of curves by a kernel."""
     inputs = plain_rows(inputs)
     (batch, curves), segments = inputs.shape, table.shape[1]
-    values, slopes = (inputs.new_empty(batch, curves) for _ in range(2))
+    values, derivatives = (inputs.new_empty(batch, curves) for _ in range(2))
     given = (table.contiguous(), curves, segments, inputs, inputs.stride(0))
-    compiled.call("curves", inputs.dtype, *given, values, curves, slopes, curves, batch)
-    return values, slopes
+    compiled.call("curves", inputs.dtype, *given, values, curves, derivatives, curves, batch)
+    return values, derivatives
 
 
 def _segments(table: Tensor, inputs: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
@@ -159,8 +159,8 @@ def _solve(a: Tensor, b: Tensor, c: Tensor, target: Tensor) -> Tensor:
             low, high = torch.where(above, low, t), torch.where(above, t, high)
             newton = t - error / ((a3 * t + b2) * t + c)
             t = torch.where((newton >= low) & (newton <= high), newton, (low + high) / 2)
-        slope = ((a3 * t + b2) * t + c).clamp_min(torch.finfo(t.dtype).eps)
-    return t + (target - target.detach()) / slope  # the solution, with its derivative dt/dx = 1 / X'(t)
+        derivative = ((a3 * t + b2) * t + c).clamp_min(torch.finfo(t.dtype).eps)
+    return t + (target - target.detach()) / derivative  # the solution, with its derivative dt/dx = 1 / X'(t)
 
 
 def _segment(start: Key, end: Key) -> list[float]:

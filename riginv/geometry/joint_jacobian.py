@@ -52,10 +52,10 @@ class JointSlopes(nn.Module):
         moments = torch.linalg.cross(places[:, :, None].expand_as(spins), spins)
         spin, moment = (self._summed(values.flatten(1, 2)) for values in (spins, moments))
         wanted = worlds[:, self.wanted][:, self.pair_place]
-        slopes = torch.linalg.cross(spin[..., None].expand_as(wanted), wanted, dim=2)
-        slopes[..., 3] += moment
+        derivatives = torch.linalg.cross(spin[..., None].expand_as(wanted), wanted, dim=2)
+        derivatives[..., 3] += moment
         result = worlds.new_zeros(len(worlds), self.controls, len(self.wanted), 3, 4)
-        result[:, self.pair_control, self.pair_place] = slopes
+        result[:, self.pair_control, self.pair_place] = derivatives
         return result
 
     def _summed(self, turns: Tensor) -> Tensor:

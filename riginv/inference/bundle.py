@@ -25,7 +25,7 @@ from riginv.errors import InputError, in_short
 from riginv.networks.base import RigNetwork
 from riginv.rig.interface import Control, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.runs.files import is_file, read_text, read_yaml, sha256, written_beside
+from riginv.runs.files import atomic_write, is_file, read_text, read_yaml, sha256
 
 FORMAT = 1
 DESCRIPTION, WEIGHTS, SPACE, RIG, SUMS = "bundle.yaml", "weights.safetensors", "space.safetensors", "rig", "SHA256SUMS"
@@ -98,7 +98,7 @@ def write_bundle(
             bundle is copied along.
         training: facts worth keeping: steps, seconds, seed.
     """
-    with written_beside(folder) as beside:
+    with atomic_write(folder) as beside:
         beside.mkdir()
         rig_config = dict(config["rig"])
         if "bundle" in rig_config:

@@ -16,7 +16,7 @@ from riginv.config.building import OURS, build
 from riginv.errors import InputError
 from riginv.inference.bundle import RIG, Bundle, read_bundle
 from riginv.networks.inverse import InverseNetwork
-from riginv.rig.black_box import FittedRig
+from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes
@@ -124,7 +124,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
         bundle.check_rig(rig)
     space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
     if not isinstance(rig, LinearRig):
-        rig = FittedRig(rig, (bundle.space["linear_map"] @ space.frame.flatten(1)).unflatten(1, rig.rest_vertices.shape))
+        rig = BlackBoxRig(rig, (bundle.space["linear_map"] @ space.frame.flatten(1)).unflatten(1, rig.rest_vertices.shape))
     network = build(bundle.description["network"], RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
     network.load_own_weights(bundle.weights)
     trained_seconds = float(bundle.description["training"].get("seconds", 0.0))

@@ -90,7 +90,7 @@ WARNINGS = (
 )
 
 
-def hush() -> None:
+def filter_warnings() -> None:
     """Silence the messages above, and Lightning's account of the machine."""
     for message in WARNINGS:
         warnings.filterwarnings("ignore", message=message)

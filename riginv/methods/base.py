@@ -64,7 +64,7 @@ class Method(ABC):
 
 def encoded(meshes: MeshSet, space: MeshSpace) -> Tensor:
     """All meshes of a set in the coordinates of a mesh space, `(mesh, coordinate)`, read piece by piece."""
-    pieces = [space.encode(vertices) for _, vertices in meshes.pieces()]
+    pieces = [space.encode(vertices) for _, vertices in meshes.batches()]
     return torch.cat(pieces) if pieces else space.frame.new_zeros(0, space.size)
 
 

@@ -16,7 +16,7 @@ from rich.table import Table
 from riginv.config.arguments import fits
 from riginv.errors import InputError
 from riginv.runs.console import Bar
-from riginv.runs.files import read_json, write_json, write_text, written_beside
+from riginv.runs.files import atomic_write, read_json, write_json, write_text
 from riginv.runs.run_folder import METRICS
 from riginv.runs.tables import EXACT, WITHIN_REACH_MM
 
@@ -83,7 +83,7 @@ def write_tables(folder: Path) -> Rows:
     writer.writerows(rows)
     write_text(folder / CSV, text.getvalue())
     write_text(folder / MARKDOWN, _markdown(rows, {name: one["source"] for name, one in kept.items()}))
-    with written_beside(folder / PLOT) as beside:
+    with atomic_write(folder / PLOT) as beside:
         _plot(rows).savefig(beside, format="png", dpi=130)
     error = "mean_vertex_error_mm"
     write_json(folder / METRICS, {f"{row['method']} {row['set']}/{error}": row[error] for row in rows})

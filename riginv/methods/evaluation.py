@@ -8,7 +8,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.evaluation.optimum import Optimum
-from riginv.evaluation.results import judge_controls
+from riginv.evaluation.results import evaluate_controls
 from riginv.meshes.metrics import nonzero_controls
 from riginv.methods.base import Method
 from riginv.rig.interface import RigBackend
@@ -54,7 +54,7 @@ class Clocked(MeshSet):
         return result
 
 
-def judged_row(
+def evaluated_row(
     name: str,
     method: Method,
     true_rig: RigBackend,
@@ -75,8 +75,8 @@ def judged_row(
     controls = method.invert(clocked)
     seconds = time.perf_counter() - began - clocked.seconds
     _check(name, controls, true_rig, len(meshes))
-    judgement = judge_controls(true_rig, meshes, controls)
-    values = {key.partition("/")[2]: value for key, value in judgement.metrics.items()}
+    result = evaluate_controls(true_rig, meshes, controls)
+    values = {key.partition("/")[2]: value for key, value in result.metrics.items()}
     return Row(
         method=name,
         set=meshes.name,
@@ -86,7 +86,7 @@ def judged_row(
         nonzero_controls=nonzero_controls(controls, true_rig),
         ms_per_frame=1e3 * seconds / len(meshes),
         training_seconds=training_seconds,
-        optimum_ratio=optimum.ratio(judgement) if optimum else None,
+        optimum_ratio=optimum.ratio(result) if optimum else None,
         optimum_mm=optimum.mean_mm if optimum else None,
     )
 

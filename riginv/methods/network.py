@@ -11,7 +11,7 @@ from riginv.methods.base import Method, encoded
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 
-PIECE = 512
+BATCH_SIZE = 512
 
 
 class Network(Method):
@@ -41,5 +41,5 @@ class Network(Method):
     def invert(self, meshes: MeshSet) -> Tensor:
         """In the mesh space that the network was trained in, whose axes may be others than those of `rig`."""
         coordinates = encoded(meshes, self.inverse.network.rig.space)
-        pieces = [self.inverse.network(piece) for piece in coordinates.split(PIECE) if len(piece)]
+        pieces = [self.inverse.network(piece) for piece in coordinates.split(BATCH_SIZE) if len(piece)]
         return torch.cat(pieces) if pieces else self.rig.rig.lower.new_zeros(0, len(self.rig.rig.controls))

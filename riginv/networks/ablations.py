@@ -78,7 +78,7 @@ class _Linear(ControlMap):
 
 
 def _normalised(network: nn.Sequential, layer: type[nn.Module]) -> nn.Sequential:
-    """The same perceptron with a layer of a kind after each of its linear layers but the last."""
+    """The same MLP with a layer of a kind after each of its linear layers but the last."""
     layers: list[nn.Module] = []
     for module in network:
         layers.append(module)

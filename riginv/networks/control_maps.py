@@ -25,13 +25,13 @@ class ControlMap(nn.Module, ABC):
         self.register_buffer("upper", rig.upper, persistent=False)
         self.register_buffer("neutral", rig.neutral_controls, persistent=False)
 
-    def with_slopes(self, raw: Tensor) -> tuple[Tensor, Tensor]:
+    def with_derivatives(self, raw: Tensor) -> tuple[Tensor, Tensor]:
         """The controls, and the derivative of each by its own raw output, both `(batch, control)` and without a graph."""
         with torch.enable_grad():
             given = raw.detach().requires_grad_()
             controls = self.forward(given)
-            slopes = torch.autograd.grad(controls.sum(), given)[0]
-        return controls.detach(), slopes
+            derivatives = torch.autograd.grad(controls.sum(), given)[0]
+        return controls.detach(), derivatives
 
     @abstractmethod
     def raw_of(self, controls: Tensor) -> Tensor:
@@ -46,7 +46,7 @@ class RangeTanh(ControlMap):
         return middle + half * torch.tanh(raw)
 
     @torch.no_grad()
-    def with_slopes(self, raw: Tensor) -> tuple[Tensor, Tensor]:
+    def with_derivatives(self, raw: Tensor) -> tuple[Tensor, Tensor]:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
         bent = torch.tanh(raw)
         return middle + half * bent, half * (1 - bent.square())
@@ -88,7 +88,7 @@ class NeutralStart(ControlMap):
         return self.neutral + torch.where(raw >= 0, self.above, self.below) * limited
 
     @torch.no_grad()
-    def with_slopes(self, raw: Tensor) -> tuple[Tensor, Tensor]:
+    def with_derivatives(self, raw: Tensor) -> tuple[Tensor, Tensor]:
         tail = torch.tanh(self.direction * raw - self.depth)
         scale = torch.where(raw >= 0, self.above, self.below)
         controls = self.neutral + scale * torch.maximum(tail + self.edge, self.least)

@@ -14,7 +14,7 @@ class Correction(nn.Module):
     A Gauss-Newton step is linear in the residual and its gradient, by a matrix that depends on where the controls stand. So
     is this: `width` linear features of both, each weighed by a gate that sees the raw outputs and the direction of the
     gradient, then mixed. Where nothing is left nothing changes, and what a step leaves shrinks with what it was given: a
-    perceptron that sees the residual as one input among others leaves a floor instead (docs/experiments.md).
+    MLP that sees the residual as one input among others leaves a floor instead (docs/experiments.md).
 
     Args:
         left: numbers that say what is left.

@@ -2,10 +2,10 @@
 stand.
 
 Source: Song, Shi, Reed: Accurate face rig approximation with deep differential subspace reconstruction (SIGGRAPH 2020, arXiv
-2006.01746). One perceptron gives the differential coordinates, as principal components; a smaller one the positions of
+2006.01746). One MLP gives the differential coordinates, as principal components; a smaller one the positions of
 anchors, which hold the low frequencies that differential coordinates hardly see; least squares make a mesh of both.
 
-Changed: the least squares are solved within the rig's mesh space, where they are one fixed linear map; both perceptrons are
+Changed: the least squares are solved within the rig's mesh space, where they are one fixed linear map; both MLPs are
 trained together, with the loss on the mesh that comes out, as our other surrogates are, where theirs have losses of their
 own; the components are those of the rig's deltas, not of posed examples; the graph Laplacian, anchors spread by distance,
 their number and their weight are our choices.
@@ -76,7 +76,7 @@ def _principal(seen: Tensor) -> Tensor:
 
 
 class DifferentialSubspace(SurrogateNetwork):
-    """Two perceptrons on the controls, in shares of their ranges, and a fixed reconstruction.
+    """Two MLPs on the controls, in shares of their ranges, and a fixed reconstruction.
 
     Args:
         hidden: widths for the differential coordinates.

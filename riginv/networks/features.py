@@ -27,7 +27,7 @@ class RigFeatures(nn.Module):
     """
 
     scale: Tensor
-    slope: Tensor
+    derivative: Tensor
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         super().__init__()
@@ -45,7 +45,7 @@ class RigFeatures(nn.Module):
         self.register_buffer("rest", rest, persistent=False)
         self.register_buffer("estimate", estimate.to(neutral), persistent=False)
         self.register_buffer("scale", torch.ones_like(rest[0]))
-        self.register_buffer("slope", torch.zeros(len(rest[0]), len(backend.controls)).to(rest))
+        self.register_buffer("derivative", torch.zeros(len(rest[0]), len(backend.controls)).to(rest))
 
     @staticmethod
     def offered_by(rig: RigInMeshSpace) -> bool:
@@ -79,12 +79,12 @@ class RigFeatures(nn.Module):
         changes = ((controls - backend.neutral_controls) / (backend.upper - backend.lower)).double()
         variances, directions = torch.linalg.eigh(seen.T @ seen / len(seen))
         inverse = torch.where(variances > LEAST_VARIANCE, 1 / variances.clamp_min(LEAST_VARIANCE), 0.0)
-        slope = (directions * inverse) @ directions.T @ (seen.T @ changes) / len(seen)
-        self.slope.copy_(slope * (backend.upper - backend.lower))
+        derivative = (directions * inverse) @ directions.T @ (seen.T @ changes) / len(seen)
+        self.derivative.copy_(derivative * (backend.upper - backend.lower))
 
     def guess(self, features: Tensor) -> Tensor:
         """A first guess at the controls `(batch, control)` from features `(batch, feature)`; it may exceed the limits."""
-        return self.rig[0].neutral_controls + features @ self.slope
+        return self.rig[0].neutral_controls + features @ self.derivative
 
     def forward(self, coordinates: Tensor) -> Tensor:
         """Mesh coordinates `(batch, coordinate)` to features `(batch, feature)`; 0 at the neutral mesh."""

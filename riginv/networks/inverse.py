@@ -17,7 +17,7 @@ from riginv.rig.interface import Pull
 from riginv.rig.mesh_space import RigInMeshSpace
 
 START_GAIN = 0.3  # of the last layer: answers start close to neutral
-CORRECTION_GAIN = 0.02  # of the last layer where a guess stands before the first perceptron: they start close to that
+CORRECTION_GAIN = 0.02  # of the last layer where a guess stands before the first MLP: they start close to that
 
 
 class Answer:
@@ -48,8 +48,8 @@ class Answer:
 
     @functools.cached_property
     def _posed(self) -> tuple[Tensor, Tensor, Pull]:
-        controls, slopes = self.control_map.with_slopes(self.raw.detach())
-        return slopes, *self.rig.coordinates_and_pull(controls)
+        controls, derivatives = self.control_map.with_derivatives(self.raw.detach())
+        return derivatives, *self.rig.coordinates_and_pull(controls)
 
     @property
     def found(self) -> Tensor:
@@ -68,8 +68,8 @@ class Answer:
 
     def pull(self, gradient: Tensor) -> Tensor:
         """A gradient of the coordinates `(batch, coordinate)` as one of the raw outputs, `(batch, control)`; no graph."""
-        slopes, _, pull = self._posed
-        return slopes * pull(gradient)
+        derivatives, _, pull = self._posed
+        return derivatives * pull(gradient)
 
     @functools.cached_property
     def gradient(self) -> Tensor:
@@ -107,7 +107,7 @@ class InverseNetwork(RigNetwork, ABC):
 
 
 class DirectInverse(InverseNetwork):
-    """One perceptron (paper: hidden 2048, 1024, 512, 256, leaky ReLU, tanh scaled to each control's range).
+    """One MLP (paper: hidden 2048, 1024, 512, 256, leaky ReLU, tanh scaled to each control's range).
 
     Args:
         control_map: `range_tanh` as in the paper, or `neutral_start`, which also anchors the neutral mesh.
@@ -135,17 +135,17 @@ class DirectInverse(InverseNetwork):
 
 
 class StagedInverse(InverseNetwork):
-    """A learned optimiser of a few steps: perceptrons in a row, then corrections, each mending what the one before left.
+    """A learned optimiser of a few steps: stages, then corrections, each mending what the one before left.
 
-    The first perceptron sees the mesh. Every further stage also sees what its predecessor left: the residual in mesh
-    coordinates, the gradient of the squared error through the rig, and the controls so far. Perceptrons find the
+    The first MLP sees the mesh. Every further stage also sees what its predecessor left: the residual in mesh
+    coordinates, the gradient of the squared error through the rig, and the controls so far. MLPs find the
     neighbourhood, corrections (`riginv.networks.correction`) come close. Each learns from its own error alone.
 
     Where the rig offers features they take the place of mesh coordinates, and a linear guess from them that of the first
     predecessor (`riginv.networks.features`).
 
     Args:
-        stages: how many perceptrons.
+        stages: how many MLPs.
         hidden: widths of each of them.
         corrections: how many follow.
         width: linear features of a correction.
@@ -221,7 +221,7 @@ class StagedInverse(InverseNetwork):
         return before + stage(torch.cat([seen, left, gradient, squashed], dim=1))
 
     def _guess(self, features: Tensor, coordinates: Tensor) -> Answer:
-        """The answer that stands before the first perceptron, where the rig offers features."""
+        """The answer that stands before the first MLP, where the rig offers features."""
         return self.answer(self.control_map.raw_of(self.features.guess(features)), coordinates)
 
     def forward(self, coordinates: Tensor) -> Tensor:
@@ -235,7 +235,7 @@ class StagedInverse(InverseNetwork):
         return torch.stack([answer.controls for answer in answers])[best, torch.arange(best.shape[0], device=best.device)]
 
     def _look(self, coordinates: Tensor) -> Tensor:
-        """What the perceptrons see of a mesh, `(batch, number)`."""
+        """What the MLPs see of a mesh, `(batch, number)`."""
         return self.features(coordinates) if self.features else coordinates / self.coordinate_scale
 
 

@@ -1,4 +1,4 @@
-"""A surrogate that knows who follows whom: many small perceptrons, each seeing a few numbers only."""
+"""A surrogate that knows who follows whom: many small MLPs, each seeing a few numbers only."""
 
 import math
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ OPEN = 3.0  # how far the damping of a primary shape starts from acting
 CONTEXT_GAIN = 0.1  # of the last layer of the context: it starts with hardly a say
 
 
-class LocalPerceptrons(nn.Module):
-    """One perceptron of two hidden layers for each output, on inputs of its own.
+class LocalMlps(nn.Module):
+    """One MLP of two hidden layers for each output, on inputs of its own.
 
     Args:
         outputs: how many.
@@ -52,16 +52,16 @@ class LocalPerceptrons(nn.Module):
 class LocalSurrogate(SurrogateNetwork):
     """A surrogate of blendshapes that takes from the rig, by posing it, what follows what (`riginv.networks.dependencies`).
 
-    A primary shape is a small perceptron on its own controls, damped by what all of them do together; a shape that corrects
+    A primary shape is a small MLP on its own controls, damped by what all of them do together; a shape that corrects
     others is one on those, beside a multiple of the product of their weights: most rigs mean one, and where all of them are
-    strong poses are rare and a perceptron knows least. Rigs without blendshapes have no such parts: theirs is one perceptron.
+    strong poses are rare and a MLP knows least. Rigs without blendshapes have no such parts: theirs is one MLP.
 
     Args:
         drivers: controls that a primary shape follows, at most.
         parents: primary shapes that a corrective one follows, at most.
-        width, corrective_width: of the small perceptrons' hidden layers.
-        context: widths of the perceptron that damps the primary shapes.
-        hidden: widths of the one perceptron for a rig without blendshapes.
+        width, corrective_width: of the small MLPs' hidden layers.
+        context: widths of the MLP that damps the primary shapes.
+        hidden: widths of the one MLP for a rig without blendshapes.
     """
 
     def __init__(
@@ -79,8 +79,8 @@ class LocalSurrogate(SurrogateNetwork):
         if not self.weights:
             self.dense = mlp(controls, hidden, len(rig.basis), "leaky_relu")
             return
-        self.primary = LocalPerceptrons(primaries, drivers, width)
-        self.corrective = LocalPerceptrons(len(rig.basis) - primaries, parents, corrective_width)
+        self.primary = LocalMlps(primaries, drivers, width)
+        self.corrective = LocalMlps(len(rig.basis) - primaries, parents, corrective_width)
         self.of_product = nn.Parameter(torch.ones(len(rig.basis) - primaries))
         self.context = mlp(controls + primaries, context, primaries, "silu")
         with torch.no_grad():

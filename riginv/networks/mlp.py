@@ -1,4 +1,4 @@
-"""Multi-layer perceptrons."""
+"""Multi-layer MLPs."""
 
 import itertools
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ ACTIVATIONS = {"leaky_relu": nn.LeakyReLU, "relu": nn.ReLU, "gelu": nn.GELU, "si
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str = "leaky_relu") -> nn.Sequential:
-    """A perceptron with a linear output and no normalisation layers (the paper found that they hurt).
+    """A MLP with a linear output and no normalisation layers (the paper found that they hurt).
 
     Raises:
         InputError: a width is below 1 or the activation is not known.

@@ -49,7 +49,7 @@ class SurrogateNetwork(RigNetwork, ABC):
 
 
 class ControlMLP(SurrogateNetwork):
-    """The paper's: a perceptron on the controls as they are (paper: hidden 1024, 1024, leaky ReLU)."""
+    """The paper's: a MLP on the controls as they are (paper: hidden 1024, 1024, leaky ReLU)."""
 
     def __init__(self, rig: LinearRig, hidden: Sequence[int] = (1024, 1024), activation: str = "leaky_relu") -> None:
         super().__init__(rig)

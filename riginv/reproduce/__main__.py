@@ -16,7 +16,7 @@ from riginv.reproduce.preflight import (
     check_capture,
     check_folder,
     check_rig,
-    choose_judge,
+    choose_true_rig,
     code_of,
     find_folder,
 )
@@ -42,7 +42,7 @@ def reproduce(config: DictConfig) -> None:
     rig = rig_in_space(plain["rig"])
     capture, meshes = check_capture(plain, rig.rig)
     check_rig(plain["body"])
-    judge, judge_name, why_itself = choose_judge(plain["true_rig"], rig.rig)
+    judge, judge_name, why_itself = choose_true_rig(plain["true_rig"], rig.rig)
     if why_itself:
         say(f"The programmatic rig judges itself: {why_itself}.", markup=False)
     show_clip(meshes)
@@ -51,8 +51,8 @@ def reproduce(config: DictConfig) -> None:
     with one_thread():
         plan.expect(measured(trainings(plain["budget"], plain["rig"]), rig))
     graph = Graph(plan.steps, folder.path / "steps", *code_of(rig.rig, [plain["rig"], plain["body"], judge]))
-    if strangers := graph.strangers():
-        say(f"{len(strangers)} kept steps are of another version of riginv or of what it builds on, and will be made anew.")
+    if stale := graph.stale_steps():
+        say(f"{len(stale)} kept steps are of another version of riginv or of what it builds on, and will be made anew.")
 
     if note:
         say(note, markup=False)

@@ -17,7 +17,7 @@ from riginv.reproduce.cast import rig_in_space, trained_rig
 from riginv.reproduce.sets import CLIP, the_sets
 from riginv.reproduce.steps import Task, read_tensors
 from riginv.reproduce.training import bundle_of
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 
 FILE = "controls.safetensors"
 
@@ -51,7 +51,7 @@ def answer(task: Task) -> dict[str, Any]:
         figures[f"{name}/nonzero_controls"] = nonzero_controls(found[name], programmatic.rig)
     if CLIP in found:
         figures["roughness"] = roughness(found[CLIP], sets[CLIP].frame_numbers)
-    with written_beside(task.folder / FILE) as beside:
+    with atomic_write(task.folder / FILE) as beside:
         save_file({name: controls.contiguous() for name, controls in found.items()}, beside)
     return figures
 

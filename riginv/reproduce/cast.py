@@ -8,7 +8,7 @@ from typing import Any
 from riginv.config.building import build
 from riginv.errors import InputError
 from riginv.evaluation.models import surrogate_config
-from riginv.evaluation.results import build_judge
+from riginv.evaluation.results import make_true_rig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 
@@ -27,7 +27,7 @@ def trained_rig(bundle: str, like: RigInMeshSpace) -> RigInMeshSpace:
     return RigInMeshSpace(build(surrogate_config(bundle), kind=LinearRig), like.space)
 
 
-def the_judge(config: Mapping[str, Any], rig: LinearRig, workers: int | None = None) -> RigBackend:
+def the_true_rig(config: Mapping[str, Any], rig: LinearRig, workers: int | None = None) -> RigBackend:
     """The rig that judges; the rig itself where the config names none.
 
     Args:
@@ -55,4 +55,4 @@ def _rig_in_space(config: str) -> RigInMeshSpace:
 
 @functools.lru_cache(maxsize=4)
 def _judge(config: str, rig: LinearRig) -> RigBackend:
-    return build_judge(json.loads(config), rig)
+    return make_true_rig(json.loads(config), rig)

@@ -10,17 +10,17 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from riginv.evaluation.evaluation_sets import random_poses
-from riginv.evaluation.results import PIECE
+from riginv.evaluation.results import BATCH_SIZE
 from riginv.geometry.neighbours import evenly
 from riginv.meshes.metrics import VertexError, mean_distance
 from riginv.reproduce.answers import read_answers
-from riginv.reproduce.cast import rig_in_space, the_judge, trained_rig
+from riginv.reproduce.cast import rig_in_space, the_true_rig, trained_rig
 from riginv.reproduce.sets import CONTROLS_FILE, VERTICES_FILE, KeptPoses, Rows, the_sets
 from riginv.reproduce.steps import Task, read_tensors
 from riginv.reproduce.training import bundle_of
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import MeshSet
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 
 ERRORS_FILE = "errors.safetensors"
 
@@ -28,16 +28,16 @@ ERRORS_FILE = "errors.safetensors"
 def sample(task: Task) -> dict[str, Any]:
     """The test set of random poses, as the judge makes them; the controls are drawn as the paper draws them."""
     rig = rig_in_space(task.config["rig"]).rig
-    judge = the_judge(task.config["judge"], rig, _workers(task))
+    judge = the_true_rig(task.config["judge"], rig, _workers(task))
     poses = random_poses(rig, task.config["poses"])
-    with written_beside(task.folder / VERTICES_FILE) as beside:
+    with atomic_write(task.folder / VERTICES_FILE) as beside:
         shape = (len(poses), *rig.rest_vertices.shape)
         kept = np.lib.format.open_memmap(beside, mode="w+", dtype=np.float32, shape=shape)
-        for start in range(0, len(poses), PIECE):
-            kept[start : start + PIECE] = judge(poses.controls[start : start + PIECE]).float().numpy()
+        for start in range(0, len(poses), BATCH_SIZE):
+            kept[start : start + BATCH_SIZE] = judge(poses.controls[start : start + BATCH_SIZE]).float().numpy()
         kept.flush()
         del kept
-    with written_beside(task.folder / CONTROLS_FILE) as beside, beside.open("wb") as file:
+    with atomic_write(task.folder / CONTROLS_FILE) as beside, beside.open("wb") as file:
         np.save(file, poses.controls.numpy())
     return {"poses": len(poses), "judge": judge.name}
 
@@ -48,7 +48,7 @@ def judge(task: Task) -> dict[str, Any]:
     Leaves the mean vertex error of each mesh that was judged, and of each vertex, mm, by set.
     """
     rig = rig_in_space(task.config["rig"]).rig
-    the_rig = the_judge(task.config["judge"], rig, _workers(task))
+    the_rig = the_true_rig(task.config["judge"], rig, _workers(task))
     sets = the_sets(task.config["sets"], task.places, task.inputs["poses"], rig)
     figures: dict[str, Any] = {}
     kept: dict[str, Tensor] = {}
@@ -57,7 +57,7 @@ def judge(task: Task) -> dict[str, Any]:
         found, errors, by_vertex = _compared(the_rig, Rows(sets[name], rows), controls[rows])
         figures |= {f"{name}/{key}": value for key, value in found.items()}
         kept |= {f"{name}/mesh": errors, f"{name}/vertex": by_vertex}
-    with written_beside(task.folder / ERRORS_FILE) as beside:
+    with atomic_write(task.folder / ERRORS_FILE) as beside:
         save_file(kept, beside)
     return figures
 
@@ -80,7 +80,7 @@ def read_errors(folder: str | Path) -> dict[str, Tensor]:
 def _compared(rig: RigBackend, meshes: MeshSet, controls: Tensor) -> tuple[dict[str, float], Tensor, Tensor]:
     error, by_mesh = VertexError(), []
     total, counts = torch.zeros(2, len(rig.rest_vertices), dtype=torch.float64)
-    for start, vertices in meshes.pieces(PIECE):
+    for start, vertices in meshes.batches(BATCH_SIZE):
         found, known = rig(controls[start : start + len(vertices)]), meshes.known(start, start + len(vertices))
         error.update(found, vertices, known)
         by_mesh.append(mean_distance(found, vertices, known))

@@ -11,14 +11,14 @@ from riginv.errors import InputError
 from riginv.geometry.neighbours import evenly
 from riginv.inference.inverse import load_inverse
 from riginv.meshes.rendering import Camera, Pair, comparison, grid, heat_colors
-from riginv.reproduce.cast import rig_in_space, the_judge
+from riginv.reproduce.cast import rig_in_space, the_true_rig
 from riginv.reproduce.judging import read_errors
 from riginv.reproduce.sets import COMBINATIONS, the_sets
 from riginv.reproduce.steps import Task
 from riginv.reproduce.training import bundle_of
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import MeshSet
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 
 PICTURE = "picture.png"
 DENOISED, BODIES, BODY_FRAMES = 2, 3, 40
@@ -29,7 +29,7 @@ RED_SHARE = 0.995  # of the vertices lie below the error that is drawn in the da
 def denoising(task: Task) -> dict[str, Any]:
     """Random combinations of blendshapes beside what the judge makes of their inverse (paper, the denoising figure)."""
     rig = rig_in_space(task.config["rig"]).rig
-    judge = the_judge(task.config["judge"], rig, 1)
+    judge = the_true_rig(task.config["judge"], rig, 1)
     sets = the_sets(task.config["sets"], task.places, None, rig)
     meshes = sets.get(COMBINATIONS) or next(iter(sets.values()))
     inverse = load_inverse(bundle_of(task.inputs["network"]), rig)
@@ -44,7 +44,7 @@ def body(task: Task) -> dict[str, Any]:
         InputError: the rig's motion does not fit it.
     """
     rig = rig_in_space(task.config["rig"]).rig
-    judge = the_judge(task.config["judge"], rig, 1)
+    judge = the_true_rig(task.config["judge"], rig, 1)
     motion = rig.motion()
     if motion is not None and motion.vertices.shape[1:] != rig.rest_vertices.shape:
         raise InputError(f"rig '{rig.name}': its motion has meshes of {motion.vertices.shape[1]} vertices")
@@ -84,5 +84,5 @@ def _some(meshes: MeshSet, count: int) -> Tensor:
 
 
 def _save(task: Task, picture: Image.Image) -> None:
-    with written_beside(task.folder / PICTURE) as beside:
+    with atomic_write(task.folder / PICTURE) as beside:
         picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=200).save(beside, format="PNG", optimize=True)

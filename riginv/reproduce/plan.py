@@ -29,13 +29,13 @@ class Row:
 
     Attributes:
         label: as the tables name it.
-        answers, judgements: names of steps, one for each seed, or one alone where nothing was learned.
+        answers, results: names of steps, one for each seed, or one alone where nothing was learned.
         seeds: of what was learned; empty where nothing was.
     """
 
     label: str
     answers: list[str] = field(default_factory=list)
-    judgements: list[str] = field(default_factory=list)
+    results: list[str] = field(default_factory=list)
     seeds: list[int] = field(default_factory=list)
 
 
@@ -137,7 +137,7 @@ class Plan:
         judge_s = START_S + (MESH_S["judge"] if judge["_target_"] else 0.002) * meshes * len(sets)
         self._add(judging, "judge", judge_s, {"answer": answer, "poses": "sample"}, "", judge=judge)
         self.rows[row].answers.append(answer)
-        self.rows[row].judgements.append(judging)
+        self.rows[row].results.append(judging)
 
     def _solvers(self) -> None:
         first = self.seeds[0]
@@ -181,7 +181,7 @@ class Plan:
     def _figures(self) -> None:
         first = self.seeds[0]
         shown = [name for name, row in self.rows.items() if name not in self.variants]
-        pairs = {self.rows[name].label: list(zip(self.rows[name].answers, self.rows[name].judgements)) for name in shown}
+        pairs = {self.rows[name].label: list(zip(self.rows[name].answers, self.rows[name].results)) for name in shown}
         read = {step: step for uses in pairs.values() for pair in uses for step in pair}
         self._add("figure-roughness", "plot_roughness", START_S, read, rows=pairs)
         learned = {name: self.rows[name].label for name in ("inverse", "trained", "holden", "best")}

@@ -17,7 +17,7 @@ from riginv.reproduce.sets import CAPTURED, CLIP, COMBINATIONS, POSES
 from riginv.reproduce.steps import Task, read_done
 from riginv.reproduce.training import RUN
 from riginv.reproduce.wording import MEAN
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 
 COLOURS = 10  # that matplotlib goes round
 NAMES = {CAPTURED: "captured data", COMBINATIONS: "random combinations", POSES: "poses of the rig"}
@@ -109,5 +109,5 @@ def _figure(columns: int = 1) -> tuple[Figure | Axes, ...]:
 
 
 def _save(task: Task, figure: Figure) -> None:
-    with written_beside(task.folder / PICTURE) as beside:
+    with atomic_write(task.folder / PICTURE) as beside:
         figure.savefig(beside, format="png", dpi=110)

@@ -10,7 +10,7 @@ from pathlib import Path
 from riginv.config.building import build, class_of
 from riginv.errors import InputError
 from riginv.evaluation.optimum import fingerprint
-from riginv.evaluation.results import build_judge
+from riginv.evaluation.results import make_true_rig
 from riginv.reproduce.recipes import ITSELF, Config, test_samples
 from riginv.reproduce.sets import recording
 from riginv.rig.interface import LinearRig, RigBackend
@@ -59,7 +59,7 @@ def check_budget(budget: Config) -> None:
             raise InputError(f"budget.variants.{name}.of is {variant['of']!r}, expected surrogate, inverse or trained")
 
 
-def choose_judge(config: Config, rig: LinearRig) -> tuple[Config, str, str]:
+def choose_true_rig(config: Config, rig: LinearRig) -> tuple[Config, str, str]:
     """The config of the judge, its name, and why the rig judges itself; the last is empty where it does not.
 
     Raises:
@@ -70,7 +70,7 @@ def choose_judge(config: Config, rig: LinearRig) -> tuple[Config, str, str]:
     if not given.get("_target_"):
         return ITSELF, rig.name, "true_rig=same was asked for"
     try:
-        judge = build_judge({**given, **({"workers": 1} if "workers" in given else {})}, rig)
+        judge = make_true_rig({**given, **({"workers": 1} if "workers" in given else {})}, rig)
     except InputError as error:
         if not optional:
             raise

@@ -53,7 +53,7 @@ def write_report(
         "budget": config["budget"]["name"],
         "budget_about": config["budget"]["about"],
         "judge": judge,
-        "judged_itself": why_itself,
+        "evaluated_by_itself": why_itself,
         "captured_data": Path(config["capture"]).name if config["capture"] else "simulated: no recording was given",
         "seeds": plan.seeds,
         "made": datetime.datetime.now().astimezone().isoformat(timespec="minutes"),

@@ -97,7 +97,7 @@ class Graph:
         """What a finished step took, s."""
         return read_done(self.path(name))["seconds"]
 
-    def strangers(self) -> list[str]:
+    def stale_steps(self) -> list[str]:
         """Folders of steps that this graph does not know: of another version of the code, or of another config."""
         known = {self.path(name).name for name in self.steps}
         return sorted(path.name for path in self.folder.glob("*-*") if path.is_dir() and path.name not in known)

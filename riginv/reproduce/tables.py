@@ -31,7 +31,7 @@ class Results:
 
     def judged(self, row: str, name: str, key: str = MEAN) -> list[float]:
         """A figure of a set of a row, as judged, for each seed."""
-        return self._values(self.plan.rows[row].judgements, f"{name}/{key}")
+        return self._values(self.plan.rows[row].results, f"{name}/{key}")
 
     def mean(self, row: str, name: str, key: str = MEAN) -> float | None:
         """The mean over the seeds; None where the row or the set is not there."""

@@ -48,7 +48,7 @@ def terminal_tables(about: Mapping[str, Any], tables: Tables) -> str:
 
 
 def _note(about: Mapping[str, Any]) -> str:
-    judge = f"the programmatic rig itself ({about['judged_itself']})" if about["judged_itself"] else about["judge"]
+    judge = f"the programmatic rig itself ({about['evaluated_by_itself']})" if about["evaluated_by_itself"] else about["judge"]
     note = f"Budget {about['budget']}: {about['budget_about']} Judged by {judge}. Captured data: {about['captured_data']}."
     seeds = f"Mean ± standard deviation over seeds {', '.join(map(str, about['seeds']))}; in brackets what the paper reports."
     return f"{note} {seeds}"

@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
 from riginv.errors import InputError, NonFiniteLossError
-from riginv.launch.closed_output import hush
+from riginv.launch.closed_output import filter_warnings
 from riginv.reproduce.work import run_step
 
 FULL_BYTES = 2_000_000  # a disk with less room than this is full
@@ -82,7 +82,7 @@ def attempt(job: Mapping[str, Any]) -> Failure | None:
 def _serve(connection: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is for the process that started this one to stop it
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    hush()
+    filter_warnings()
     while True:
         try:
             job = connection.recv()

@@ -19,7 +19,7 @@ LOG = logging.getLogger(__name__)
 SEED = 20221206
 CHECKED = 50  # poses that a basis is tried on after it has been fitted
 WORTH_IT = 3  # times as many vertices as tell the coefficients must a mesh have
-PIECE = 50  # poses between two looks at the progress bar
+BATCH_SIZE = 50  # poses between two looks at the progress bar
 
 
 def fitted_basis(rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> tuple[Tensor, float]:
@@ -41,7 +41,7 @@ def fitted_basis(rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> 
     return space.frame * spread.clamp_min(1e-6)[:, None, None], space.residual_mm
 
 
-class FittedRig(LinearRig):
+class BlackBoxRig(LinearRig):
     """Any rig in the span of its own sampled poses: its coefficients are those of the mesh that it makes.
 
     Where the rig makes some of its vertices for less than all, they come of those that tell most.
@@ -70,7 +70,7 @@ class FittedRig(LinearRig):
                 self.register_buffer("some_projection", coefficients_from(frame, rows) / lengths, persistent=False)
 
     @classmethod
-    def sampled(cls, rig: RigBackend, samples: int, residual_mm: float) -> "FittedRig":
+    def sampled(cls, rig: RigBackend, samples: int, residual_mm: float) -> "BlackBoxRig":
         """Pose a rig at random, and keep as many principal components as it takes.
 
         Args:
@@ -82,7 +82,7 @@ class FittedRig(LinearRig):
         """
         limits = rig.lower, rig.upper, rig.neutral_controls
         controls = sparse_controls(*limits, len(rig.controls), samples, generator_at(SEED, "mesh space"))
-        pieces = track(controls.split(PIECE), f"sampling {rig.name}", console=Console(stderr=True), transient=True)
+        pieces = track(controls.split(BATCH_SIZE), f"sampling {rig.name}", console=Console(stderr=True), transient=True)
         with torch.no_grad():
             meshes = torch.cat([rig(piece) for piece in pieces])
         if not torch.isfinite(meshes).all():
@@ -99,7 +99,7 @@ class FittedRig(LinearRig):
         """Say how near the fitted basis comes, on poses that it was not fitted to."""
         limits = self.lower, self.upper, self.neutral_controls
         controls = sparse_controls(*limits, len(self.controls), CHECKED, generator_at(SEED, "mesh space, checked"))
-        away = torch.cat([(self(piece) - self.posed(piece)).norm(dim=2) for piece in controls.split(PIECE)])
+        away = torch.cat([(self(piece) - self.posed(piece)).norm(dim=2) for piece in controls.split(BATCH_SIZE)])
         LOG.info(
             f"{self.name}: a basis of {len(self.basis)} coefficients, fitted to poses to {residual_mm:.2g} mm on average; "
             f"on {CHECKED} others {float(away.mean()):.2g} mm, at most {float(away.max()):.2g} mm (mesh_space in the config)"

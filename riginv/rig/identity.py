@@ -10,7 +10,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig.batches import generator_at
-from riginv.rig.black_box import FittedRig
+from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig
 from riginv.rig.random_controls import sparse_controls
 
@@ -30,7 +30,7 @@ def describe(rig: LinearRig, config: dict[str, Any]) -> dict[str, Any]:
         "config": config,
         "controls": [vars(control) for control in rig.controls],
         "vertex_count": len(rig.rest_vertices),
-        "linear": not isinstance(rig, FittedRig),
+        "linear": not isinstance(rig, BlackBoxRig),
         "coefficient_names": list(rig.coefficient_names),
         "hash": rig_hash(rig),
         "fingerprint_mm": fingerprint(rig).tolist(),
@@ -39,7 +39,7 @@ def describe(rig: LinearRig, config: dict[str, Any]) -> dict[str, Any]:
 
 def rig_hash(rig: LinearRig) -> str:
     """SHA-256 of a rig's controls, faces and number of vertices, and of the coefficients of one that ends in a linear map."""
-    names = [] if isinstance(rig, FittedRig) else list(rig.coefficient_names)
+    names = [] if isinstance(rig, BlackBoxRig) else list(rig.coefficient_names)
     exact = json.dumps([[vars(control) for control in rig.controls], len(rig.rest_vertices), names])
     return hashlib.sha256(exact.encode() + rig.faces.cpu().numpy().astype("<i8").tobytes()).hexdigest()
 
@@ -49,7 +49,7 @@ def fingerprint(rig: LinearRig) -> Tensor:
     """What a rig does to eight poses, `(probe, field)`: its change of the mesh, weighted by fields of random signs, mm."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     controls = sparse_controls(*limits, len(rig.controls), PROBES, generator_at(SEED, "probes"))
-    posed = rig.posed if isinstance(rig, FittedRig) else rig
+    posed = rig.posed if isinstance(rig, BlackBoxRig) else rig
     change = (posed(controls) - rig.rest_vertices).flatten(1).double().nan_to_num(0.0, 0.0, 0.0)
     signs = torch.randint(0, 2, (change.shape[1], FIELDS), generator=generator_at(SEED, "signs")).double() * 2 - 1
     return change @ signs / math.sqrt(len(rig.rest_vertices))

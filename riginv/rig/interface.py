@@ -202,8 +202,8 @@ class LinearRig(RigBackend):
             given = controls.detach().requires_grad_()
             found = self.coefficients(given)
             rows = torch.eye(found.shape[1]).to(found)[:, None].expand(-1, len(controls), -1)
-            slopes = torch.autograd.grad(found, given, rows, is_grads_batched=True)[0]
-        return found.detach(), Jacobian(inner=slopes.transpose(0, 1))
+            derivatives = torch.autograd.grad(found, given, rows, is_grads_batched=True)[0]
+        return found.detach(), Jacobian(inner=derivatives.transpose(0, 1))
 
     def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
         """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their pull: a vector-Jacobian product.

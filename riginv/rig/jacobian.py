@@ -16,7 +16,7 @@ from riginv.geometry.blendshapes import add_to_columns
 from riginv.geometry.kernels.library import Kernels, kernels_for
 
 FORWARD = 1024  # rows of a batch in forward mode, one for each control of each pose
-PIECE = 16  # Jacobians at a time: what a processor's cache holds
+BATCH_SIZE = 16  # Jacobians at a time: what a processor's cache holds
 
 # PyTorch says so of every sparse matrix, once; multiplying one with a dense matrix is all that is asked of them here.
 warnings.filterwarnings("ignore", message=".*Sparse CSR tensor support is in beta state.*")
@@ -142,7 +142,7 @@ class Jacobian:
             metric = _sandwich(compiled, metric, self.factors)
             return metric if self.inner is None else self.inner.transpose(1, 2) @ (metric @ self.inner)
         outer, inner = self.factors[0], Jacobian(self.factors[1:], self.inner).dense()
-        pieces = zip(outer.values.split(PIECE), inner.split(PIECE))
+        pieces = zip(outer.values.split(BATCH_SIZE), inner.split(BATCH_SIZE))
         return torch.cat([_gram(metric, outer.pattern, *piece) for piece in pieces])
 
 

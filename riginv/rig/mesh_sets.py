@@ -45,7 +45,7 @@ class MeshSet(ABC):
         twin.name = name
         return twin
 
-    def pieces(self, size: int = 128) -> Iterator[tuple[int, Tensor]]:
+    def batches(self, size: int = 128) -> Iterator[tuple[int, Tensor]]:
         """All meshes in order, `size` at a time: where the piece starts, and its vertices."""
         for start in range(0, len(self), size):
             yield start, self.vertices(start, min(start + size, len(self)))

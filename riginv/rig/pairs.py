@@ -23,7 +23,7 @@ from torch import Tensor
 from riginv.errors import InputError, in_short
 from riginv.rig.interface import Control
 from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npy, check_npz, check_zarr
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 
 SHAPES = {
     "controls": ("pose", "control"),
@@ -90,7 +90,7 @@ def write_pairs(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """
     path = Path(path)
     _check(path, arrays)
-    with written_beside(path) as beside:
+    with atomic_write(path) as beside:
         if path.suffix == ".zarr":
             group = zarr.open_group(beside, mode="w", zarr_format=2)  # format 3 has no stable text yet
             for name in SHAPES:

@@ -42,16 +42,16 @@ class RecordedRig(LinearRig):
                 f"{name}: held_out={held_out} of {poses} poses leaves {judging} to judge by; expected 1 to {poses - 1}"
             )
         order = torch.randperm(poses, generator=generator_at(SEED, "held out"))
-        judge_rows, train_rows = order[:judging].sort().values, order[judging:].sort().values
+        evaluate_rows, train_rows = order[:judging].sort().values, order[judging:].sort().values
         fitted_to = table.vertices[order[judging : judging + FITTED_TO]]
         basis, self.residual_mm = fitted_basis(table.rest_vertices, fitted_to, residual_mm)
         super().__init__(name, table.described, table.rest_vertices, table.faces, basis)
         self.training = StoredMeshes("training", table.vertices[train_rows], controls=table.controls[train_rows])
-        self.held_out = StoredMeshes("held_out_pairs", table.vertices[judge_rows], controls=table.controls[judge_rows])
+        self.held_out = StoredMeshes("held_out_pairs", table.vertices[evaluate_rows], controls=table.controls[evaluate_rows])
 
     def poses_to_train_on(self, space: MeshSpace) -> PoseBatch:
         """The poses to train on, in mesh coordinates."""
-        pieces = [space.encode(piece) for _, piece in self.training.pieces()]
+        pieces = [space.encode(piece) for _, piece in self.training.batches()]
         return PoseBatch(coordinates=torch.cat(pieces), controls=self.training.controls)
 
     def coefficients(self, controls: Tensor) -> Tensor:

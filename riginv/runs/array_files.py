@@ -1,4 +1,4 @@
-"""Arrays in files that may be a stranger's: numbers and text, never Python objects, and never more than the file can hold.
+"""Arrays in files that is untrusted: numbers and text, never Python objects, and never more than the file can hold.
 
 NumPy, zarr and numcodecs read what a header promises; these checks come before they do.
 """

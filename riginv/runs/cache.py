@@ -14,8 +14,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.runs.files import written_beside
-from riginv.runs.locks import alone
+from riginv.runs.files import atomic_write
+from riginv.runs.locks import exclusive_lock
 
 SUM = "sha256"
 
@@ -57,7 +57,7 @@ def cached_tensors(name: str, key: str, build: Callable[[], dict[str, Tensor]]) 
     if tensors is None:
         tensors = build()
         with contextlib.suppress(OSError, SafetensorError, InputError):  # the last: another process keeps the same just now
-            with alone(path), written_beside(path) as beside:
+            with exclusive_lock(path), atomic_write(path) as beside:
                 save_file(tensors, beside, {SUM: _digest(tensors)})
     # Sums of floats depend on how their memory is aligned: copies are aligned alike, whether built or read.
     return {name: tensor.clone() for name, tensor in tensors.items()}

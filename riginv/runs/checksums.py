@@ -13,7 +13,7 @@ MARK, DIGITS = b"riginv sha256 ", 64
 BLOCK = 1 << 20
 
 
-def seal(path: Path) -> None:
+def append_checksum(path: Path) -> None:
     """Seal a zip archive that has no comment yet.
 
     Raises:
@@ -33,7 +33,7 @@ def seal(path: Path) -> None:
         file.write(digest)
 
 
-def is_whole(path: Path) -> bool:
+def has_valid_checksum(path: Path) -> bool:
     """Whether a file is sealed, and every byte of it is as it was then."""
     size = path.stat().st_size - DIGITS
     if size < len(MARK):

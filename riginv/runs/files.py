@@ -20,7 +20,7 @@ MOST_YAML_VALUES = 300_000  # once everything that is referred to again has been
 
 
 @contextmanager
-def written_beside(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Give a place beside `path` to write to, and rename it to `path` once it is complete."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -33,7 +33,7 @@ def written_beside(path: Path) -> Iterator[Path]:
         discard(beside)
 
 
-def half_written(path: Path) -> list[Path]:
+def stale_partial_files(path: Path) -> list[Path]:
     """What killed processes left beside a file or a folder that they were writing."""
     part = re.compile(rf"\.{re.escape(path.name)}\.\d+\.part(\..+)?")
     return [beside for beside in path.parent.iterdir() if part.fullmatch(beside.name)] if path.parent.is_dir() else []
@@ -49,7 +49,7 @@ def discard(path: Path) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
-    with written_beside(path) as beside:
+    with atomic_write(path) as beside:
         beside.write_text(text, encoding="utf-8")
 
 
@@ -112,7 +112,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file that may be a stranger's.
+    """The text of a file that is untrusted.
 
     Raises:
         InputError: it is missing, no file, no text, or larger than such files are.
@@ -129,7 +129,7 @@ def read_text(path: Path) -> str:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file that may be a stranger's: plain values, and no more of them than could be meant.
+    """The mapping in a YAML file that is untrusted: plain values, and no more of them than could be meant.
 
     Raises:
         InputError: the file is missing or damaged, asks for Python objects, holds no mapping, or multiplies itself.
@@ -146,7 +146,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file that may be a stranger's.
+    """The object in a JSON file that is untrusted.
 
     Raises:
         InputError: the file is missing or damaged, or holds something else.

@@ -9,7 +9,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from riginv.errors import InputError
-from riginv.runs.files import discard, half_written
+from riginv.runs.files import discard, stale_partial_files
 
 LOCK = ".lock"
 
@@ -54,7 +54,7 @@ def unlock_folders() -> None:
 
 
 @contextmanager
-def alone(path: Path) -> Iterator[None]:
+def exclusive_lock(path: Path) -> Iterator[None]:
     """Let no other process write a file or a folder meanwhile, and clear away what killed ones left of it half-written.
 
     Raises:
@@ -65,7 +65,7 @@ def alone(path: Path) -> Iterator[None]:
     beside = path.with_name(f".{path.name}{LOCK}")
     lock = _locked(beside, path)
     try:
-        for left in half_written(path):
+        for left in stale_partial_files(path):
             discard(left)
         yield
     finally:

@@ -22,8 +22,8 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from riginv.errors import InputError
-from riginv.runs.checksums import is_whole
-from riginv.runs.files import discard, half_written, read_yaml, write_text
+from riginv.runs.checksums import has_valid_checksum
+from riginv.runs.files import discard, read_yaml, stale_partial_files, write_text
 from riginv.runs.locks import LOCK, lock_folder
 
 CONFIG, METRICS, POSES, CHOICES = "config.yaml", "metrics.json", "poses.png", "hparams.yaml"
@@ -77,7 +77,7 @@ class RunFolder:
     def checkpoint(self) -> Path | None:
         """Where training stood last, if it got that far; one that is damaged does not count."""
         paths = [self.path / name for name in (CHECKPOINT, CHECKPOINT_BEFORE)]
-        return next((path for path in paths if path.is_file() and is_whole(path)), None)
+        return next((path for path in paths if path.is_file() and has_valid_checksum(path)), None)
 
     @property
     def finished(self) -> bool:
@@ -89,7 +89,7 @@ class RunFolder:
     def _discard_damaged_checkpoints(self) -> None:
         damaged = []
         for path in (self.path / CHECKPOINT, self.path / CHECKPOINT_BEFORE):
-            if path.is_file() and is_whole(path):
+            if path.is_file() and has_valid_checksum(path):
                 break
             if path.is_file():
                 discard(path)
@@ -118,7 +118,7 @@ def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool, writ
     path = Path(path)
     if not written_here:
         return RunFolder(path, config, resumed=True, written_here=False)
-    if not path.is_dir() or set(path.iterdir()) <= {path / LOCK, *half_written(path / CONFIG)}:
+    if not path.is_dir() or set(path.iterdir()) <= {path / LOCK, *stale_partial_files(path / CONFIG)}:
         return RunFolder(path, config, resumed=False, was_empty=True)
     if not (path / CONFIG).is_file():
         raise InputError(f"{path} holds files that are no run of riginv: choose another folder with hydra.run.dir=DIR")

@@ -213,7 +213,7 @@ class StoredPoses(MeshSampler):
         InputError: there are none.
     """
 
-    PIECE = 500
+    BATCH_SIZE = 500
 
     def __init__(self, poses: PoseBatch) -> None:
         super().__init__()
@@ -230,8 +230,8 @@ class StoredPoses(MeshSampler):
         Args:
             generator: what they are drawn with.
         """
-        starts = track(range(0, count, cls.PIECE), "posing the rig", console=Console(stderr=True), transient=True)
-        pieces = [sampler.sample(min(cls.PIECE, count - start), generator) for start in starts]
+        starts = track(range(0, count, cls.BATCH_SIZE), "posing the rig", console=Console(stderr=True), transient=True)
+        pieces = [sampler.sample(min(cls.BATCH_SIZE, count - start), generator) for start in starts]
         return cls(PoseBatch({key: torch.cat([piece[key] for piece in pieces]) for key in pieces[0]} if pieces else {}))
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:

@@ -12,7 +12,7 @@ from riginv.solvers.levenberg_marquardt import LEAST_DAMPING, MOST_DAMPING, STAR
 from riginv.solvers.objective import Linearised, Objective
 
 WINDOW, LOOKAHEAD = 192, 48  # frames that are kept of a window, and those solved beyond them so that its end knows what comes
-PIECE = 64
+BATCH_SIZE = 64
 TRIES = 4  # of more and more damping on one linearisation
 
 
@@ -116,18 +116,18 @@ class _Window:
         return at
 
     def _linearise(self, at: Tensor) -> Linearised:
-        pieces = self.objective.at_once([lambda piece=piece: self.objective.linearise(*piece) for piece in self._pieces(at)])
+        pieces = self.objective.at_once([lambda piece=piece: self.objective.linearise(*piece) for piece in self._batches(at)])
         near = Linearised(*(torch.cat(parts) for parts in zip(*pieces)))
         for values in near:
             values[~self.seen] = 0
         return near
 
     def _cost(self, at: Tensor) -> Tensor:
-        pieces = self.objective.at_once([lambda piece=piece: self.objective.cost(*piece) for piece in self._pieces(at)])
+        pieces = self.objective.at_once([lambda piece=piece: self.objective.cost(*piece) for piece in self._batches(at)])
         return torch.where(self.seen, torch.cat(pieces), 0.0)
 
-    def _pieces(self, at: Tensor) -> Iterator[tuple[Tensor, ...]]:
-        return zip(*(values.split(PIECE) for values in (at, self.coordinates, self.weights)))
+    def _batches(self, at: Tensor) -> Iterator[tuple[Tensor, ...]]:
+        return zip(*(values.split(BATCH_SIZE) for values in (at, self.coordinates, self.weights)))
 
     def _differences(self, at: Tensor) -> Tensor:
         curve = torch.cat([self.before, at])

@@ -10,7 +10,7 @@ from riginv.solvers.levenberg_marquardt import TOLERANCE, Solution, levenberg_ma
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import first_start, start_at_random
 
-PIECE = 128  # meshes at a time: what bounds the memory
+BATCH_SIZE = 128  # meshes at a time: what bounds the memory
 KEY_DISTANCE = 4  # frames between two that are solved from scratch
 EXACT = 1e-5  # mm^2 of half the mean squared distance, 0.005 mm: no other start is tried for a mesh that is hit like that
 DESCENT_RATE = 0.03  # of a control's range
@@ -29,7 +29,7 @@ def solve_meshes(
 
     Args:
         coordinates: `(mesh, coordinate)`.
-        starts: the first goes by the rig's features or by the slope at neutral, the others are strewn around.
+        starts: the first goes by the rig's features or by the derivative at neutral, the others are strewn around.
         steps, tolerance: as in `levenberg_marquardt`.
         descent_steps: where above 0, the second start is where so many steps of gradient descent lead from the first one.
     """
@@ -110,7 +110,7 @@ def _take_over(objective: Objective, coordinates: Tensor, found: Solution, shift
     rows = torch.arange(max(len(coordinates) - abs(shift), 0), device=coordinates.device) + max(shift, 0)
     if not len(rows):
         return
-    pieces = zip(found.units[rows - shift].split(PIECE), coordinates[rows].split(PIECE))
+    pieces = zip(found.units[rows - shift].split(BATCH_SIZE), coordinates[rows].split(BATCH_SIZE))
     cost = torch.cat([objective.cost(units, target) for units, target in pieces])
     rows = rows[(cost < PROMISING * found.cost[rows]) & ~found.skipped[rows - shift]]  # NaN is less than nothing
     found.take_better(rows, refine_meshes(objective, coordinates[rows], found.units[rows - shift], steps))
@@ -118,7 +118,7 @@ def _take_over(objective: Objective, coordinates: Tensor, found: Solution, shift
 
 def _in_pieces(objective: Objective, count: int, solve: Callable[[Tensor], Solution]) -> Solution:
     found = Solution.at_neutral(objective, count)
-    for rows in torch.arange(count).split(PIECE):
+    for rows in torch.arange(count).split(BATCH_SIZE):
         if len(rows):
             found.put(rows, solve(rows))
     return found

@@ -131,13 +131,13 @@ class Objective:
         hessian = jacobian.gram(self.metric)
         if share is not None:
             hessian = share[:, None, None] * hessian
-        slope = jacobian.pull(pull @ self.map.T)
+        derivative = jacobian.pull(pull @ self.map.T)
         if weights is not None:
-            distance, slope, hessian = weights * distance, weights[:, None] * slope, weights[:, None, None] * hessian
+            distance, derivative, hessian = weights * distance, weights[:, None] * derivative, weights[:, None, None] * hessian
         hessian.diagonal(dim1=1, dim2=2).add_(curvature)
         if self.learned is not None:
             hessian = hessian + self.learned.precision
-        return Linearised(cost + distance, gradient + slope, hessian)
+        return Linearised(cost + distance, gradient + derivative, hessian)
 
     def _residual(self, coefficients: Tensor, coordinates: Tensor) -> Tensor:
         return (coefficients - self.rest) @ self.map - coordinates

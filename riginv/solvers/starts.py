@@ -1,6 +1,6 @@
 """Where to start from: near neutral, but not on it; or where the rig's own features point.
 
-A control that is neutral inside its range often drives two shapes, one on either side, and its slope has a kink at neutral;
+A control that is neutral inside its range often drives two shapes, one on either side, and its derivative has a kink at neutral;
 a start on the kink may never leave it. From random places solvers get stuck in a rig's saturations instead.
 """
 
@@ -11,20 +11,20 @@ from riginv.rig.batches import generator_at
 from riginv.solvers.objective import Objective
 
 AWAY = 0.02  # of a control's range
-PIECE = 128
+BATCH_SIZE = 128
 SEED = 20221206
 
 
 def first_start(objective: Objective, coordinates: Tensor) -> Tensor:
-    """Where the rig offers features, what they tell of the controls `(mesh, control)`; else by the slope at neutral."""
+    """Where the rig offers features, what they tell of the controls `(mesh, control)`; else by the derivative at neutral."""
     if objective.features is None:
-        return start_by_slope(objective, coordinates)
+        return start_by_derivative(objective, coordinates)
     given = coordinates.to(objective.features.scale)
-    guess = torch.cat([objective.features.guess(objective.features(piece)) for piece in given.split(PIECE)])
+    guess = torch.cat([objective.features.guess(objective.features(piece)) for piece in given.split(BATCH_SIZE)])
     return objective.units(guess).nan_to_num(0.5).clamp(0, 1)
 
 
-def start_by_slope(objective: Objective, coordinates: Tensor, away: float = AWAY) -> Tensor:
+def start_by_derivative(objective: Objective, coordinates: Tensor, away: float = AWAY) -> Tensor:
     """Every control a little away from neutral `(mesh, control)`; one with two sides, on the side that helps the mesh more.
 
     One that nothing but the prior pulls at stays at neutral.

@@ -11,7 +11,7 @@ import torch
 
 from riginv.config.building import build
 from riginv.errors import InputError
-from riginv.rig.black_box import FittedRig
+from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.identity import check_rig, describe
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.store.checking import Condition, examine
@@ -95,7 +95,7 @@ def fill(config: Config) -> Filled:
         made = 0
         if found.holes:
             refusal = f"another process is sampling shard {shard} of it: wait for it, or give another out"
-            stack.enter_context(place.alone(f"shard-{shard.number}-of-{shard.of}", refusal))
+            stack.enter_context(place.exclusive_lock(f"shard-{shard.number}-of-{shard.of}", refusal))
             progress.begin(f"sampling {rig.name}", sum(map(store.layout.count, found.holes)))
             if jobs > 1:
                 workers = workers or stack.enter_context(ChunkWorkers(config, jobs))
@@ -116,14 +116,14 @@ def begun(config: Config, place: Place, shard: Shard, store: PoseStore | None, r
     """
     if not isinstance(rig, LinearRig):
         known = store is not None and store.layout.fitted == len(rig.rest_vertices)
-        rig = store.fitted_rig(rig) if known else FittedRig.sampled(rig, **config["mesh_space"])
+        rig = store.fitted_rig(rig) if known else BlackBoxRig.sampled(rig, **config["mesh_space"])
     layout, facts = planned(config, rig)
     if store is None:
         build_sampler(config["sampler"], rig)  # it may refuse, and nothing has been written yet
-        if place.path is None and isinstance(rig, FittedRig) and shard.number:
+        if place.path is None and isinstance(rig, BlackBoxRig) and shard.number:
             raise InputError(f"{place}: start shard=0/{shard.of} first: it fits the basis that all shards share")
         store = PoseStore.begin(place, layout, facts, rig)
-        if isinstance(rig, FittedRig):
+        if isinstance(rig, BlackBoxRig):
             rig = store.fitted_rig(rig.posed)  # of the process that was quicker, if one was
     check_same(store, replace(layout, coefficients=store.layout.coefficients), facts, rig)
     return store, rig
@@ -153,7 +153,7 @@ def planned(config: Config, rig: LinearRig) -> tuple[Layout, Config]:
         len(rig.controls),
         len(rig.coefficient_names),
         vertices if config["vertices"] else 0,
-        vertices if isinstance(rig, FittedRig) else 0,
+        vertices if isinstance(rig, BlackBoxRig) else 0,
     )
     layout = replace(layout, chunk=config["chunk"] or default_chunk(layout, slow=not rig.differentiable))
     facts = {

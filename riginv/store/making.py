@@ -12,7 +12,7 @@ from riginv.config.building import build
 from riginv.errors import InputError
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.rig.batches import generator_at
-from riginv.rig.black_box import FittedRig
+from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.files import write_json
@@ -20,7 +20,7 @@ from riginv.sampling.meshes import MeshSampler, fitted
 from riginv.store.layout import COEFFICIENTS, CONTROL_RANGE, CONTROLS, COST, ERRORS, VERTICES, Layout
 from riginv.store.store import PoseStore
 
-PIECE = 512  # poses that the rig is asked for at a time
+BATCH_SIZE = 512  # poses that the rig is asked for at a time
 LOOKED_AT = 8  # poses of each chunk whose meshes are compared with those of rounded coefficients
 
 
@@ -88,9 +88,9 @@ class ChunkMaker:
     def _pose(self, controls: Tensor, chunk: int) -> tuple[Tensor, Tensor | None, float]:
         """Coefficients, vertices where they are stored, and how far meshes lie outside the span of a fitted basis, mm."""
         coefficients, vertices, squares = [], [], 0.0
-        for start in range(0, len(controls), PIECE):
-            piece = controls[start : start + PIECE]
-            if isinstance(self.rig, FittedRig):
+        for start in range(0, len(controls), BATCH_SIZE):
+            piece = controls[start : start + BATCH_SIZE]
+            if isinstance(self.rig, BlackBoxRig):
                 posed = self.rig.posed(piece)
                 found = self.rig.coefficients_of(posed)
                 squares += float((posed - apply_deltas(self.rig.rest_vertices, self.rig.basis, found)).square().sum())

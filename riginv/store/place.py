@@ -68,7 +68,7 @@ class Place:
             ) from None
 
     @contextmanager
-    def alone(self, purpose: str, refusal: str | None = None) -> Iterator[None]:
+    def exclusive_lock(self, purpose: str, refusal: str | None = None) -> Iterator[None]:
         """Keep other processes out of a local place meanwhile; a remote one cannot be locked.
 
         Args:

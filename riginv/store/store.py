@@ -13,7 +13,7 @@ import zarr
 from zarr.storage import LocalStore
 
 from riginv.errors import InputError
-from riginv.rig.black_box import FittedRig
+from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.files import discard
 from riginv.store.layout import BASIS, FORMAT, LEDGER, NEUTRAL, Layout
@@ -84,7 +84,7 @@ class PoseStore:
         facts = {"format": FORMAT, **facts, "layout": layout.as_dict()}
         constants = {NEUTRAL: rig.neutral_coefficients()[0]} | ({BASIS: rig.basis} if layout.fitted else {})
         values = {name: value.detach().cpu().float().numpy() for name, value in constants.items()}
-        with place.writing(), place.alone("begin"):
+        with place.writing(), place.exclusive_lock("begin"):
             found = cls.find(place, read_only=False)
             if found is None and place.path is not None:
                 for left in place.path.parent.glob(f".{place.path.name}.*.part"):
@@ -196,9 +196,9 @@ class PoseStore:
         with self.place.writing():
             self.group = zarr.open_group(self.place.open(read_only=False), mode="r+").update_attributes(attributes)
 
-    def fitted_rig(self, rig: RigBackend) -> FittedRig:
+    def fitted_rig(self, rig: RigBackend) -> BlackBoxRig:
         """A rig that does not end in a linear map, in the basis that the store was begun with."""
-        return FittedRig(rig, self.constant(BASIS).to(rig.rest_vertices))
+        return BlackBoxRig(rig, self.constant(BASIS).to(rig.rest_vertices))
 
 
 def checksum(values: np.ndarray) -> int:

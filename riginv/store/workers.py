@@ -11,7 +11,7 @@ from typing import Any
 
 from riginv.errors import InputError
 
-ATTEMPTS = 3  # after so many lost workers in a row the chunk is to blame
+ATTEMPTS = 3  # after so many lost workers in a row the chunk is the cause
 
 
 class ChunkWorkers:

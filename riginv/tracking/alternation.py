@@ -12,7 +12,7 @@ from torch import Tensor
 
 from riginv.rig.interface import LinearRig
 from riginv.tracking.anchors import Anchors
-from riginv.tracking.rigid import fit_rigid, moved, unmoved
+from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
 from riginv.tracking.solving import Solving
 
 
@@ -107,7 +107,7 @@ class WindowInverter:
     @torch.no_grad()
     def placed(self, vertices: Tensor, controls: Tensor, motion: Tensor | None, present: Tensor) -> Found:
         """Meshes with the controls and the motion that were found for them."""
-        still = vertices if motion is None else unmoved(motion, vertices)
+        still = vertices if motion is None else remove_motion(motion, vertices)
         results = self.rig(controls)
         complete = torch.where(torch.isfinite(still).all(dim=2, keepdim=True), still, results)
         return Found(controls, motion, still, complete, results, present)
@@ -141,7 +141,7 @@ class _Turns:
     def _turn(self, rows: Tensor, turn: int) -> Tensor:
         """One turn for some frames; whether each is to have another."""
         target = self.vertices[rows]
-        still = target if self.motion is None else unmoved(self.motion[rows], target)
+        still = target if self.motion is None else remove_motion(self.motion[rows], target)
         solving, weights = self.inverter.solving, self.inverter.weights
         if not self.whole:
             still = torch.where(self.known[rows][..., None], still, self.results[rows])
@@ -162,8 +162,8 @@ class _Turns:
         if self.anchors is not None:
             anchors = self.anchors
             now = anchors.mesh(controls) if results is None else results[:, anchors.some]
-            before = moved(self.motion[rows], self.at_anchors[rows])
+            before = apply_motion(self.motion[rows], self.at_anchors[rows])
             motion = fit_rigid(now, self.vertices[rows][:, anchors.some], anchors.weights, self.motion[rows])
             self.motion[rows], self.at_anchors[rows] = motion, now
-            change = moved(motion, now) - before
+            change = apply_motion(motion, now) - before
         return change

@@ -15,8 +15,8 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.weighed_prior import WeighedPrior
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
-from riginv.tracking.constraints import Wishes, resolve_wishes
-from riginv.tracking.fixed_controls import HeldRig
+from riginv.tracking.constraints import ControlConstraints, resolve_constraints
+from riginv.tracking.fixed_controls import FixedControlsRig
 from riginv.tracking.frame_evaluation import FrameJudge
 from riginv.tracking.preferences import PreferringObjective
 from riginv.tracking.priors.files import load_prior
@@ -81,23 +81,25 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
         InputError: a value is wrong, or the method cannot do what is asked of it.
     """
     method, notes = chosen_method(config), []
-    wishes = resolve_wishes(rig, config["controls"])
+    constraints = resolve_constraints(rig, config["controls"])
     weights = vertex_weights(true_rig, *(config["vertices"][key] for key in ("weights", "regions", "default")))
     if method == NETWORK:
-        _refuse_for_network(wishes, config)
+        _refuse_for_network(constraints, config)
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
     anchors = _anchors(config["motion"], in_space, true_rig, weights, notes)
     by_solver = REFINED if inverse else EACH_FRAME
     if anchors is not None and config["motion"] == "auto":
-        solving = build_solver(config, in_space, wishes, weights, inverse, by_solver)
+        solving = build_solver(config, in_space, constraints, weights, inverse, by_solver)
         anchors = anchors_if_moving(clip, rig, solving, anchors, weights, config["turns"], notes)
-    if bool(wishes.static.any()):
-        solving = build_solver(config, in_space, wishes, weights, inverse, by_solver)
+    if bool(constraints.static.any()):
+        solving = build_solver(config, in_space, constraints, weights, inverse, by_solver)
         inverter = WindowInverter(rig, solving, anchors, None, config["turns"])
-        wishes = wishes.with_held(wishes.static, static_values(clip, inverter, solving, wishes.static))
+        constraints = constraints.with_fixed(constraints.static, static_values(clip, inverter, solving, constraints.static))
     solving = (
-        ByNetwork(inverse, wishes) if method == NETWORK else build_solver(config, in_space, wishes, weights, inverse, method)
+        ByNetwork(inverse, constraints)
+        if method == NETWORK
+        else build_solver(config, in_space, constraints, weights, inverse, method)
     )
     inverter = WindowInverter(rig, solving, anchors, weights if method == NETWORK else None, config["turns"])
     judge = FrameJudge(
@@ -114,8 +116,8 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
     return Parts(clip, inverter, judge, method, notes)
 
 
-def _refuse_for_network(wishes: Wishes, config: Config) -> None:
-    key = wishes.only_of_solvers or ("solver.sparsity" if config["solver"]["sparsity"] else "")
+def _refuse_for_network(constraints: ControlConstraints, config: Config) -> None:
+    key = constraints.only_of_solvers or ("solver.sparsity" if config["solver"]["sparsity"] else "")
     if key:
         raise InputError(f"{key} is for solvers, and method={NETWORK} is none: add refine=5, or method={WHOLE_CLIP}")
 
@@ -138,7 +140,12 @@ def _anchors(
 
 
 def build_solver(
-    config: Config, rig: RigInMeshSpace, wishes: Wishes, weights: Tensor | None, inverse: Inverse | None, method: str
+    config: Config,
+    rig: RigInMeshSpace,
+    constraints: ControlConstraints,
+    weights: Tensor | None,
+    inverse: Inverse | None,
+    method: str,
 ) -> BySolver:
     """The solver of a method, over the controls that are free.
 
@@ -147,21 +154,21 @@ def build_solver(
         inverse: whose answers it starts from; None: it starts from scratch.
     """
     options = config["solver"]
-    held = HeldRig(rig.rig, wishes.free.nonzero()[:, 0], wishes.held)
+    held = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.held)
     space = rig.space if weights is None else weighted_space(rig.rig, weights)
     objective = PreferringObjective(
         RigInMeshSpace(held, space),
         options["prior"],
         options["sparsity"],
-        wishes.preferences_of_free(),
+        constraints.preferences_of_free(),
         _learned(config, rig, held, weights),
     )
-    network = ByNetwork(inverse, wishes) if inverse is not None and method != EACH_FRAME else None
+    network = ByNetwork(inverse, constraints) if inverse is not None and method != EACH_FRAME else None
     steps = (config["refine"] or REFINE_STEPS) if network else options["steps"]
     return BySolver(objective, network, steps, options["key_starts"], options["descent_steps"])
 
 
-def _learned(config: Config, rig: RigInMeshSpace, held: HeldRig, weights: Tensor | None) -> WeighedPrior | None:
+def _learned(config: Config, rig: RigInMeshSpace, held: FixedControlsRig, weights: Tensor | None) -> WeighedPrior | None:
     """The prior that a config names, among the free controls, as it counts beside the vertices that are believed."""
     if config.get("prior") is None:
         return None

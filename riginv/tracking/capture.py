@@ -24,8 +24,8 @@ from riginv.runs.cache import cached_tensors, code_key
 from riginv.solvers.objective import PRIOR, Objective
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
-from riginv.tracking.fixed_controls import HeldRig
-from riginv.tracking.rigid import unmoved
+from riginv.tracking.fixed_controls import FixedControlsRig
+from riginv.tracking.rigid import remove_motion
 from riginv.tracking.rigid_check import anchors_if_moving
 from riginv.tracking.solving import BySolver
 from riginv.tracking.stillness import moves_itself, stillness
@@ -84,7 +84,7 @@ class CapturedMeshes(MeshSet):
         spans = [(rows[first], rows[last - 1] + 1) for first, last in zip([0, *cuts], [*cuts, len(rows)]) if last > first]
         meshes = [self.clip.vertices(int(first), int(stop)) for first, stop in spans]
         found = torch.cat(meshes) if meshes else self.rig.rest_vertices.new_zeros(0, *self.rig.rest_vertices.shape)
-        return found if self.motion is None else unmoved(self.motion[rows].to(found), found)
+        return found if self.motion is None else remove_motion(self.motion[rows].to(found), found)
 
 
 def open_capture(
@@ -125,7 +125,7 @@ def open_capture(
 def content_key(meshes: MeshSet) -> str:
     """A key of all meshes of a set, and of when they are."""
     digest = hashlib.sha256(f"{meshes.fps} {meshes.frame_numbers}".encode())
-    for _, vertices in meshes.pieces(WINDOW):
+    for _, vertices in meshes.batches(WINDOW):
         digest.update(vertices.cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
 
@@ -133,7 +133,7 @@ def content_key(meshes: MeshSet) -> str:
 def _looked_through(clip: Clip) -> tuple[bytes, Tensor]:
     """A key of what a clip holds, and which of its frames have holes, `(frame,)`."""
     digest, holes = hashlib.sha256(), []
-    for _, vertices in clip.pieces(WINDOW):
+    for _, vertices in clip.batches(WINDOW):
         digest.update(vertices.numpy().tobytes())
         holes.append(~torch.isfinite(vertices).all(dim=2).all(dim=1))
     return digest.digest(), torch.cat(holes)
@@ -143,7 +143,7 @@ def _looked_through(clip: Clip) -> tuple[bytes, Tensor]:
 def _prepared(clip: Clip, rig: LinearRig, true_rig: RigBackend, holes: Tensor) -> dict[str, Tensor]:
     """The rigid motion and the controls of all frames, and whether each is known; empty where there is no need for them."""
     space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
-    held = HeldRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
+    held = FixedControlsRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
     solving = BySolver(Objective(RigInMeshSpace(held, space.space), PRIOR), None, STEPS, 1, 0)
     anchors = None
     if not clip.sequence.in_rig_space and not moves_itself(space):

@@ -15,7 +15,7 @@ from riginv.tracking.preferences import Preferences
 
 
 @dataclass(frozen=True)
-class Wishes:
+class ControlConstraints:
     """What is wanted of a rig's controls.
 
     Attributes:
@@ -35,13 +35,13 @@ class Wishes:
         """The key of a wish that a network alone cannot meet; empty where there is none."""
         preferences = self.preferences
         named = {
-            "controls.weights": bool((preferences.dearness != 1).any()),
+            "controls.weights": bool((preferences.penalty_scale != 1).any()),
             "controls.symmetric": len(preferences.symmetric) > 0,
             "controls.exclusive": len(preferences.exclusive) > 0,
         }
         return next((key for key, wished in named.items() if wished), "")
 
-    def with_held(self, controls: Tensor, values: Tensor) -> "Wishes":
+    def with_fixed(self, controls: Tensor, values: Tensor) -> "ControlConstraints":
         """The same with further controls `(control,)`, by mask, held at values `(control,)`."""
         return replace(self, free=self.free & ~controls, held=torch.where(controls, values, self.held))
 
@@ -53,11 +53,13 @@ class Wishes:
             return place[pairs[self.free[pairs].all(dim=1)]]
 
         ours = self.preferences
-        return replace(ours, dearness=ours.dearness[self.free], symmetric=kept(ours.symmetric), exclusive=kept(ours.exclusive))
+        return replace(
+            ours, penalty_scale=ours.penalty_scale[self.free], symmetric=kept(ours.symmetric), exclusive=kept(ours.exclusive)
+        )
 
 
-def resolve_wishes(rig: RigBackend, options: Mapping[str, Any]) -> Wishes:
-    """The wishes of a config's `controls`.
+def resolve_constraints(rig: RigBackend, options: Mapping[str, Any]) -> ControlConstraints:
+    """The constraints of a config's `controls`.
 
     Raises:
         InputError: a name, a value or a file is wrong; or no control is left free.
@@ -66,14 +68,14 @@ def resolve_wishes(rig: RigBackend, options: Mapping[str, Any]) -> Wishes:
     free = torch.zeros(len(rig.controls), dtype=torch.bool)
     free[names.fitting(options["activate"], "controls.activate")] = True
     free[names.fitting(options["freeze"], "controls.freeze")] = False
-    dearness, held = torch.ones(len(rig.controls)), rig.neutral_controls.clone()
+    penalty_scale, held = torch.ones(len(rig.controls)), rig.neutral_controls.clone()
     if options["mask"]:
         for number, weight in names.mask(Path(str(options["mask"]))).items():
             free[number] &= weight > 0
-            dearness[number] /= weight or 1.0
+            penalty_scale[number] /= weight or 1.0
     for glob, weight in _mapping(options, "weights").items():
         _check_number(f"controls.weights.{glob}", weight, 0.0, 1e12)
-        dearness[names.fitting([glob], "controls.weights")] = float(weight)
+        penalty_scale[names.fitting([glob], "controls.weights")] = float(weight)
     for glob, value in _mapping(options, "hold").items():
         for number in names.fitting([glob], "controls.hold"):
             control = rig.controls[number]
@@ -90,9 +92,9 @@ def resolve_wishes(rig: RigBackend, options: Mapping[str, Any]) -> Wishes:
     for key in ("symmetric_mm2", "exclusive_mm2"):
         _check_number(f"controls.{key}", options[key], 0.0, 1e6)
     preferences = Preferences(
-        dearness, pairs["symmetric"], pairs["exclusive"], options["symmetric_mm2"], options["exclusive_mm2"]
+        penalty_scale, pairs["symmetric"], pairs["exclusive"], options["symmetric_mm2"], options["exclusive_mm2"]
     )
-    return Wishes(free, held, static & free, preferences)
+    return ControlConstraints(free, held, static & free, preferences)
 
 
 def _mapping(options: Mapping[str, Any], key: str) -> dict[str, Any]:

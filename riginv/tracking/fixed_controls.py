@@ -6,7 +6,7 @@ from riginv.rig.interface import LinearRig, Pull
 from riginv.rig.jacobian import Jacobian
 
 
-class HeldRig(LinearRig):
+class FixedControlsRig(LinearRig):
     """A rig with the free ones of its controls.
 
     Args:

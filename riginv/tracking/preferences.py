@@ -15,14 +15,14 @@ class Preferences:
     """Preferences among the controls of an objective.
 
     Attributes:
-        dearness: what prior and sparsity of each control are multiplied with, `(control,)`.
+        penalty_scale: what prior and sparsity of each control are multiplied with, `(control,)`.
         symmetric: pairs that should leave neutral alike, `(pair, 2)`, by number.
         exclusive: pairs of which at most one should leave neutral, `(pair, 2)`.
         symmetric_mm2, exclusive_mm2: how much that is worth, as the mean squared vertex distance that it may cost: for a pair a
             whole range apart, and for a pair that both leave neutral by their whole ranges.
     """
 
-    dearness: Tensor
+    penalty_scale: Tensor
     symmetric: Tensor
     exclusive: Tensor
     symmetric_mm2: float
@@ -42,8 +42,8 @@ class PreferringObjective(Objective):
         preferences: Preferences,
         learned: WeighedPrior | None = None,
     ) -> None:
-        dearness = preferences.dearness.to(rig.linear_map)
-        super().__init__(rig, prior * dearness, sparsity * dearness, learned=learned)
+        penalty_scale = preferences.penalty_scale.to(rig.linear_map)
+        super().__init__(rig, prior * penalty_scale, sparsity * penalty_scale, learned=learned)
         self.symmetric, self.exclusive = preferences.symmetric.T, preferences.exclusive.T
         self.together = preferences.symmetric_mm2 * self.vertex_count
         self.apart = preferences.exclusive_mm2 * self.vertex_count
@@ -52,13 +52,13 @@ class PreferringObjective(Objective):
     def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
         found = super().linearise(units, coordinates, weights)
         for (first, second), curvature in ((self.symmetric, -self.together), (self.exclusive, self.apart)):
-            slope = self._side(units, first) * self._side(units, second) if curvature > 0 else 1.0
+            derivative = self._side(units, first) * self._side(units, second) if curvature > 0 else 1.0
             for row, column in ((first, second), (second, first)):
-                found.hessian[:, row, column] += curvature * slope
+                found.hessian[:, row, column] += curvature * derivative
         return found
 
     def _side(self, units: Tensor, columns: Tensor) -> Tensor:
-        """The slope of a control's rounded distance from neutral, between -1 and 1."""
+        """The derivative of a control's rounded distance from neutral, between -1 and 1."""
         away = (units - self.neutral)[:, columns]
         return away / (away.square() + CORNER**2).sqrt()
 

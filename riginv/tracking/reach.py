@@ -14,7 +14,7 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes, solve_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.frame_evaluation import FrameJudge
-from riginv.tracking.rigid import unmoved
+from riginv.tracking.rigid import remove_motion
 from riginv.tracking.run import Inversion
 
 FRAMES = 8
@@ -34,7 +34,7 @@ def with_reach(errors: FrameErrors, clip: Clip, found: Inversion, judge: FrameJu
     rows = known_frames[evenly(FRAMES, len(known_frames))]
     vertices = torch.cat([clip.vertices(row, row + 1) for row in rows.tolist()])
     if found.motion is not None:
-        vertices = unmoved(found.motion[rows], vertices)
+        vertices = remove_motion(found.motion[rows], vertices)
     ours = rig(found.controls[rows])
     known = torch.isfinite(vertices).all(dim=2)
     counted = known if judge.believed is None else known & judge.believed

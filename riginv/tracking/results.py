@@ -15,7 +15,7 @@ from riginv.clips.clip import Clip
 from riginv.clips.description import describe
 from riginv.clips.description_text import in_short, rows
 from riginv.errors import InputError
-from riginv.tracking.rigid import unmoved
+from riginv.tracking.rigid import remove_motion
 from riginv.viewer.page import ClipSource, write_viewer
 from riginv.viewer.sheet import write_sheet
 from riginv.viewer.tensorboard import write_tensorboard
@@ -94,6 +94,6 @@ def _targets(clip: Clip, animation: Animation) -> Callable[[Sequence[int]], Tens
 
     def targets(wanted: Sequence[int]) -> Tensor:
         meshes = torch.cat([clip.vertices(row, row + 1) for row in wanted])
-        return meshes if animation.motion is None else unmoved(animation.motion[list(wanted)], meshes)
+        return meshes if animation.motion is None else remove_motion(animation.motion[list(wanted)], meshes)
 
     return targets

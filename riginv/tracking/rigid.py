@@ -51,11 +51,11 @@ def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | N
     return motion
 
 
-def moved(motion: Tensor, vertices: Tensor) -> Tensor:
+def apply_motion(motion: Tensor, vertices: Tensor) -> Tensor:
     """Meshes `(frame, vertex, 3)` after motions `(frame, 4, 4)`."""
     return vertices @ motion[:, :3, :3].mT + motion[:, None, :3, 3]
 
 
-def unmoved(motion: Tensor, vertices: Tensor) -> Tensor:
+def remove_motion(motion: Tensor, vertices: Tensor) -> Tensor:
     """Meshes `(frame, vertex, 3)` before motions `(frame, 4, 4)`: the inverse of `moved`."""
     return (vertices - motion[:, None, :3, 3]) @ motion[:, :3, :3]

@@ -14,7 +14,7 @@ from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.tracking.alternation import FEWEST_KNOWN, Found, WindowInverter
 from riginv.tracking.anchors import Anchors
-from riginv.tracking.rigid import fit_rigid, moved
+from riginv.tracking.rigid import apply_motion, fit_rigid
 from riginv.tracking.solving import Solving
 
 PROBED, SOLVED, FARTHEST = 128, 12, 4  # frames that are looked at, that are solved, and of these the ones that moved farthest
@@ -80,7 +80,7 @@ def check_rigid(
     moving = (gain > FRAME_GAIN * remaining) & (gain > FRAME_GAIN_MM**2)
     half = (gain > GAIN * remaining).float().mean() > 0.5 and gain.median() > LEAST_GAIN_MM**2
     rest = anchors.rest.expand(len(chosen), -1, -1)
-    extent = (moved(without.motion, rest) - rest).norm(dim=2).mean(dim=1).max()
+    extent = (apply_motion(without.motion, rest) - rest).norm(dim=2).mean(dim=1).max()
     return RigidCheck(bool(half or moving.float().mean() >= FRAMES), float(extent), float(kept.mean().clamp_min(0).sqrt()))
 
 
@@ -103,7 +103,7 @@ def _extent(vertices: Tensor, anchors: Anchors) -> Tensor:
     target = vertices[:, anchors.some]
     enough = (torch.isfinite(target).all(dim=2) & (anchors.weights > 0)).sum(dim=1) >= FEWEST_KNOWN
     motion = fit_rigid(anchors.rest[None], target, anchors.weights)
-    distance = (moved(motion, anchors.rest[None]) - anchors.rest).norm(dim=2).mean(dim=1)
+    distance = (apply_motion(motion, anchors.rest[None]) - anchors.rest).norm(dim=2).mean(dim=1)
     return torch.where(enough, distance, torch.nan)
 
 

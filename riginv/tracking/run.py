@@ -59,7 +59,7 @@ def invert_clip(
         advance: told what is done, and how many frames are.
     """
     kept = _Kept(len(clip), inverter)
-    for start, vertices in clip.pieces(window):
+    for start, vertices in clip.batches(window):
         found = inverter.invert(vertices)
         judge.judge(found)
         kept.keep(start, found)
@@ -85,7 +85,7 @@ def invert_smoothly(
         raise TypeError("a whole clip is for solvers")
     kept, size = _Kept(len(clip), inverter), solving.space.size
     coordinates, done = torch.full((len(clip), size), torch.nan), torch.zeros(len(clip), dtype=torch.bool)
-    for first, vertices in clip.pieces(window):
+    for first, vertices in clip.batches(window):
         found = inverter.invert(vertices)
         kept.keep(first, found)
         rows = slice(first, first + len(vertices))
@@ -101,7 +101,7 @@ def invert_smoothly(
         solving.objective, coordinates, begin, how.smoothness, how.steps, how.mean_steps, numbers=clip.frame_numbers
     )
     controls = solving.controls(smooth)
-    for first, vertices in clip.pieces(window):
+    for first, vertices in clip.batches(window):
         rows = slice(first, first + len(vertices))
         found = _placed(vertices, controls[rows], inverter, kept.known[rows])
         judge.judge(found, done[rows])

@@ -10,10 +10,10 @@ from riginv.rig.mesh_space import MeshSpace
 from riginv.solvers.every_mesh import refine_meshes, solve_frames
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import Objective
-from riginv.tracking.constraints import Wishes
-from riginv.tracking.fixed_controls import HeldRig
+from riginv.tracking.constraints import ControlConstraints
+from riginv.tracking.fixed_controls import FixedControlsRig
 
-PIECE = 512  # meshes that a network sees at a time
+BATCH_SIZE = 512  # meshes that a network sees at a time
 MORE_STEPS = 3  # of a solver, where its start is nearly there
 UNSETTLED_MM = 0.02  # root mean square distance that one step more would still gain: the solver was not done
 
@@ -37,14 +37,14 @@ class Solving(ABC):
 class ByNetwork(Solving):
     """The network alone; controls that are held, are held after it."""
 
-    def __init__(self, inverse: Inverse, wishes: Wishes) -> None:
-        self.inverse, self.wishes = inverse, wishes
+    def __init__(self, inverse: Inverse, constraints: ControlConstraints) -> None:
+        self.inverse, self.constraints = inverse, constraints
 
     @torch.no_grad()
     def first(self, vertices: Tensor) -> Tensor:
         network = self.inverse.network
-        pieces = [network(network.rig.space.encode(piece)) for piece in vertices.split(PIECE)]
-        return torch.where(self.wishes.free, torch.cat(pieces), self.wishes.held)
+        pieces = [network(network.rig.space.encode(piece)) for piece in vertices.split(BATCH_SIZE)]
+        return torch.where(self.constraints.free, torch.cat(pieces), self.constraints.held)
 
     def again(self, vertices: Tensor, controls: Tensor) -> Tensor:
         return self.first(vertices)
@@ -57,7 +57,7 @@ class BySolver(Solving):
     """Levenberg-Marquardt, from the answers of a network or of neighbouring frames.
 
     Args:
-        objective: over the free controls of a `HeldRig`.
+        objective: over the free controls of a `FixedControlsRig`.
         start: whose answers it starts from; None: each frame is solved from scratch, and learns from its neighbours.
         steps: linearisations, at most.
         key_starts, descent_steps: as in `solve_frames`.
@@ -67,7 +67,7 @@ class BySolver(Solving):
         self, objective: Objective, start: ByNetwork | None, steps: int, key_starts: int = 2, descent_steps: int = 60
     ) -> None:
         self.objective, self.start, self.steps, self.key_starts = objective, start, steps, key_starts
-        self.held: HeldRig = objective.rig.rig
+        self.held: FixedControlsRig = objective.rig.rig
         self.descent_steps = descent_steps if self.held.differentiable else 0
 
     @property

@@ -19,7 +19,7 @@ OPEN = 1e-3  # of a control's range, away from neutral
 def stillness(rig: RigBackend) -> Tensor:
     """How much each vertex counts when rigid motion is looked for, `(vertex,)` in (0, 1]: 1 where no pose moves it."""
     ways = [
-        (vertices - rig.rest_vertices).norm(dim=2) for _, vertices in random_poses(rig, POSES, "stillness").pieces(POSES // 4)
+        (vertices - rig.rest_vertices).norm(dim=2) for _, vertices in random_poses(rig, POSES, "stillness").batches(POSES // 4)
     ]
     way = torch.cat(ways).square().mean(dim=0).sqrt()
     typical = way.quantile(QUIET).clamp_min(1e-3 * way.max().clamp_min(1e-9))
@@ -33,11 +33,11 @@ def moves_itself(rig: RigInMeshSpace) -> bool:
     towards = torch.where(backend.neutral_controls + OPEN * (backend.upper - backend.lower) <= backend.upper, 1.0, -1.0)
     controls = backend.neutral_controls + OPEN * towards * (backend.upper - backend.lower)
     _, jacobian = backend.coefficient_jacobian(controls[None])
-    slopes = (jacobian.dense()[0].T @ rig.linear_map).double() * (backend.upper - backend.lower)[:, None].double()
+    derivatives = (jacobian.dense()[0].T @ rig.linear_map).double() * (backend.upper - backend.lower)[:, None].double()
     fields = torch.eye(3, dtype=torch.float64)[:, None].expand(3, rig.space.vertex_count, 3).flatten(1)
     wanted = fields @ rig.space.frame.double().flatten(1).T
-    found = torch.linalg.lstsq(slopes.T, wanted.T, driver="gelsd").solution
-    left = fields.square().sum(dim=1) - wanted.square().sum(dim=1) + (wanted.T - slopes.T @ found).square().sum(dim=0)
+    found = torch.linalg.lstsq(derivatives.T, wanted.T, driver="gelsd").solution
+    left = fields.square().sum(dim=1) - wanted.square().sum(dim=1) + (wanted.T - derivatives.T @ found).square().sum(dim=0)
     return bool((left < RIGID * fields.square().sum(dim=1)).all())
 
 

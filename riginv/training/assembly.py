@@ -18,11 +18,11 @@ from riginv.clips.performance import simulated_performance
 from riginv.config.building import OURS, build, class_of, factory
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses, random_sets, watched
-from riginv.evaluation.results import build_judge, check_same_controls
+from riginv.evaluation.results import check_same_controls, make_true_rig
 from riginv.networks.base import RigNetwork
 from riginv.networks.speed import compile_parts, use_bfloat16
 from riginv.rig.batches import generator_at
-from riginv.rig.black_box import FittedRig
+from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet, StoredMeshes
 from riginv.rig.mesh_space import RigInMeshSpace
@@ -60,7 +60,7 @@ def build_rig(config: Config) -> LinearRig:
     if isinstance(rig, LinearRig):
         return rig
     stored = config.get("data", {}).get("store")
-    return rig_of_store(stored, rig) if stored else FittedRig.sampled(rig, **config["mesh_space"])
+    return rig_of_store(stored, rig) if stored else BlackBoxRig.sampled(rig, **config["mesh_space"])
 
 
 def needs_surrogate(config: Config, rig: LinearRig) -> bool:
@@ -85,9 +85,9 @@ def build_true_rig(config: Config, rig: RigBackend) -> RigBackend:
     Raises:
         InputError: it cannot be built, or has other controls or vertices than the rig.
     """
-    rig = rig.posed if isinstance(rig, FittedRig) else rig
+    rig = rig.posed if isinstance(rig, BlackBoxRig) else rig
     if config["true_rig"].get("_target_"):
-        return build_judge(config["true_rig"], rig)
+        return make_true_rig(config["true_rig"], rig)
     if hasattr(rig, "true_rig_config"):
         true_rig = build(rig.true_rig_config, kind=RigBackend, only=OURS)
     else:
@@ -176,7 +176,7 @@ def calibrate(config: Config, module: RigModule, sampler: MeshSampler) -> None:
     sample = sampler.sample(CALIBRATION_MESHES, generator_at(config["seed"], "calibration"))
     if module.kind == "inverse":
         module.network.calibrate(sample["coordinates"])
-    elif not isinstance(module.rig.rig, FittedRig | RecordedRig):  # the coefficients of these are scaled already
+    elif not isinstance(module.rig.rig, BlackBoxRig | RecordedRig):  # the coefficients of these are scaled already
         module.network.set_scales(module.rig.rig, sample["controls"])
 
 

@@ -11,8 +11,8 @@ import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from riginv.errors import InputError, in_short
-from riginv.runs.checksums import seal
-from riginv.runs.files import check_regular, written_beside
+from riginv.runs.checksums import append_checksum
+from riginv.runs.files import atomic_write, check_regular
 from riginv.runs.run_folder import CHECKPOINT, CHECKPOINT_BEFORE
 
 START_OVER = "remove it to start over"
@@ -27,10 +27,10 @@ class AtomicCheckpoints(TorchCheckpointIO):
     """Writes a checkpoint beside the last one, which is kept as the one before; reads without running code."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None) -> None:
-        with written_beside(Path(path)) as beside:
+        with atomic_write(Path(path)) as beside:
             with beside.open("wb") as file:  # of which torch passes on that the disk is full
                 torch.save(checkpoint, file)
-            seal(beside)
+            append_checksum(beside)
             if Path(path).is_file():
                 Path(path).replace(Path(path).with_name(Path(CHECKPOINT_BEFORE).name))
 

@@ -11,7 +11,7 @@ from riginv.rig.batches import PoseBatch, generator_at
 from riginv.sampling.meshes import MeshSampler
 
 
-class Tickets(IterableDataset):
+class StepIndices(IterableDataset):
     """The numbers of the steps still to come in this epoch; a batch is drawn from its number alone.
 
     A run that goes on after a stop asks where it stands, and sees the very batches that it would have seen.
@@ -60,7 +60,7 @@ class PoseDataModule(L.LightningDataModule):
         return list(self.validation)
 
     def train_dataloader(self) -> DataLoader:
-        return DataLoader(Tickets(self.steps_per_epoch, lambda: self.trainer.global_step), batch_size=None)
+        return DataLoader(StepIndices(self.steps_per_epoch, lambda: self.trainer.global_step), batch_size=None)
 
     def val_dataloader(self) -> list[DataLoader]:
         size = -(-self.batch_size // self.trainer.world_size)

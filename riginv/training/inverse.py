@@ -61,7 +61,7 @@ def value_and_gradient(loss: nn.Module, answer: Answer) -> tuple[Tensor, Tensor]
     next stage sees, times a number for each mesh; that of any other loss is pulled through the rig.
     """
     if isinstance(loss, LengthLoss):
-        share = 2 / len(answer.squares) * loss.slopes(answer.squares)
+        share = 2 / len(answer.squares) * loss.derivatives(answer.squares)
         return loss.of_squares(answer.squares).mean(), share[:, None] * answer.gradient
     with torch.enable_grad():
         found = answer.found.detach().requires_grad_()

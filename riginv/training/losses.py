@@ -35,7 +35,7 @@ class LengthLoss(nn.Module, ABC):
         """The loss of each mesh `(batch,)`, of which `forward` is the mean, from the squared length of its error `(batch,)`."""
 
     @abstractmethod
-    def slopes(self, squares: Tensor) -> Tensor:
+    def derivatives(self, squares: Tensor) -> Tensor:
         """The derivative `(batch,)` of `of_squares`."""
 
 
@@ -45,7 +45,7 @@ class SquaredVertexLoss(LengthLoss):
     def of_squares(self, squares: Tensor) -> Tensor:
         return squares / (3 * self.vertex_count)
 
-    def slopes(self, squares: Tensor) -> Tensor:
+    def derivatives(self, squares: Tensor) -> Tensor:
         return torch.full_like(squares, 1 / (3 * self.vertex_count))
 
 
@@ -58,7 +58,7 @@ class VertexDistanceLoss(LengthLoss):
     def of_squares(self, squares: Tensor) -> Tensor:
         return (squares / self.vertex_count + EPSILON_MM**2).sqrt()
 
-    def slopes(self, squares: Tensor) -> Tensor:
+    def derivatives(self, squares: Tensor) -> Tensor:
         return 0.5 / (self.vertex_count * self.of_squares(squares))
 
 

@@ -30,7 +30,7 @@ WORST = 20  # frames in the list
 STEP_MM = 0.02  # positions are kept in whole steps, finer where the mesh is small
 LARGEST = 32_000  # of the whole numbers
 UNKNOWN = -32_768
-PIECE = 64  # meshes at a time
+BATCH_SIZE = 64  # meshes at a time
 
 
 class ClipSource(NamedTuple):
@@ -131,7 +131,7 @@ def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int
     count = len(animation)
     if count <= most:
         return list(range(count))
-    looked_at = judged_rows(animation, errors)
+    looked_at = evaluated_rows(animation, errors)
     wanted = [looked_at[row] for row in [*errors.worst(WORST), *errors.flagged] if looked_at[row] is not None]
     kept = set(wanted[: most // 4])
     spread = np.linspace(0, count - 1, most - len(kept)).round().astype(int).tolist()
@@ -145,8 +145,8 @@ def _meshes(
     """Targets and recovered meshes `(frame, 2, vertex, 3)`, mm, and the error that is to be red."""
     both = np.empty((len(rows), 2, len(thinned.kept), 3), np.float32)
     kept = torch.tensor(thinned.kept)
-    for start in range(0, len(rows), PIECE):
-        some = rows[start : start + PIECE]
+    for start in range(0, len(rows), BATCH_SIZE):
+        some = rows[start : start + BATCH_SIZE]
         recovered = animation.rig(animation.controls[some])
         wanted = targets(some).to(recovered)
         both[start : start + len(some), 0] = wanted[:, kept].cpu().numpy()
@@ -159,7 +159,7 @@ def _meshes(
     return both, max(float(f"{top:.2g}"), 1e-3)
 
 
-def judged_rows(animation: Animation, errors: FrameErrors) -> list[int | None]:
+def evaluated_rows(animation: Animation, errors: FrameErrors) -> list[int | None]:
     """For each frame that was judged its row in the animation; None where it has none."""
     if errors.frame_numbers is None:
         return list(range(len(animation)))

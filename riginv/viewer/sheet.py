@@ -7,8 +7,8 @@ import torch
 
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.meshes.rendering import Camera, grid, heat_colors
-from riginv.runs.files import written_beside
-from riginv.viewer.page import Targets, in_mm, judged_rows
+from riginv.runs.files import atomic_write
+from riginv.viewer.page import Targets, evaluated_rows, in_mm
 
 WORST, SPREAD = 3, 3  # frames
 
@@ -37,13 +37,13 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
         labels += [f"frame {int(animation.frame_numbers[row])}, {name}: clip", "recovered"]
         mean, largest = (in_mm(float(value)) for value in (distance.mean(), distance.max()))
         labels.append(f"error: mean {mean} mm, largest {largest} mm; red is {top:.2g} mm")
-    with written_beside(path) as beside:
+    with atomic_write(path) as beside:
         grid(pictures, labels, columns=3).save(beside, format="PNG", optimize=True)
 
 
 def sheet_rows(animation: Animation, errors: FrameErrors) -> dict[int, str]:
     """The rows that are drawn, and why: the worst that lie some way apart, then evenly spread ones."""
-    rows, apart = judged_rows(animation, errors), max(1, len(animation) // 20)
+    rows, apart = evaluated_rows(animation, errors), max(1, len(animation) // 20)
     chosen: dict[int, str] = {}
     for judged in errors.worst(len(rows)):
         row = rows[judged]

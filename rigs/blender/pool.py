@@ -14,7 +14,7 @@ import numpy as np
 from rigs.blender.process import Message, WorkerLostError, WorkerProcess, WorkerRefusedError
 
 CHUNK = 16  # poses that a worker gets at a time, at most
-ATTEMPTS = 3  # after so many lost workers in a row the pose is to blame
+ATTEMPTS = 3  # after so many lost workers in a row the pose is the cause
 POLL_S = 1.0
 GROWTH_MB = 2000.0
 

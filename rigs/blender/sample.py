@@ -20,11 +20,11 @@ from riginv.launch.command import command
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
-from riginv.runs.files import discard, written_beside
-from riginv.runs.locks import alone
+from riginv.runs.files import atomic_write, discard
+from riginv.runs.locks import exclusive_lock
 from riginv.runs.run_folder import plain_config
 
-PIECE = 128  # poses at a time
+BATCH_SIZE = 128  # poses at a time
 
 
 def sample(config: DictConfig) -> None:
@@ -61,15 +61,15 @@ def write_pairs(rig: RigBackend, controls: torch.Tensor, out: Path) -> None:
         "neutral": rig.neutral_controls.numpy(),
     }
     shape = (len(controls), *rig.rest_vertices.shape)
-    with alone(out), written_beside(out) as beside, contextlib.ExitStack() as stack:
+    with exclusive_lock(out), atomic_write(out) as beside, contextlib.ExitStack() as stack:
         folder = beside
         if out.suffix:
             folder = beside.with_name(f"{beside.name}.arrays")
             stack.callback(discard, folder)
         folder.mkdir()
         vertices = np.lib.format.open_memmap(folder / "vertices.npy", "w+", np.float32, shape)
-        for start in track(range(0, len(controls), PIECE), "poses", transient=True):
-            vertices[start : start + PIECE] = rig(controls[start : start + PIECE]).numpy()
+        for start in track(range(0, len(controls), BATCH_SIZE), "poses", transient=True):
+            vertices[start : start + BATCH_SIZE] = rig(controls[start : start + BATCH_SIZE]).numpy()
         vertices.flush()
         if not out.suffix:
             for name, array in arrays.items():

@@ -11,7 +11,7 @@ from pathlib import Path
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from riginv.runs.cache import cache_folder, code_key
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 from rigs.blender.blueprint import Blueprint
 from rigs.blender.body import body_blueprint
 from rigs.blender.face import face_blueprint
@@ -44,7 +44,7 @@ def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
     Raises:
         InputError: Blender did not manage to.
     """
-    with tempfile.TemporaryDirectory(prefix="riginv-blend-") as folder, written_beside(out) as beside:
+    with tempfile.TemporaryDirectory(prefix="riginv-blend-") as folder, atomic_write(out) as beside:
         saved, built = Path(folder) / "blueprint.npz", Path(folder) / "built.blend"
         blueprint.save(saved)
         command = script_command(interpreter, BUILDER, str(saved), str(built))

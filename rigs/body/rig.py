@@ -74,7 +74,7 @@ class BodyRig(LinearRig):
         loose[joint["root"]] = 0.0  # its controls reach everything
         self.loose_parts = torch.deg2rad(loose).flatten().to(self.dtype)
         self.levels = tree_levels(self.parents, self.joint_names)
-        self.slopes = JointSlopes(self.parents, self.angles, skinned)
+        self.derivatives = JointSlopes(self.parents, self.angles, skinned)
 
     def expressions(self) -> dict[str, dict[str, float]]:
         return EXPRESSIONS
@@ -105,9 +105,9 @@ class BodyRig(LinearRig):
         frames, angles = self.frames.to(controls), (controls @ self.angles.to(controls)).unflatten(1, (-1, 3))
         turns = roma.euler_to_rotmat(ORDER, angles)
         worlds = self._worlds(frames @ turns @ frames.mT, controls[:, self.moves])
-        slopes = self.slopes(worlds, frames @ euler_axes(angles, turns))
-        slopes[:, self.moves, :, :, 3] = torch.eye(3).to(controls)[:, None]
-        return worlds[:, self.skinned].flatten(1), Jacobian(inner=slopes.flatten(2).transpose(1, 2))
+        derivatives = self.derivatives(worlds, frames @ euler_axes(angles, turns))
+        derivatives[:, self.moves, :, :, 3] = torch.eye(3).to(controls)[:, None]
+        return worlds[:, self.skinned].flatten(1), Jacobian(inner=derivatives.flatten(2).transpose(1, 2))
 
     def joint_transforms(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the transforms `(batch, joint, 3, 4)` of all joints in the world, mm."""

@@ -7,14 +7,14 @@ from torch import Tensor
 
 from riginv.geometry.blendshapes import (
     add_to_columns,
+    combination_derivatives,
     combination_pull,
-    combination_slopes,
     combination_weights,
     screen,
+    screen_derivatives,
     screen_pull,
-    screen_slopes,
 )
-from riginv.geometry.curves import curves_and_slopes
+from riginv.geometry.curves import curves_and_derivatives
 from riginv.rig.jacobian import Factor, Jacobian, Pattern
 
 
@@ -48,21 +48,21 @@ class FaceSteps:
 
     def __init__(self, face: Logic, controls: Tensor) -> None:
         self.face = face
-        self.driven, self.rise = curves_and_slopes(
+        self.driven, self.rise = curves_and_derivatives(
             face.driver_curves.to(controls), controls.index_select(1, face.driver_control)
         )
         screened = screen(self.driven, face.driver_of_shape)
         close = screened.index_select(1, face.ceiling_shape)
-        under, self.under_slope = curves_and_slopes(
+        under, self.under_derivative = curves_and_derivatives(
             face.ceiling_curves.to(controls), screened.index_select(1, face.ceiling_under)
         )
         self.free = (close <= under).to(controls)  # whether a shape with a ceiling is below it
         self.held = screened.index_copy(1, face.ceiling_shape, torch.minimum(close, under))
         self.taken = face.capacity_taken.to(controls)
-        self.yielding, self.yield_slope = curves_and_slopes(face.limit_curves.to(controls), self.held @ self.taken)
+        self.yielding, self.yield_derivative = curves_and_derivatives(face.limit_curves.to(controls), self.held @ self.taken)
         self.factor = self.yielding.index_select(1, face.region_of_shape)
         self.primary = self.held * self.factor
-        between, self.bump_slope = curves_and_slopes(
+        between, self.bump_derivative = curves_and_derivatives(
             face.inbetween_curves.to(controls), self.primary.index_select(1, face.inbetween_shape)
         )
         combined = combination_weights(self.primary, face.combination_members)
@@ -76,12 +76,12 @@ class FaceSteps:
         face = self.face
         of_primary, of_between, of_combined = gradient.split(self.counts, dim=1)
         pulled = combination_pull(self.primary, face.combination_members, of_combined).add_(of_primary)
-        add_to_columns(pulled, face.inbetween_shape, of_between, self.bump_slope)
+        add_to_columns(pulled, face.inbetween_shape, of_between, self.bump_derivative)
         of_yielding = add_to_columns(torch.zeros_like(self.yielding), face.region_of_shape, pulled, self.held)
-        pulled = torch.addmm(pulled * self.factor, of_yielding * self.yield_slope, self.taken.T)
+        pulled = torch.addmm(pulled * self.factor, of_yielding * self.yield_derivative, self.taken.T)
         of_close = pulled.index_select(1, face.ceiling_shape)
         pulled.index_copy_(1, face.ceiling_shape, of_close * self.free)
-        add_to_columns(pulled, face.ceiling_under, of_close * (1 - self.free), self.under_slope)
+        add_to_columns(pulled, face.ceiling_under, of_close * (1 - self.free), self.under_derivative)
         of_driven = screen_pull(self.driven, face.driver_of_shape, pulled)
         return add_to_columns(torch.zeros_like(self.controls), face.driver_control, of_driven, self.rise)
 
@@ -89,17 +89,17 @@ class FaceSteps:
         """The derivative of the weights by the controls, with entries in the places that `patterns` gives."""
         face, slots = self.face, self.face.driver_of_shape.shape[1]
         rises = self.rise.index_select(1, face.driver_of_shape.flatten().clamp_min(0))
-        of_drivers = screen_slopes(self.driven, face.driver_of_shape).flatten(1) * rises
-        of_under = of_drivers.unflatten(1, (-1, slots)).index_select(1, face.ceiling_under) * self.under_slope[..., None]
+        of_drivers = screen_derivatives(self.driven, face.driver_of_shape).flatten(1) * rises
+        of_under = of_drivers.unflatten(1, (-1, slots)).index_select(1, face.ceiling_under) * self.under_derivative[..., None]
         passes = torch.ones_like(self.held).index_copy_(1, face.ceiling_shape, self.free).repeat_interleave(slots, dim=1)
         of_held = torch.cat([of_drivers * passes, (of_under * (1 - self.free)[..., None]).flatten(1)], dim=1)
         takes = self.taken.sum(dim=1)  # each shape takes of its own region alone
         takes = torch.cat([takes, takes.index_select(0, face.ceiling_shape)]).repeat_interleave(slots)
-        products = combination_slopes(self.primary, face.combination_members).flatten(1)
-        slope = self.yield_slope.index_select(1, face.region_of_shape)
+        products = combination_derivatives(self.primary, face.combination_members).flatten(1)
+        derivative = self.yield_derivative.index_select(1, face.region_of_shape)
         values = (
-            torch.cat([torch.ones_like(self.primary), self.bump_slope, products], dim=1),
-            torch.cat([self.factor, self.held * slope], dim=1),
+            torch.cat([torch.ones_like(self.primary), self.bump_derivative, products], dim=1),
+            torch.cat([self.factor, self.held * derivative], dim=1),
             torch.cat([of_held, of_held * takes], dim=1),
         )
         return Jacobian(tuple(Factor(pattern, each.index_select(1, pattern.kept)) for pattern, each in zip(patterns, values)))

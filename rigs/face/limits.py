@@ -51,7 +51,7 @@ def limit_curve(capacity: float) -> Curve:
     start = Key(0.8 * capacity, 1.0, right=(0.25 * capacity, 0.0))
     curve = [start]
     for place, before, after in zip(places, [start.x, *places], [*places[1:], places[-1] + 1]):
-        value, slope = factor(place)
+        value, derivative = factor(place)
         left, right = (place - before) / 3, (after - place) / 3
-        curve.append(Key(place, value, left=(-left, -left * slope), right=(right, right * slope)))
+        curve.append(Key(place, value, left=(-left, -left * derivative), right=(right, right * derivative)))
     return curve

@@ -70,7 +70,7 @@ def hats(weights: Tensor, knots: Tensor) -> Tensor:
         knots: `(hat, 3)`, ascending.
 
     Returns:
-        `(batch, hat)` in [0, 1]. At 0 the slope is that of the rising side, so that a control at rest has a gradient.
+        `(batch, hat)` in [0, 1]. At 0 the derivative is that of the rising side, so that a control at rest has a gradient.
     """
     left, middle, right = knots.to(weights).unbind(1)
     return torch.minimum((weights - left) / (middle - left), (right - weights) / (right - middle)).clamp_min(0)

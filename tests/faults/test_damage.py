@@ -10,7 +10,7 @@ import torch
 from riginv.errors import InputError
 from riginv.inference.bundle import read_bundle
 from riginv.runs.cache import cache_folder, cached_tensors
-from riginv.runs.checksums import is_whole, seal
+from riginv.runs.checksums import append_checksum, has_valid_checksum
 from tests.faults.contents import contents
 from tests.faults.tally import fault
 from tests.faults.works import QUICK, sampling, training
@@ -36,19 +36,19 @@ def test_flipped_bits_of_a_sealed_file_are_found(tmp_path):
     path = tmp_path / "state.ckpt"
     state = {"weights": torch.arange(300.0), "step": 7}
     torch.save(state, path)
-    assert not is_whole(path)
-    seal(path)
-    assert is_whole(path)
+    assert not has_valid_checksum(path)
+    append_checksum(path)
+    assert has_valid_checksum(path)
     assert torch.load(path, weights_only=True)["weights"].equal(state["weights"])
     with pytest.raises(ValueError, match="not a zip archive without a comment"):
-        seal(path)
+        append_checksum(path)
     whole = path.read_bytes()
     for place in range(0, len(whole), 5):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << place % 8)]) + whole[place + 1 :])
-        assert not is_whole(path), f"byte {place}"
+        assert not has_valid_checksum(path), f"byte {place}"
     for length in range(0, len(whole), 29):
         path.write_bytes(whole[:length])
-        assert not is_whole(path), f"{length} bytes"
+        assert not has_valid_checksum(path), f"{length} bytes"
 
 
 SAYS = "truncated or altered|names a file outside|missing from|no bundle there|cannot be read"

@@ -6,13 +6,13 @@ from torch import Tensor
 from riginv.errors import InputError
 from riginv.methods.base import Method
 from riginv.methods.baselines.control_lookup import ControlLookup
-from riginv.methods.baselines.training_poses import in_pieces
+from riginv.methods.baselines.training_poses import in_batches
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.bounded import bounded_least_squares
 
-PIECE = 256  # meshes at a time
+BATCH_SIZE = 256  # meshes at a time
 
 
 class BlendshapeWeights(Method):
@@ -51,7 +51,7 @@ class BlendshapeWeights(Method):
         self.gram.diagonal().add_(self.ridge)
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_pieces(self.coordinates(meshes), PIECE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
 
     def weights(self, coordinates: Tensor) -> Tensor:
         """The weights `(mesh, shape)` of the primary shapes for meshes `(mesh, coordinate)`."""

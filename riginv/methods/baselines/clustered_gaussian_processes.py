@@ -7,12 +7,12 @@ from riginv.geometry.neighbours import spread_points
 from riginv.methods.base import Method
 from riginv.methods.baselines.clusters import Cluster, control_reach, find_clusters
 from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents
-from riginv.methods.baselines.training_poses import as_controls, in_pieces, training_poses
+from riginv.methods.baselines.training_poses import as_controls, in_batches, training_poses
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.sampling.meshes import MeshSampler
 
-PIECE = 1024  # meshes at a time
+BATCH_SIZE = 1024  # meshes at a time
 
 
 class ClusteredGaussianProcesses(Method):
@@ -58,7 +58,7 @@ class ClusteredGaussianProcesses(Method):
             self.parts.append((cluster, components, process))
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_pieces(self.coordinates(meshes), PIECE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
 
     def _view(self, cluster: Cluster) -> Tensor:
         """A map `(coordinate, coordinate)` after which distances are those of the cluster's vertices."""

@@ -6,11 +6,11 @@ from torch import Tensor
 from riginv.methods.base import Method
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.product_model import ProductModel
-from riginv.methods.baselines.training_poses import in_pieces
+from riginv.methods.baselines.training_poses import in_batches
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 
-PIECE = 256  # meshes at a time
+BATCH_SIZE = 256  # meshes at a time
 
 
 class GramDescent:
@@ -56,9 +56,9 @@ class GramDescent:
     def _visit(self, side: int, weights: Tensor, misfit: Tensor) -> None:
         """Put one weight at its minimum."""
         others = self._others(side, weights)
-        slope, bend = self._slope(side, others, misfit), self._bend(side, others)
+        derivative, bend = self._derivative(side, others, misfit), self._bend(side, others)
         before = weights[:, side].clone()
-        weights[:, side] = self._least(slope - bend * before, bend)
+        weights[:, side] = self._least(derivative - bend * before, bend)
         change = (weights[:, side] - before)[:, None] * others
         misfit.addmm_(change, self.rows[side])
 
@@ -69,23 +69,23 @@ class GramDescent:
             misfit.addmm_(-weights[:, side, None] * other, self.rows[side])
         values, gains = [], []
         for side, other in zip(group, others):
-            slope, bend = self._slope(side, other, misfit), self._bend(side, other)
-            values.append(self._least(slope, bend))
-            gains.append(-slope * values[-1] - 0.5 * bend * values[-1] ** 2)
+            derivative, bend = self._derivative(side, other, misfit), self._bend(side, other)
+            values.append(self._least(derivative, bend))
+            gains.append(-derivative * values[-1] - 0.5 * bend * values[-1] ** 2)
         best = torch.stack(gains).argmax(dim=0)
         for number, (side, other, value) in enumerate(zip(group, others, values)):
             weights[:, side] = torch.where(best == number, value, 0.0)
             misfit.addmm_(weights[:, side, None] * other, self.rows[side])
 
-    def _slope(self, side: int, others: Tensor, misfit: Tensor) -> Tensor:
+    def _derivative(self, side: int, others: Tensor, misfit: Tensor) -> Tensor:
         return self.sparsity + (misfit[:, self.model.terms_of_side[side]] * others).sum(dim=1)
 
     def _bend(self, side: int, others: Tensor) -> Tensor:
         return ((others @ self.blocks[side]) * others).sum(dim=1)
 
-    def _least(self, slope: Tensor, bend: Tensor) -> Tensor:
-        """Where slope w + bend w^2 / 2 is least within [0, 1]; 0 for a weight that does nothing."""
-        return torch.where(bend > self.least, (-slope / bend.clamp_min(self.least)).clamp(0, 1), 0.0)
+    def _least(self, derivative: Tensor, bend: Tensor) -> Tensor:
+        """Where derivative w + bend w^2 / 2 is least within [0, 1]; 0 for a weight that does nothing."""
+        return torch.where(bend > self.least, (-derivative / bend.clamp_min(self.least)).clamp(0, 1), 0.0)
 
     def _others(self, side: int, weights: Tensor) -> Tensor:
         """The terms of a side `(mesh, term)` at weight 1 of it, the others being where they are."""
@@ -129,7 +129,7 @@ class CoordinateDescent(Method):
         self.descent = GramDescent(with_products(self.rig, ramps(self.rig, squares=False), self.products), self.sparsity)
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_pieces(self.coordinates(meshes), PIECE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
 
     def _solve(self, coordinates: Tensor) -> Tensor:
         sides = self.descent.model.sides

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.methods.base import Method
-from riginv.methods.baselines.training_poses import in_pieces
+from riginv.methods.baselines.training_poses import in_batches
 from riginv.methods.network import Network
 from riginv.networks.inverse import DirectInverse
 from riginv.rig.batches import generator_at
@@ -16,7 +16,7 @@ from riginv.sampling.meshes import MeshSampler
 from riginv.training.data import PoseDataModule
 from riginv.training.holden import HoldenModule
 
-PIECE = 1024  # meshes at a time
+BATCH_SIZE = 1024  # meshes at a time
 LEAST_LR = 1e-6  # at the end of training
 CALIBRATION_MESHES = 1024
 
@@ -94,7 +94,7 @@ class HoldenNetwork(Method):
     def invert(self, meshes: MeshSet) -> Tensor:
         if self.loaded:
             return self.loaded.invert(meshes)
-        return in_pieces(self.coordinates(meshes), PIECE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
 
     @torch.no_grad()
     def _solve(self, coordinates: Tensor) -> Tensor:

@@ -6,11 +6,11 @@ from torch import Tensor
 from riginv.methods.base import Method
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.product_model import NONE, ProductModel
-from riginv.methods.baselines.training_poses import in_pieces
+from riginv.methods.baselines.training_poses import in_batches
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 
-PIECE = 64  # meshes at a time
+BATCH_SIZE = 64  # meshes at a time
 STRIDES = (2.0, 5.0, 10.0, 20.0, 50.0)  # multiples of a step that are tried, as the published scripts do
 
 
@@ -125,7 +125,7 @@ class MajorisationMinimisation(Method):
         self.majoriser = Majoriser(with_products(self.rig, ramps(self.rig, squares=True), [self.pairs]), self.sparsity)
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_pieces(self.coordinates(meshes), PIECE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
 
     def _solve(self, coordinates: Tensor) -> Tensor:
         sides = self.majoriser.model.sides

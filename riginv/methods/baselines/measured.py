@@ -10,7 +10,7 @@ from riginv.methods.baselines.product_model import NONE, ProductModel, Terms
 from riginv.methods.baselines.sides import Sides
 from riginv.rig.mesh_space import RigInMeshSpace
 
-PIECE = 512  # poses at a time
+BATCH_SIZE = 512  # poses at a time
 MOST_CANDIDATES = 20_000  # of one order that are measured
 LEAST_MM = 1e-4  # root mean square over the vertices: terms that move less are left out
 
@@ -18,7 +18,7 @@ LEAST_MM = 1e-4  # root mean square over the vertices: terms that move less are 
 def pose_coordinates(rig: RigInMeshSpace, sides: Sides, weights: Tensor) -> Tensor:
     """The mesh coordinates `(pose, coordinate)` of the rig at weights `(pose, side)`, in float64."""
     with torch.no_grad():
-        pieces = [rig(sides.controls(piece)).double() for piece in weights.split(PIECE)]
+        pieces = [rig(sides.controls(piece)).double() for piece in weights.split(BATCH_SIZE)]
     return torch.cat(pieces) if pieces else torch.zeros(0, rig.space.size, dtype=torch.float64)
 
 
@@ -68,7 +68,7 @@ def with_products(rig: RigInMeshSpace, model: ProductModel, counts: Sequence[int
     kept: dict[tuple[int, ...], float] = {}
     for order, count in enumerate(counts, start=2):
         chosen = _candidates(sides, kept, order)
-        missed = torch.cat([_missed(rig, model, piece).norm(dim=1) for piece in chosen.split(PIECE)] or [torch.zeros(0)])
+        missed = torch.cat([_missed(rig, model, piece).norm(dim=1) for piece in chosen.split(BATCH_SIZE)] or [torch.zeros(0)])
         best = missed.argsort(descending=True, stable=True)[:count]
         best = best[missed[best] > LEAST_MM * rig.space.vertex_count**0.5]
         if not len(best):

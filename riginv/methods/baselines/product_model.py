@@ -52,7 +52,7 @@ class ProductModel:
         return ProductModel(self.sides, self.side, self.table, terms)
 
     def activations(self, weights: Tensor) -> tuple[Tensor, Tensor]:
-        """Values and slopes, both `(batch, activation)`, at weights `(batch, side)`."""
+        """Values and derivatives, both `(batch, activation)`, at weights `(batch, side)`."""
         pieces = self.table.shape[1] - 1
         place = weights[:, self.side] * pieces
         index = place.detach().floor().clamp(0, pieces - 1).long()
@@ -71,12 +71,12 @@ class ProductModel:
 
     def linearised(self, weights: Tensor) -> tuple[Tensor, Tensor]:
         """The coordinates `(batch, coordinate)`, and their derivative by every weight, `(batch, side, coordinate)`."""
-        values, slopes = self.activations(weights)
+        values, derivatives = self.activations(weights)
         factors = _padded(values)[:, self.members]
-        slopes = torch.cat([slopes, slopes.new_zeros(len(slopes), 1)], dim=1)[:, self.members]
+        derivatives = torch.cat([derivatives, derivatives.new_zeros(len(derivatives), 1)], dim=1)[:, self.members]
         slots = range(factors.shape[2])
         rises = [  # the product rule, in full: one summand for every slot
-            slopes[:, :, slot] * factors[:, :, [other for other in slots if other != slot]].prod(dim=2) for slot in slots
+            derivatives[:, :, slot] * factors[:, :, [other for other in slots if other != slot]].prod(dim=2) for slot in slots
         ]
         jacobian = weights.new_zeros(len(weights), len(self.sides), self.deltas.shape[1])
         for side, terms in enumerate(self.terms_of_side):

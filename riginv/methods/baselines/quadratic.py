@@ -6,13 +6,13 @@ from torch import Tensor
 from riginv.methods.base import Method
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.model_objective import ModelObjective
-from riginv.methods.baselines.training_poses import in_pieces
+from riginv.methods.baselines.training_poses import in_batches
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import PRIOR
 
-PIECE = 64  # meshes at a time
+BATCH_SIZE = 64  # meshes at a time
 
 
 class QuadraticLevenbergMarquardt(Method):
@@ -45,7 +45,7 @@ class QuadraticLevenbergMarquardt(Method):
 
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)
-        return in_pieces(coordinates, PIECE, self._solve, len(self.rig.rig.controls))
+        return in_batches(coordinates, BATCH_SIZE, self._solve, len(self.rig.rig.controls))
 
     @torch.no_grad()
     def _solve(self, coordinates: Tensor) -> Tensor:

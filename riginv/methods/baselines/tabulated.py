@@ -6,13 +6,13 @@ from torch import Tensor
 from riginv.methods.base import Method
 from riginv.methods.baselines.measured import tables, with_products
 from riginv.methods.baselines.model_objective import ModelObjective
-from riginv.methods.baselines.training_poses import in_pieces
+from riginv.methods.baselines.training_poses import in_batches
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.box_step import box_step, damping_diagonal
 from riginv.solvers.objective import PRIOR
 
-PIECE = 64  # meshes at a time
+BATCH_SIZE = 64  # meshes at a time
 DAMPING = 1e-3  # of the diagonal: Gauss-Newton all the same, but a rank-deficient rig still has a step
 HALVINGS = 4  # of a step that does not help
 
@@ -58,7 +58,7 @@ class TabulatedGaussNewton(Method):
         self.objective = ModelObjective(model, self.rig.space.vertex_count, self.prior)
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_pieces(self.coordinates(meshes), PIECE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
 
     @torch.no_grad()
     def _solve(self, coordinates: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.sampling.meshes import MeshSampler
 
-PIECE = 500  # poses at a time
+BATCH_SIZE = 500  # poses at a time
 
 
 def training_poses(rig: RigInMeshSpace, sampler: MeshSampler, count: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -23,7 +23,7 @@ def training_poses(rig: RigInMeshSpace, sampler: MeshSampler, count: int, seed: 
     if count < 3:
         raise InputError(f"a regression on {count} poses was asked for, expected at least 3")
     generator = generator_at(seed, "baseline poses")
-    batches = [sampler.sample(min(PIECE, count - start), generator) for start in range(0, count, PIECE)]
+    batches = [sampler.sample(min(BATCH_SIZE, count - start), generator) for start in range(0, count, BATCH_SIZE)]
     if "controls" not in batches[0]:
         raise InputError("the sampler of a regression draws meshes without their controls: choose sampler=rig_poses")
     neutral, span = rig.rig.neutral_controls, rig.rig.upper - rig.rig.lower
@@ -38,7 +38,7 @@ def as_controls(rig: RigInMeshSpace, away: Tensor) -> Tensor:
     return own.to(rig.rig.dtype).clamp(rig.rig.lower, rig.rig.upper)
 
 
-def in_pieces(coordinates: Tensor, size: int, solve: Callable[[Tensor], Tensor], controls: int) -> Tensor:
+def in_batches(coordinates: Tensor, size: int, solve: Callable[[Tensor], Tensor], controls: int) -> Tensor:
     """The answers `(mesh, control)` of `solve` for meshes `(mesh, coordinate)`, `size` of them at a time.
 
     A mesh that holds NaN or infinite values is solved as the rest mesh, and spoils no other.

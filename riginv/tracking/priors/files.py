@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 from riginv.errors import InputError, in_short
 from riginv.rig.identity import check_rig, describe
 from riginv.rig.interface import LinearRig
-from riginv.runs.files import check_regular, read_yaml, written_beside
+from riginv.runs.files import atomic_write, check_regular, read_yaml
 from riginv.tracking.priors.prior import ControlPrior
 
 NUMBERS, FACTS = "prior.safetensors", "prior.yaml"
@@ -26,7 +26,7 @@ def save_prior(folder: Path, prior: ControlPrior, rig: LinearRig, frames: int) -
         frames: that it was learned from.
     """
     facts = {"riginv_prior": VERSION, "source": prior.source, "frames": frames, "rig": describe(rig, {})}
-    with written_beside(folder) as beside:
+    with atomic_write(folder) as beside:
         beside.mkdir()
         save_file({"mean": prior.mean.contiguous(), "covariance": prior.covariance.contiguous()}, beside / NUMBERS)
         (beside / FACTS).write_text(yaml.safe_dump(facts, sort_keys=False), encoding="utf-8")

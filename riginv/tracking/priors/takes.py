@@ -75,6 +75,6 @@ def _inverted(take: Path, rig: LinearRig, part: slice) -> Tensor:
         return torch.zeros(0, len(rig.controls))
     in_space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     objective = Objective(in_space)
-    coordinates = torch.cat([in_space.space.encode(vertices) for _, vertices in clip.pieces()])
+    coordinates = torch.cat([in_space.space.encode(vertices) for _, vertices in clip.batches()])
     found = solve_frames(objective, coordinates, rounds=0)
     return objective.own_units(solve_clip(objective, coordinates, smoothed(found, BLUR), SMOOTHNESS, STEPS))

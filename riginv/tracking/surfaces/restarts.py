@@ -33,7 +33,7 @@ def promising(fit: SurfaceFit, target: Target, motion: Motion, found: Quality, p
 def hidden_controls(fit: SurfaceFit) -> list[int]:
     """The numbers of the controls that mostly move what is hidden at rest, such as a tongue.
 
-    No slope leads to them: what they bring out has no closest points on a scan before it is out.
+    No derivative leads to them: what they bring out has no closest points on a scan before it is out.
     """
     surface, found = fit.surface, []
     rest = surface.vertices(fit.coefficients(fit.neutral))
