@@ -12,7 +12,7 @@ from rich.table import Table
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from rigs.face import FaceRig
-from tests.clips import obj_sequence, ply_sequence, write_mdd, write_npz, write_pc2
+from tests.support.clips import obj_sequence, ply_sequence, write_mdd, write_npz, write_pc2
 
 FRAMES = 60
 OPTIONS = ReadingOptions()

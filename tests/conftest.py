@@ -33,7 +33,7 @@ from rigs.dna import evaluate as evaluate_dna
 from rigs.dna import export as export_dna
 from rigs.dna import gui as gui_dna
 from rigs.face import FaceRig
-from tests.toys import ToyRig
+from tests.support.toys import ToyRig
 
 ROOT = Path(__file__).parent.parent
 COMMANDS = {

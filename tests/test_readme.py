@@ -8,7 +8,7 @@ import pytest
 
 from riginv.launch.command import true_rig_choice
 from tests.conftest import ROOT
-from tests.test_experiments import composed
+from tests.training.test_experiments import composed
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SETUP = "python3 -m venv .venv && . .venv/bin/activate"

@@ -94,7 +94,7 @@ def straight_line_keys(seconds: np.ndarray, values: np.ndarray, allowed: np.ndar
 
 
 def _farthest(seconds: np.ndarray, values: np.ndarray, allowed: np.ndarray, row: int) -> int:
-    """The last frame that a line from frame `row` may end on: its derivative lies between those that pass all frames between."""
+    """The last frame that a line from frame `row` may end on: its slope lies between those that pass all frames between."""
     window, last = FIRST_WINDOW, len(values) - 1
     while True:
         stop = min(row + window, last)

@@ -1,6 +1,6 @@
 """Where to start from: near neutral, but not on it; or where the rig's own features point.
 
-A control that is neutral inside its range often drives two shapes, one on either side, and its derivative has a kink at neutral;
+A control that is neutral inside its range often drives two shapes, one on either side, and its derivative jumps at neutral;
 a start on the kink may never leave it. From random places solvers get stuck in a rig's saturations instead.
 """
 

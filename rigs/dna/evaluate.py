@@ -16,7 +16,7 @@ from torch import Tensor
 from riginv.errors import InputError, in_short
 from riginv.launch.command import command
 from riginv.runs.array_files import check_npz
-from riginv.runs.files import written_beside
+from riginv.runs.files import atomic_write
 from riginv.runs.run_folder import plain_config
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
@@ -39,7 +39,7 @@ def evaluate(config: DictConfig) -> None:
     given = read_inputs(Path(str(plain["inputs"])), file)
     with torch.no_grad():
         found = all_stages(file, given, plain)
-    with written_beside(out) as beside, beside.open("wb") as target:
+    with atomic_write(out) as beside, beside.open("wb") as target:
         np.savez_compressed(target, **found)
     rows = ", ".join(f"{len(given[name])} rows of {name}" for name in ("gui", "raw") if name in given)
     Console().print(f"{out}: {rows}; {len(found)} arrays", highlight=False, markup=False, soft_wrap=True)

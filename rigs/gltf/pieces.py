@@ -65,7 +65,7 @@ class Piece:
         return np.concatenate([read_triangles(file, primitive, self.count, self.label) for primitive in self.primitives])
 
 
-def batches(file: GltfFile, nodes: list[int]) -> list[Piece]:
+def pieces(file: GltfFile, nodes: list[int]) -> list[Piece]:
     """The pieces of the meshes of nodes, in the order of the file.
 
     Raises:

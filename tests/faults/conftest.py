@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from tests.clips import performance, write_npz
 from tests.conftest import SMALL
 from tests.faults.processes import Commands
 from tests.faults.tally import ROWS, table
 from tests.faults.works import Whole, Work
-from tests.toys import ToyRig
+from tests.support.clips import performance, write_npz
+from tests.support.toys import ToyRig
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ ALSO = (
     "onnxscript",
     "tensorboard.summary",
     "trimesh",
-    "tests.toys",
+    "tests.support.toys",
 )
 
 

@@ -8,8 +8,8 @@ import psutil
 
 from rigs.blender.pool import WorkerPool
 from tests.faults.tally import fault
-from tests.test_blender_pool import LOAD, TOY
-from tests.toy_worker import LEAK_MB, LEAKS, NAMES, REST
+from tests.rigs.test_blender_pool import LOAD, TOY
+from tests.support.toy_worker import LEAK_MB, LEAKS, NAMES, REST
 
 POSES, ALLOWED_MB = 160, 50
 SECONDS = 0.01  # for a pose

@@ -9,7 +9,7 @@ from riginv.networks.inverse import DirectInverse
 from riginv.networks.surrogate import ControlMLP
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.training.checkpoints import AtomicCheckpoints
-from tests.toys import ToyRig
+from tests.support.toys import ToyRig
 
 NETWORK = {"_target_": "riginv.networks.inverse.DirectInverse", "hidden": [8], "control_map": "neutral_start"}
 
@@ -20,7 +20,7 @@ def write_tiny_bundle(folder: Path) -> Path:
     space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     torch.manual_seed(0)
     network = DirectInverse(space, hidden=[8], control_map="neutral_start")
-    config = {"rig": {"_target_": "tests.toys.ToyRig", "detail": 1, "arkit": True}, "model": {"network": NETWORK}}
+    config = {"rig": {"_target_": "tests.support.toys.ToyRig", "detail": 1, "arkit": True}, "model": {"network": NETWORK}}
     write_bundle(folder, "inverse", network, space, config, {"steps": 1, "seconds": 0.5, "seed": 0})
     return folder
 
@@ -44,7 +44,7 @@ def write_tiny_surrogate(folder: Path) -> Path:
     rig = ToyRig(detail=1, arkit=True)
     space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     network = {"_target_": "riginv.networks.surrogate.ControlMLP", "hidden": [8]}
-    config = {"rig": {"_target_": "tests.toys.ToyRig", "detail": 1, "arkit": True}, "model": {"network": network}}
+    config = {"rig": {"_target_": "tests.support.toys.ToyRig", "detail": 1, "arkit": True}, "model": {"network": network}}
     torch.manual_seed(0)
     write_bundle(folder, "forward", ControlMLP(rig, hidden=[8]), space, config, {"steps": 1, "seconds": 0.5, "seed": 0})
     return folder

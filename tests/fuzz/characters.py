@@ -11,9 +11,9 @@ from rigs.dna import DnaRig
 from rigs.dna.format import read_dna, write_dna
 from rigs.dna.format.container import dna_bytes
 from rigs.dna.inverse import TableInverse
-from tests.dna.files import draft, everything, two_levels
-from tests.dna.mutation import mutated
 from tests.fuzz.tally import Target
+from tests.rigs.dna.files import draft, everything, two_levels
+from tests.rigs.dna.mutation import mutated
 
 UNCHANGED = b"no change" * 4
 

@@ -29,8 +29,12 @@ from riginv.training.checkpoints import AtomicCheckpoints
 from riginv.training.summary import show
 from rigs.gltf import GltfRig
 from rigs.shapes import ShapesRig
-from tests import sculpts
-from tests.clips import (
+from tests.fuzz import characters, surfaces
+from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint
+from tests.fuzz.tally import Target
+from tests.inference.test_bundle import rewrite_sums
+from tests.support import sculpts
+from tests.support.clips import (
     performance,
     write_animated_glb,
     write_mdd,
@@ -40,11 +44,7 @@ from tests.clips import (
     write_skinned_usd,
     write_usd,
 )
-from tests.fuzz import characters, surfaces
-from tests.fuzz.bundles import write_tiny_bundle, write_tiny_checkpoint
-from tests.fuzz.tally import Target
-from tests.test_bundle import rewrite_sums
-from tests.toys import ToyRig
+from tests.support.toys import ToyRig
 
 Make = Callable[[Path], Target]
 

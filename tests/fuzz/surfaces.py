@@ -12,8 +12,8 @@ from riginv.tracking.surfaces.meaning import meaning_of_scans
 from riginv.tracking.surfaces.scans import RaggedArrays
 from riginv.tracking.surfaces.triangles import Surface
 from tests.fuzz.tally import Target
-from tests.scans import resampled, write_ragged
-from tests.toys import ToyRig
+from tests.support.scans import resampled, write_ragged
+from tests.support.toys import ToyRig
 
 
 def _rig() -> ToyRig:

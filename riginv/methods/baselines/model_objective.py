@@ -10,8 +10,8 @@ from riginv.solvers.objective import Linearised
 class ModelObjective:
     """The unknowns are the weights of sides, `(mesh, side)` in [0, 1], in float64.
 
-    Not the controls: the two ways out of neutral often move different shapes, so that the derivative one way says nothing of the
-    other way, and a solver that starts at neutral would not find it. With a weight for each way the limit at 0 decides.
+    Not the controls: the two ways out of neutral often move different shapes, so that the derivative one way says nothing of
+    the other way, and a solver that starts at neutral would not find it. With a weight for each way the limit at 0 decides.
 
     Args:
         vertex_count: of the mesh.

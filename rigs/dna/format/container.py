@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from riginv.errors import InputError, in_short
-from riginv.runs.files import check_regular, written_beside
+from riginv.runs.files import atomic_write, check_regular
 from rigs.dna.format.codecs import Record
 from rigs.dna.format.cursor import Cursor, Writer
 from rigs.dna.format.later_layers import (
@@ -228,5 +228,5 @@ def _section_bytes(file: DnaFile) -> bytes:
 def write_dna(path: str | Path, file: DnaFile) -> None:
     """Write a file, whole or not at all."""
     data = dna_bytes(file)
-    with written_beside(Path(path)) as beside:
+    with atomic_write(Path(path)) as beside:
         beside.write_bytes(data)

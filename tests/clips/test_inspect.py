@@ -1,0 +1,171 @@
+"""python -m riginv.inspect as users type it: what a file holds, with a rig and without."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from riginv.launch.command import path_as_value
+from riginv.rig.arkit import LIVE_LINK_SHAPES as SHAPES
+from tests.conftest import ROOT
+from tests.support.clips import obj_sequence, performance, write_animated_glb, write_npz, write_usd
+from tests.support.toys import ToyRig
+
+TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
+
+
+@pytest.fixture(scope="module")
+def rig() -> ToyRig:
+    return ToyRig()
+
+
+@pytest.fixture(scope="module")
+def meshes(rig) -> np.ndarray:
+    return performance(rig, 20)
+
+
+def table(text: str) -> dict[str, str]:
+    """The rows of what was printed."""
+    found = (line.strip().partition("  ") for line in text.splitlines() if line.startswith("  "))
+    return {name: value.strip() for name, _, value in found}
+
+
+def in_a_shell(folder: Path, *arguments: str) -> subprocess.CompletedProcess:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [sys.executable, "-m", "riginv.inspect", *arguments], cwd=folder, capture_output=True, text=True, env=environment
+    )
+
+
+def test_a_path_alone_is_enough_in_a_shell(rig, meshes, tmp_path):
+    name = "take (1) [b], 'c'=頭.npz"
+    write_npz(tmp_path / name, meshes, rig.faces.numpy())
+    done = in_a_shell(tmp_path, name)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"{name}\n")
+    found = table(done.stdout)
+    assert found["frames"] == "20 frames 0 to 19" and found["rate"] == "24 frames a second (as the file says)"
+    assert found["unit"] == "not known" and found["vertices"] == "162, 320 faces"
+
+
+@pytest.mark.parametrize("name", ["2024_05.npz", "Größe 頭.npz", "a=b.npz", "{x}.npz", 'quo"ted.npz', "#1,2.npz"])
+def test_any_name_of_a_file_is_a_path(name, run: Callable, rig, meshes, tmp_path):
+    write_npz(tmp_path / name, meshes, rig.faces.numpy())
+    outcome = run("inspect", name)
+    assert outcome.code == 0 and outcome.text.startswith(f"{name}\n"), outcome.text
+
+
+def test_key_and_path_mean_the_same(run: Callable, rig, meshes, tmp_path):
+    write_npz(tmp_path / "take.npz", meshes, rig.faces.numpy())
+    alone = run("inspect", "take.npz")
+    assert alone.code == 0 and alone.text == run("inspect", "clip=take.npz").text
+    assert path_as_value(["rig=toy", "take.npz", "~seed", "+rig.x=1"], "clip") == [
+        "rig=toy",
+        'clip="take.npz"',
+        "~seed",
+        "+rig.x=1",
+    ]
+    assert path_as_value(["take.npz"], None) == ["take.npz"]
+
+
+@pytest.mark.parametrize("kind", ["obj", "glb", "usd"])
+def test_files_say_what_they_hold(kind, run: Callable, rig, meshes, tmp_path):
+    faces = rig.faces.numpy()
+    if kind == "obj":
+        path = obj_sequence(tmp_path / "shot", meshes, faces)
+    elif kind == "glb":
+        path = write_animated_glb(tmp_path / "take.glb", meshes, faces)
+    else:
+        pytest.importorskip("pxr", reason="usd-core is not installed")
+        path = write_usd(tmp_path / "take.usda", meshes, faces)
+    outcome = run("inspect", str(path))
+    assert outcome.code == 0, outcome.text
+    found = table(outcome.text)
+    first = 1001 if kind == "obj" else 0 if kind == "glb" else 1
+    assert found["frames"] == f"20 frames {first} to {first + 19}"
+    assert found["unit"].split()[0] == {"obj": "not", "glb": "m", "usd": "cm"}[kind]
+    assert found["up"].split()[0] == ("z" if kind == "usd" else "y")
+    assert run("inspect", str(path), *TOY).text.splitlines()[-1] == "the clip fits rig 'toy'"
+
+
+def test_a_clip_that_does_not_fit_is_shown_and_refused(run: Callable, rig, meshes, tmp_path):
+    write_npz(tmp_path / "other.npz", meshes[:, :100], np.array([[0, 1, 2]]))
+    outcome = run("inspect", "other.npz", *TOY)
+    assert outcome.code == 1 and table(outcome.text)["vertices"] == "100, 1 faces"
+    assert "rig toy: 7 controls, 162 vertices" in outcome.text and "100 vertices and 1 faces, rig 'toy' has 162" in outcome.text
+
+
+def test_options_of_reading_and_frames_count(run: Callable, rig, meshes, tmp_path):
+    write_npz(tmp_path / "take.npz", meshes / 10, rig.faces.numpy())
+    options = ("reading.unit=cm", "reading.up=z", "reading.fps=50", "frames.first=5", "frames.exclude=[7]")
+    found = table(run("inspect", "take.npz", *options).text)
+    assert found["frames"] == "15 frames 5 to 19 of 0 to 19 (1 excluded)" and found["rate"] == "50 frames a second (as given)"
+    assert found["unit"] == "cm (as given)" and found["up"] == "z (as given)" and "m/s" in found["motion"]
+
+
+def test_a_recording_says_which_shapes_move(run: Callable, tmp_path):
+    columns = [name[0].upper() + name[1:] for name in SHAPES]
+    weights = np.zeros((30, len(columns)))
+    weights[:, columns.index("JawOpen")] = np.linspace(0, 0.8, 30)
+    weights[:, columns.index("CheekPuff")] = 0.3
+    lines = [",".join(["Timecode", "BlendShapeCount", *columns])]
+    lines += [
+        f"01:00:00:{2 * row:02d}.000,61," + ",".join(f"{value:.6f}" for value in values) for row, values in enumerate(weights)
+    ]
+    (tmp_path / "take.csv").write_text("\n".join(lines) + "\n")
+    outcome = run("inspect", "take.csv")
+    assert outcome.code == 0, outcome.text
+    found = table(outcome.text)
+    assert found["rows"] == "30" and found["rate"] == "30 frames a second" and found["columns"] == "52 shapes"
+    assert found["shapes that move"] == "1: jawOpen (0 to 0.8)"
+    assert found["shapes that do not"].startswith("51: ") and found["shapes that do not"].endswith(
+        "more (verbose=true names all)"
+    )
+    assert "cheekPuff" in run("inspect", "take.csv", "verbose=true").text
+
+
+def test_bundles_and_stores_of_poses_are_told(run: Callable, tmp_path):
+    assert run("train").code == 0
+    found = table(run("inspect", "run").text)
+    assert found["bundle"] == "inverse: meshes to controls" and found["rig"].startswith("toy, 162 vertices")
+    assert found["controls"].startswith("7: bump0") and "steps 12" in found["training"]
+    sampled = run("sample", *TOY, "samples=64", "chunk=32", "out=poses.zarr")
+    assert sampled.code == 0, sampled.text
+    stored = run("inspect", "poses.zarr")
+    assert stored.code == 0 and "64 of rig 'toy'" in stored.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "clip must be given"),
+        (["none.npz"], "none.npz: no such file"),
+        (["notes.txt"], "clips end in"),
+        (["broken.npz"], "broken.npz: no .npz, or a damaged one"),
+        (["empty"], "expected to hold OBJ or PLY files"),
+        (["take.csv"], "expected the columns of a Live Link Face recording"),
+        (["take.npz", "reading.unit=ell"], "reading.unit is 'ell'"),
+        (["take.npz", "reading.fps=-1"], "reading.fps is -1"),
+        (["take.npz", "frames.first=99"], "none left"),
+        (["take.npz", "rig=fase"], "did you mean face"),
+        (["take.npz", "bundle=nowhere"], "nowhere: no bundle there"),
+        (["take.npz", "bundle=1"], "1: no bundle there"),
+        (["x" * 300], "File name too long"),
+        (["take.npz", "verbose=loud"], "verbose is 'loud'"),
+        (["take.npz", "raeding.fps=3"], "did you mean reading.fps"),
+    ],
+)
+def test_mistakes_end_in_one_sentence(arguments, said, run: Callable, rig, meshes, tmp_path):
+    write_npz(tmp_path / "take.npz", meshes, rig.faces.numpy())
+    (tmp_path / "notes.txt").write_text("no clip")
+    (tmp_path / "broken.npz").write_bytes(b"PK\3\4" + bytes(40))
+    (tmp_path / "take.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "empty").mkdir()
+    before = set(tmp_path.iterdir())
+    outcome = run("inspect", *arguments)
+    assert outcome.code == 1 and said in outcome.text and "Traceback" not in outcome.text, outcome.text
+    assert set(tmp_path.iterdir()) == before

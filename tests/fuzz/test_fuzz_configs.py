@@ -1,0 +1,212 @@
+"""Values of configs replaced by anything that YAML can say: the command goes on, or ends in one sentence."""
+
+import copy
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from omegaconf import OmegaConf
+
+from riginv.clips.open import open_clip
+from riginv.clips.options import clip_options
+from riginv.config.building import DOES_NOT_FIT, build
+from riginv.config.diagnosis import wrong_kind
+from riginv.config.messages import CONFIGS, explain
+from riginv.config.validation import validate
+from riginv.errors import InputError
+from riginv.inspect import show_clip_file
+from riginv.launch.command import options_first
+from riginv.methods.base import suited_methods
+from riginv.reproduce.cast import rig_in_space
+from riginv.reproduce.preflight import check_budget, check_capture, check_rig, choose_true_rig
+from riginv.rig.interface import RigBackend
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.runs.run_folder import RunFolder, plain_config, register_folder_resolvers
+from riginv.tracking.assembly import build_parts, chosen_method
+from riginv.tracking.results import check_after
+from riginv.training.assembly import (
+    build_clip,
+    build_module,
+    build_rig,
+    build_sampler,
+    build_trainer,
+    build_true_rig,
+    needs_surrogate,
+)
+from tests.support.clips import performance, write_npz
+from tests.support.toys import ToyRig
+
+ROOT = Path(__file__).parents[2]
+QUICK, MANY = 15, 2500
+TOY = ["rig=toy", f"hydra.searchpath=[file://{ROOT / 'tests/conf'}]"]
+
+
+def before_training(plain: dict[str, Any], folder: Path) -> None:
+    """What riginv.train does before its first step."""
+    rig = build_rig(plain)
+    true_rig = build_true_rig(plain, rig)
+    if needs_surrogate(plain, rig):
+        return
+    build_clip(plain, rig, true_rig)
+    module = build_module(plain, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig)
+    build_sampler(plain, module.rig).sample(2, torch.Generator().manual_seed(0))
+    build_trainer(plain, RunFolder(folder, plain, False))
+
+
+def before_inverting(plain: dict[str, Any], folder: Path) -> None:
+    """What riginv.invert does before its first frame."""
+    chosen_method(plain)
+    if plain["bundle"]:
+        raise InputError("a bundle is read by what reads bundles")
+    rig = build_rig(plain)
+    true_rig = build_true_rig(plain, rig)
+    check_after(plain["after"], plain["look"])
+    clip, _ = open_clip(str(plain["clip"]), true_rig, *clip_options(plain))
+    build_parts(plain, clip, rig, true_rig, None)
+
+
+def before_judging(plain: dict[str, Any], folder: Path) -> None:
+    rig = build(plain["rig"], kind=RigBackend)
+    if "true_rig" in plain:
+        build_true_rig(plain, rig)
+    if "reading" in plain:
+        clip_options(plain)
+
+
+def before_comparing(plain: dict[str, Any], folder: Path) -> None:
+    configs = plain.pop("methods", None) or {}
+    rig = build_rig(plain)
+    build_true_rig(plain, rig)
+    suited_methods(configs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
+    build_clip(plain, rig, rig)
+
+
+def before_reproducing(plain: dict[str, Any], folder: Path) -> None:
+    check_budget(plain["budget"])
+    rig = rig_in_space(plain["rig"])
+    check_capture(plain, rig.rig)
+    check_rig(plain["body"])
+    choose_true_rig(plain["true_rig"], rig.rig)
+
+
+COMMANDS: dict[str, tuple[list[str], Callable]] = {
+    "train": ([*TOY, "model.network.hidden=[8]", "surrogate.network.hidden=[8]", "trainer.accelerator=cpu"], before_training),
+    "invert": ([*TOY, "clip=CLIP", "out=OUT"], before_inverting),
+    "evaluate": (TOY, before_judging),
+    "compare": ([*TOY, "methods=[neutral,direct,levenberg_marquardt,clip]"], before_comparing),
+    "reproduce": ([*TOY, "rig@body=toy", "rig@true_rig=same"], before_reproducing),
+    "check": (TOY, before_judging),
+    "contact_sheet": (TOY, before_judging),
+    "inspect": ([*TOY, "clip=CLIP"], lambda plain, folder: show_clip_file(plain, None)),
+}
+
+WORDS = [
+    "",
+    "null",
+    "nan",
+    "face",
+    "a b",
+    "../x",
+    "/dev/null",
+    "%s",
+    "\0",
+    "é",
+    "x" * 300,
+    "os.system",
+    "tests.support.toys.ToyRig",
+]
+NUMBERS = [0, 1, -1, 2, 3, 7, 1.5, -0.0, 1e-30, 1e300, math.nan, math.inf, -math.inf]
+SCALARS = st.one_of(
+    st.none(), st.booleans(), st.sampled_from(NUMBERS), st.sampled_from(WORDS), st.integers(-5, 40), st.text(max_size=5)
+)
+KEYS = st.sampled_from(["_target_", "name", "mouth", "jaw*", "file", "0", "", "vertices"])
+VALUES = st.recursive(
+    SCALARS, lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(KEYS, inner, max_size=3)), max_leaves=5
+)
+
+
+@pytest.fixture(scope="module")
+def composed(tmp_path_factory) -> dict[str, Any]:
+    """Each command's config as it is composed, small."""
+    folder = tmp_path_factory.mktemp("configs")
+    rig = ToyRig()
+    clip = write_npz(folder / "clip.npz", performance(rig, 3), rig.faces.numpy())
+    register_folder_resolvers()
+    found = {}
+    for name, (overrides, _) in COMMANDS.items():
+        GlobalHydra.instance().clear()
+        with initialize_config_dir(str(CONFIGS), version_base="1.3"):
+            found[name] = compose(
+                name, overrides=[one.replace("CLIP", str(clip)).replace("OUT", str(folder / "out")) for one in overrides]
+            )
+    return found
+
+
+def places(config: Any, path: tuple = ()) -> list[tuple]:
+    """Every key of a config, groups and the elements of lists included."""
+    pairs = config.items() if isinstance(config, dict) else enumerate(config) if isinstance(config, list) else ()
+    return [place for key, inner in pairs for place in ((*path, key), *places(inner, (*path, key)))]
+
+
+def replaced(config: dict, path: tuple, value: Any) -> dict:
+    config = copy.deepcopy(config)
+    inner = config
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    return config
+
+
+def goes_on(name: str, config: dict, usual: dict, folder: Path) -> str | None:
+    """None where the command would begin its work, else its one sentence; anything else is raised."""
+    try:
+        plain = plain_config(OmegaConf.create(config))
+        validate(plain)
+        COMMANDS[name][1](plain, folder)
+    except Exception as error:
+        sentence = explain(error, name) or (wrong_kind(config, usual) if isinstance(error, DOES_NOT_FIT) else None)
+        if sentence is None:
+            raise
+        assert sentence and "\n" not in sentence and len(sentence) < 2000, sentence
+        return sentence
+    return None
+
+
+def explore(name: str, composed: dict[str, Any], cases: int, folder: Path) -> tuple[int, int]:
+    whole = OmegaConf.to_container(composed[name], resolve=True)
+    assert goes_on(name, whole, whole, folder) is None
+    everywhere, counts = places(whole), [0, 0]
+
+    def case(found: Any) -> None:
+        path, value = found
+        refused = goes_on(name, replaced(whole, path, value), whole, folder) is not None
+        counts[refused] += 1
+
+    how = settings(max_examples=cases, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    how(given(st.tuples(st.sampled_from(everywhere), VALUES))(case))()
+    return counts[0], counts[1]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_any_value_anywhere_is_valid_or_refused_in_a_sentence(name, composed, tmp_path):
+    _, refused = explore(name, composed, QUICK, tmp_path)
+    assert refused >= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_many_more_values_are_valid_or_refused_in_a_sentence(name, composed, tmp_path):
+    explore(name, composed, MANY, tmp_path)
+
+
+@settings(max_examples=200, deadline=None, derandomize=True, database=None)
+@given(st.lists(st.text(alphabet="-=abc{}[],$ \"'~+@:/.", max_size=12), max_size=4))
+def test_any_arguments_are_sorted_without_losing_one(arguments):
+    assert sorted(options_first(arguments)) == sorted(arguments)

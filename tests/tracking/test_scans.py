@@ -1,0 +1,156 @@
+"""Clips of scans: read, understood, and inverted from the command line."""
+
+import csv
+
+import numpy as np
+import pytest
+import torch
+
+from riginv.clips.options import ReadingOptions
+from riginv.clips.sequence import Polygons
+from riginv.errors import InputError
+from riginv.tracking.surfaces.meaning import meaning_of_scans
+from riginv.tracking.surfaces.scans import FileScans, RaggedArrays, Scan, triangulated
+from tests.conftest import ROOT
+from tests.support.scans import posed_mesh, resampled, write_ply, write_ragged
+from tests.support.toys import ToyRig
+
+CONF = ROOT / "tests/conf"
+CONTROLS = torch.tensor([0.3, 0.6, 0.2, 0.5, 0.4, -0.5, 0.3])
+
+
+def scans_of(rig: ToyRig, count: int = 3) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Scans with a different number of points each."""
+    found = []
+    for number in range(count):
+        mesh = resampled(rig, CONTROLS * (0.6 + 0.2 * number), number)
+        keep = np.arange(len(mesh.faces)) >= 10 * number
+        cut = Scan(mesh.points, mesh.faces[keep]).cleaned()
+        found.append((cut.points, cut.faces))
+    return found
+
+
+def test_ragged_arrays_come_back_frame_by_frame(tmp_path):
+    given = scans_of(ToyRig())
+    write_ragged(tmp_path / "take.npz", given, fps=24.0)
+    scans = RaggedArrays(tmp_path / "take.npz")
+    assert len(scans) == 3 and scans.fps == 24
+    for number, (points, faces) in enumerate(given):
+        np.testing.assert_allclose(scans.scan(number).points, points, atol=1e-4)
+        np.testing.assert_array_equal(scans.scan(number).faces, faces)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"offsets": np.array([0, 5])},
+        {"offsets": np.array([0, 90, 60, 10])},
+        {"points": np.zeros((4, 2))},
+        {"face_offsets": np.array([0, 1])},
+        {"faces": np.zeros((3, 3), np.int64)},
+        {"frame_numbers": np.array([3, 2, 1])},
+        {"fps": np.array([1.0, 2.0])},
+        {"points": np.array(["a"])},
+    ],
+)
+def test_ragged_arrays_that_contradict_themselves_are_refused(tmp_path, change):
+    write_ragged(tmp_path / "take.npz", scans_of(ToyRig()), **change)
+    with pytest.raises(InputError):
+        RaggedArrays(tmp_path / "take.npz").scan(0)
+
+
+def test_a_face_that_uses_no_vertex_is_refused(tmp_path):
+    given = scans_of(ToyRig())
+    given[0][1][5, 1] = 10**6
+    write_ragged(tmp_path / "take.npz", given)
+    with pytest.raises(InputError, match="uses vertex 1000000"):
+        RaggedArrays(tmp_path / "take.npz").scan(0)
+
+
+def test_files_of_different_meshes_are_one_clip(tmp_path):
+    for number, (points, faces) in enumerate(scans_of(ToyRig())):
+        write_ply(tmp_path / f"scan.{number:03d}.ply", points, faces)
+    scans = FileScans(str(tmp_path / "scan.%03d.ply"), ReadingOptions())
+    assert [len(scans.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans_of(ToyRig())]
+
+
+def test_polygons_become_fans():
+    polygons = Polygons(np.array([4, 3, 2]), np.array([0, 1, 2, 3, 4, 5, 6, 7, 8]))
+    assert triangulated(polygons).tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
+
+
+def test_a_scan_is_cleaned_of_what_cannot_be_used():
+    points, faces = scans_of(ToyRig())[0]
+    points[7] = np.nan
+    dirty = np.concatenate([faces, [[3, 3, 4]]])
+    found = Scan(points, dirty).cleaned()
+    assert np.isfinite(found.points).all() and len(found.faces) == (~(faces == 7).any(axis=1)).sum()
+    assert Scan(points[:49], None).cleaned() is None
+
+
+@pytest.mark.parametrize(("factor", "mm"), [(1.0, 1.0), (0.1, 10.0), (0.001, 1000.0)])
+def test_the_unit_is_told_by_the_size(tmp_path, factor, mm):
+    rig = ToyRig()
+    write_ragged(tmp_path / "take.npz", [(factor * points, faces) for points, faces in scans_of(rig)])
+    assert meaning_of_scans(RaggedArrays(tmp_path / "take.npz"), rig, ReadingOptions()).mm == mm
+
+
+def test_scans_of_another_size_altogether_are_refused(tmp_path):
+    rig = ToyRig()
+    write_ragged(tmp_path / "take.npz", [(1e5 * points, faces) for points, faces in scans_of(rig)])
+    with pytest.raises(InputError, match="reading.unit"):
+        meaning_of_scans(RaggedArrays(tmp_path / "take.npz"), rig, ReadingOptions())
+
+
+@pytest.mark.parametrize("clouds", [False, True])
+def test_scans_are_inverted_from_the_command_line(run, tmp_path, clouds):
+    rig = ToyRig()
+    given = [(points, None if clouds else faces) for points, faces in scans_of(rig)]
+    write_ragged(tmp_path / "take.npz", given, fps=30.0)
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got", "motion=keep")
+    assert done.code == 0, done.text
+    assert "correspondence=surface" in done.text
+    rows = list(csv.DictReader((tmp_path / "got/curves.csv").open()))
+    for number, row in enumerate(rows):
+        found = torch.tensor([float(row[control.name]) for control in rig.controls])
+        apart = posed_mesh(rig, found)[0] - posed_mesh(rig, CONTROLS * (0.6 + 0.2 * number))[0]
+        assert np.linalg.norm(apart, axis=1).mean() < (0.6 if clouds else 0.1)
+    table = list(csv.DictReader((tmp_path / "got/scans.csv").open()))
+    assert all(float(row["scan_explained"]) > 0.95 for row in table)
+
+
+def test_the_rigs_own_mesh_is_taken_by_its_vertices(run, tmp_path):
+    rig = ToyRig()
+    np.savez(tmp_path / "take.npz", vertices=np.stack([posed_mesh(rig, CONTROLS)[0]] * 3).astype(np.float32), fps=30.0)
+    done = run(
+        "invert",
+        "rig=toy",
+        f"--config-dir={CONF}",
+        f"clip={tmp_path / 'take.npz'}",
+        "out=got",
+        "look.page=false",
+        "look.sheet=false",
+    )
+    assert done.code == 0 and "vertices in the rig's own order taken" in done.text
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["correspondence=nearest"], "expected one of auto, vertices, surface"),
+        (["correspondence=surface", "method=network", "bundle=null"], "method=network"),
+        (["prior=nowhere"], "nowhere"),
+        (["controls.freeze=[bump0]"], "controls.freeze is not for correspondence=surface"),
+    ],
+)
+def test_what_cannot_be_meant_ends_in_one_sentence(run, tmp_path, more, said):
+    write_ragged(tmp_path / "take.npz", scans_of(ToyRig()), fps=30.0)
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got", *more)
+    assert done.code == 1 and said in done.text and "Traceback" not in done.text
+    assert not (tmp_path / "got").exists()
+
+
+def test_scans_that_are_inside_out_are_said_to_be(run, tmp_path):
+    write_ragged(tmp_path / "take.npz", [(points, faces[:, ::-1]) for points, faces in scans_of(ToyRig())], fps=30.0)
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got")
+    assert done.code == 1 and "normals" in done.text

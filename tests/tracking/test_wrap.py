@@ -1,0 +1,69 @@
+"""A mesh wrapped onto a scan of another shape."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from riginv.errors import InputError
+from riginv.tracking.surfaces.motion import Motion
+from riginv.tracking.surfaces.triangles import TriangleMesh
+from riginv.tracking.surfaces.wrap import wrap
+from tests.conftest import ROOT
+from tests.support.scans import write_ply
+from tests.support.toys import ToyRig
+
+
+def somebody(rig: ToyRig) -> TriangleMesh:
+    """The toy's rest mesh bent and stretched, with vertices of its own, turned, moved and larger."""
+    points = rig.rest_vertices.double().numpy() * [1.0, 1.12, 0.95]
+    points[:, 0] += 2 * np.sin(points[:, 1] / 15)
+    finer, faces = trimesh.remesh.subdivide_loop(points, rig.faces.numpy(), 1)
+    motion = Motion.none().after(np.radians([8.0, -6, 5]), np.array([20.0, -10, 15]), np.zeros(3))
+    return TriangleMesh(motion.apply(1.1 * finer), faces)
+
+
+def test_a_mesh_takes_the_shape_of_a_scan():
+    rig, scan = ToyRig(detail=3), somebody(ToyRig(detail=3))
+    found = wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), scan)
+    assert found.usable > 0.97 and np.nanmean(found.distance_mm) < 0.25
+    np.testing.assert_allclose(found.motion.apply(found.scale * found.local), found.vertices, atol=1e-6)
+    assert scan.closest(found.vertices).distance.mean() < 0.25
+
+
+def test_a_scan_of_something_else_is_refused():
+    rig, rng = ToyRig(detail=3), np.random.default_rng(0)
+    needle = rng.normal(size=(400, 3)) * [300, 1, 1]
+    hull = trimesh.convex.convex_hull(needle)
+    with pytest.raises(InputError, match="cannot be brought onto"):
+        wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), TriangleMesh(hull.vertices, hull.faces))
+
+
+def test_the_command_leaves_the_mesh_and_a_picture(run, tmp_path):
+    rig, scan = ToyRig(), somebody(ToyRig(detail=3))
+    write_ply(tmp_path / "neutral.ply", scan.points / 1000, scan.faces)  # in metres
+    config = f"--config-dir={ROOT / 'tests/conf'}"
+    done = run("wrap", "rig=toy", config, f"scan={tmp_path / 'neutral.ply'}", f"out={tmp_path / 'wrapped.obj'}")
+    assert done.code == 0, done.text
+    vertices = [line.split()[1:] for line in (tmp_path / "wrapped.obj").read_text().splitlines() if line.startswith("v ")]
+    assert len(vertices) == len(rig.rest_vertices) and (tmp_path / "wrapped.png").stat().st_size > 1000
+    assert scan.closest(np.array(vertices, float)).distance.mean() < 1.0
+
+
+def test_a_prior_is_learned_and_used_from_the_command_line(run, tmp_path):
+    rig = ToyRig()
+    controls = rig.lower + (rig.upper - rig.lower) * torch.rand(40, 7)
+    header = ",".join(["frame", "seconds", *rig.control_names])
+    rows = [f"{number},0,{','.join(map(str, row))}" for number, row in enumerate(controls.tolist())]
+    (tmp_path / "curves.csv").write_text("\n".join([header, *rows]))
+    config = f"--config-dir={ROOT / 'tests/conf'}"
+    done = run("learn_prior", "rig=toy", config, f"takes=[{tmp_path / 'curves.csv'}]", f"out={tmp_path / 'prior'}")
+    assert done.code == 0 and "40 frames" in done.text, done.text
+    with torch.no_grad():
+        np.savez(tmp_path / "take.npz", vertices=rig(controls[:6]).numpy(), fps=30.0)
+    look = ["look.page=false", "look.sheet=false", "method=levenberg_marquardt"]
+    take = ["rig=toy", config, f"clip={tmp_path / 'take.npz'}", f"prior={tmp_path / 'prior'}"]
+    done = run("invert", *take, f"out={tmp_path / 'got'}", *look)
+    assert done.code == 0, done.text
+    done = run("learn_prior", "rig=toy", config, "takes=[nowhere.csv]", f"out={tmp_path / 'other'}")
+    assert done.code == 1 and "nowhere.csv" in done.text and not (tmp_path / "other").exists()

@@ -1,0 +1,143 @@
+"""Threads: as many as other processes leave cores for, and none of it shows in any result."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+import torch
+
+from riginv.networks.ablations import NormalisedInverse
+from riginv.networks.inverse import StagedInverse
+from riginv.rig.batches import generator_at
+from riginv.rig.random_controls import PlausibleControls
+from riginv.runs.threads import Workers, single_threaded
+from riginv.sampling.meshes import RigPoses
+from riginv.training.halves import can_be_halved, worth_halving
+from riginv.training.inverse import InverseModule
+from riginv.training.losses import VertexDistanceLoss
+from tests.training.test_modules import ADAM, CONSTANT, Cubes
+
+
+@pytest.fixture
+def unlimited(monkeypatch):
+    for name in ("OMP_NUM_THREADS", "RIGINV_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_beside_busy_processes_one_thread_is_chosen(unlimited):
+    workers = Workers(most=2)
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(max(1, workers.cores.count - 1))]
+    try:
+        workers.cores.free()
+        time.sleep(1.0)
+        assert workers.look() == 1
+        assert workers.describe().startswith("1 thread of ")
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def test_its_own_threads_do_not_count_as_others(unlimited):
+    workers, stop = Workers(), threading.Event()
+
+    def work() -> None:
+        values = torch.rand(300, 300)
+        while not stop.is_set():
+            values = (values @ values).softmax(dim=1)
+
+    thread = threading.Thread(target=work)
+    workers.cores.free()
+    began = os.times()
+    thread.start()
+    time.sleep(1.0)
+    stop.set()
+    thread.join()
+    ended = os.times()
+    own = (ended.user + ended.system - began.user - began.system) / (ended.elapsed - began.elapsed)
+    assert workers.cores.free() >= own - 0.2
+
+
+def test_the_number_can_be_asked_for(unlimited, monkeypatch):
+    assert Workers(2).look() == 2 and Workers(2).describe() == "2 threads, as asked for"
+    assert Workers(3, most=2).look() == 2
+    monkeypatch.setenv("RIGINV_THREADS", "2")
+    assert Workers().look() == 2
+    monkeypatch.delenv("RIGINV_THREADS")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert Workers().look() == 1
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_results_come_in_order_and_run_at_once(threads):
+    workers, seen = Workers(threads), set()
+
+    def task(number: int) -> int:
+        seen.add(threading.get_ident())
+        time.sleep(0.05)
+        assert torch.get_num_threads() == 1
+        return workers.run([lambda: number, lambda: number**2])[1]  # within a task there are no further threads
+
+    assert workers.run([lambda number=number: task(number) for number in range(7)]) == [number**2 for number in range(7)]
+    assert len(seen) == threads
+
+
+def test_gradients_are_on_or_off_as_where_the_work_is_asked_for():
+    workers = Workers(2)
+
+    def tasks() -> list[bool]:
+        return workers.run([lambda: time.sleep(0.02) or torch.is_grad_enabled() for _ in range(4)])
+
+    assert tasks() == [True] * 4
+    with torch.no_grad():
+        assert tasks() == [False] * 4
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_what_fails_in_a_thread_fails_here(failing):
+    def task(number: int) -> int:
+        if number == failing:
+            raise ValueError(f"task {number}")
+        return number
+
+    with pytest.raises(ValueError, match=f"task {failing}"):
+        Workers(2).run([lambda number=number: task(number) for number in range(2)])
+
+
+def test_a_single_thread_for_a_while():
+    before = torch.get_num_threads()
+    with single_threaded():
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == before
+
+
+def one_step(toy, workers, rows=33):
+    torch.manual_seed(0)
+    network = StagedInverse(toy, hidden=[512, 512], width=64)
+    module = InverseModule(toy, network, VertexDistanceLoss(162), ADAM, CONSTANT, sampled_vertices=40)
+    module.workers, module.log = workers, lambda *args, **kwargs: None
+    batch = RigPoses(toy, PlausibleControls(toy)).sample(rows, generator_at(0, "step"))
+    network.calibrate(batch["coordinates"])
+    loss = module.training_step(batch, 0)
+    (0.5 * loss).backward()
+    return loss.detach(), [weight.grad for weight in network.parameters() if weight.grad is not None]
+
+
+def test_halves_give_the_gradients_of_the_whole_and_every_bit_whatever_computes_them(toy, monkeypatch):
+    monkeypatch.setattr("riginv.training.halves.WORTH_SPLITTING", 1)
+    (whole, expected), (one, by_one), (two, by_two) = (one_step(toy, workers) for workers in (None, Workers(1), Workers(2)))
+    assert torch.equal(one, two) and all(torch.equal(a, b) for a, b in zip(by_one, by_two)) and len(by_one) == len(expected)
+    torch.testing.assert_close(one, whole)
+    for found, wanted in zip(by_one, expected):
+        torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-5 * float(wanted.abs().max()) + 1e-7)
+
+
+def test_what_is_not_a_mean_over_meshes_is_computed_whole(toy):
+    staged = StagedInverse(toy, hidden=[8])
+    assert can_be_halved(staged, [VertexDistanceLoss(162)]) and not can_be_halved(staged, [Cubes()])
+    assert not can_be_halved(NormalisedInverse(toy, "batch", [8]), [])
+    weights = list(staged.parameters())
+    assert not worth_halving(2, weights) and not worth_halving(1, weights) and worth_halving(10_000_000, weights)
