@@ -71,7 +71,7 @@ def frame_times(path: Path, arrays: Arrays, count: int, notes: list[str]) -> Fra
     if found.fps and not abs(found.fps - said) <= SAME_RATE * abs(said):
         notes.append(f"{said_by} is {said:g}, and {found.rate_source} tell {found.fps:g} frames a second: {said_by} was taken.")
         found = FrameTimes(np.arange(count))
-    return FrameTimes(found.numbers if numbers is None else numbers, said, said_by)
+    return FrameTimes(found.numbers if numbers is None else numbers, said, f"its array {said_by}")
 
 
 def _timed(path: Path, arrays: Arrays, count: int) -> FrameTimes:

@@ -150,4 +150,4 @@ def npz_curves(path: Path) -> Curves:
     labels = None if names is None else [str(np.char.decode(one) if names.dtype.kind == "S" else one) for one in names]
     rows = np.arange(len(values)) if numbers is None else numbers
     rate = None if fps is None else float(fps.reshape(-1)[0])
-    return Curves(path, "arrays of curves", labels, values.astype(np.float64), rows, rate, "fps" if rate else "")
+    return Curves(path, "arrays of curves", labels, values.astype(np.float64), rows, rate, "its array fps" if rate else "")

@@ -130,8 +130,6 @@ def _absurd(clip: MeshSequence, found_mm: float, rig_mm: float, rig: str, taken:
 
 def _up(clip: MeshSequence, up: Any, notes: list[str]) -> tuple[str, str]:
     if up == "auto":
-        if clip.up and clip.in_rig_space:
-            return clip.up
         if clip.up:
             return clip.up, AS_THE_FILE_SAYS
         notes.append("y taken for up, as in most face and game software (reading.up=z if the clip lies on its back)")

@@ -64,7 +64,7 @@ RATES = [24, 24.0, np.float32(24), np.array([24]), np.array([[24.0]]), "24", "24
 @pytest.mark.parametrize("name", ["fps", "frame_rate", "mocap_framerate"])
 def test_the_rate_may_be_a_number_an_array_or_a_text(name, rate, tmp_path):
     sequence = saved(tmp_path / "a.npz", **{name: rate})
-    assert sequence.fps == 24 and sequence.facts.rate_source == name and not sequence.facts.notes
+    assert sequence.fps == 24 and sequence.facts.rate_source == f"its array {name}" and not sequence.facts.notes
 
 
 def test_a_rate_may_be_a_fraction(tmp_path):

@@ -55,7 +55,7 @@ def test_one_line_says_it_all(rig, meshes, tmp_path):
     found = described(write_npz(tmp_path / "take.npz", meshes / 10, rig.faces.numpy()), rig)
     size = " x ".join(f"{side:.3g}" for side in np.ptp(meshes[0], axis=0))
     assert line(found) == (
-        f"clip take.npz: NPZ, 24 frames 0 to 23, 24 fps (as the file says), 0.9583 s, {size} mm, "
+        f"clip take.npz: NumPy .npz, mesh vertices, 24 frames 0 to 23, 24 fps (its array fps), 0.9583 s, {size} mm, "
         f"unit cm (guessed), y up (guessed)"
     )
     assert found.warnings == () and found.seconds == pytest.approx(23 / 24)
@@ -114,7 +114,7 @@ def test_a_line_is_short_whatever_names_the_file_has(rig, meshes):
 def test_gaps_are_counted_and_the_first_are_named(numbers, said, rig, meshes, tmp_path):
     path = saved(tmp_path / "gaps.npz", meshes[: len(numbers)], frame_numbers=np.array(numbers), fps=24.0)
     found = described(path, rig)
-    assert f"NPZ, {said}, 24 fps" in line(found)
+    assert f"NumPy .npz, mesh vertices, {said}, 24 fps" in line(found)
     assert found.as_json()["frames"]["missing"] == found.missing
 
 
@@ -229,7 +229,9 @@ def test_facts_stand_beside_the_curves_and_on_the_page(run: Callable, rig, meshe
     assert outcome.code == 0, outcome.text
     said = outcome.text.splitlines()
     first = next(
-        number for number, text in enumerate(said) if text.startswith("clip twice.npz: NPZ, 16 frames 0 to 15, 30 fps")
+        number
+        for number, text in enumerate(said)
+        if text.startswith("clip twice.npz: NumPy .npz, mesh vertices, 16 frames 0 to 15")
     )
     assert said[first + 1].startswith("warning: its frames repeat: every mesh is there 2 times in a row")
     assert said[first + 2].startswith("rig toy: 7 controls, 162 vertices, 320 faces, 100 mm tall (100 x 100 x 100 mm)")

@@ -60,4 +60,4 @@ def test_help_explains_every_key(command, run):
     keys = explained_keys(command).splitlines()
     assert len(keys) >= 2 and all(key in said for key in keys)
     assert all("  # " in key for key in keys), keys  # each with a word of explanation
-    assert "blender, blender_if_here, body, face" in said and "verbose: false" in said
+    assert "blender, blender_if_here, body, dna, face" in said and "verbose: false" in said

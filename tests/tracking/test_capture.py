@@ -137,8 +137,8 @@ def test_a_reproduction_takes_any_clip(rig, meshes, tmp_path):
     world, _ = tumbled(meshes)
     world[3, 10:60], world[7] = torch.nan, torch.nan
     places = {"capture": str(written(tmp_path / "a.npz", world, rig)), "reading": {"unit": "mm"}, "frames": {"last": 20}}
-    key, notes = check_capture(places, rig)
-    assert len(key) == 64 and any("rigid motion was taken out" in note for note in notes)
+    key, captured = check_capture(places, rig)
+    assert len(key) == 64 and any("rigid motion was taken out" in note for note in captured.notes)
     sets = the_sets({"meshes": 6, "frames": 5}, places, None, rig)
     clip, spread = sets["clip"], sets["captured"]
     assert (len(clip), clip.fps, len(spread), spread.fps) == (5, 24, 6, None)

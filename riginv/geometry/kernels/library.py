@@ -4,13 +4,14 @@ import contextlib
 import ctypes
 import functools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from riginv.geometry.kernels.build import ENDING, LEVELS, CompilationError, compile_library, library_name, source_digest
 from riginv.runs.cache import cache_folder
@@ -75,7 +76,7 @@ def kernels_for(*tensors: Tensor) -> Kernels | None:
 
     Tensors of whole numbers, which are indices, must be int64.
     """
-    if _pure.get() or torch.compiler.is_compiling():
+    if _pure.get() or torch.compiler.is_compiling() or _is_transformed(tensors):
         return None
     dtype = tensors[0].dtype
     for tensor in tensors:
@@ -84,6 +85,13 @@ def kernels_for(*tensors: Tensor) -> Kernels | None:
         if tensor.dtype != (dtype if tensor.is_floating_point() else torch.int64):
             return None
     return kernels() if dtype in SUFFIXES else None
+
+
+def _is_transformed(tensors: Sequence[Tensor]) -> bool:
+    """Whether PyTorch follows tensors in a way that kernels know nothing of: a batch of vmap, or tangents of forward mode."""
+    if torch._C._functorch.maybe_current_level() is not None:
+        return True
+    return forward_ad._current_level >= 0 and any(forward_ad.unpack_dual(tensor).tangent is not None for tensor in tensors)
 
 
 def plain_rows(values: Tensor) -> Tensor:

@@ -1,10 +1,12 @@
 """The squared distance of an approximate rig from a mesh, as the solvers of `riginv.solvers` want it."""
 
+from collections.abc import Callable, Sequence
+
 import torch
 from torch import Tensor
 
 from riginv.methods.baselines.product_model import ProductModel
-from riginv.solvers.objective import Linearised
+from riginv.solvers.objective import Linearised, Result
 
 
 class ModelObjective:
@@ -24,6 +26,10 @@ class ModelObjective:
         self.model, self.vertex_count = model, vertex_count
         self.prior, self.sparsity = prior * vertex_count, sparsity * vertex_count
         self.neutral = torch.zeros(len(model.sides), dtype=torch.float64)
+
+    def at_once(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
+        """The results of tasks that ask this objective, one after the other."""
+        return [task() for task in tasks]
 
     def cost(self, weights: Tensor, coordinates: Tensor) -> Tensor:
         """The objective `(mesh,)`."""
