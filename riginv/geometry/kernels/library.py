@@ -91,6 +91,8 @@ def _is_transformed(tensors: Sequence[Tensor]) -> bool:
     """Whether PyTorch follows tensors in a way that kernels know nothing of: a batch of vmap, or tangents of forward mode."""
     if torch._C._functorch.maybe_current_level() is not None:
         return True
+    if not all(torch._C._has_storage(tensor) for tensor in tensors):  # torch.autograd's own vmap
+        return True
     return forward_ad._current_level >= 0 and any(forward_ad.unpack_dual(tensor).tangent is not None for tensor in tensors)
 
 
