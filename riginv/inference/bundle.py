@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from riginv.config.arguments import fits, in_words
+from riginv.config.values import fits, in_words
 from riginv.errors import InputError, in_short
 from riginv.networks.base import RigNetwork
 from riginv.rig.interface import Control, RigBackend

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from riginv.config.arguments import fits
 from riginv.config.building import OURS
+from riginv.config.values import fits
 from riginv.errors import InputError
 from riginv.runs.files import read_json
 from riginv.runs.run_folder import BUNDLE, METRICS, POSES, RunFolder
