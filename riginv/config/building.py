@@ -123,6 +123,11 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
         ) from error
 
 
+def factory(config: Any, kind: type | None = None) -> partial:
+    """As `ClassSpec.factory`, of a plain config."""
+    return ClassSpec.read(config, kind).factory()
+
+
 def _may_name(found: type) -> tuple[str, ...]:
     """The packages whose classes may be named within the arguments of a class that a user names."""
     return (*KNOWN, found.__module__.partition(".")[0])
