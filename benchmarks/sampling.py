@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -21,9 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 from riginv.config.messages import CONFIGS
+from riginv.config.typed import to_typed
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.runs.run_folder import plain_config
 from riginv.store.filling import planned
 from riginv.store.making import ChunkMaker, build_sampler
 from riginv.store.place import Place
@@ -31,6 +32,7 @@ from riginv.store.store import PoseStore
 from riginv.store.windows import WindowReader
 from riginv.training.assembly import build_module, calibrate
 from riginv.training.assembly import build_sampler as build_sampler_of
+from riginv.training.config import TrainConfig
 from rigs.face import FaceRig
 
 SLOW_POSES, SLOW_RATE, BATCH = 2048, 200, 64
@@ -100,13 +102,13 @@ def training_speed(model: str, store: Path, steps: int) -> dict[str, float]:
     """Poses a second that training steps take, drawn as they go and from a store, turn by turn."""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        config = plain_config(compose("train", [f"model={model}"]))
+        settings = to_typed(compose("train", [f"model={model}"]), TrainConfig)
     rig = FaceRig()
-    module = build_module(config, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), rig)
-    drawn = build_sampler_of(config, module.rig)
-    calibrate(config, module, drawn)
-    config["data"]["store"] = str(store)
-    samplers = {"drawn": drawn, "stored": build_sampler_of(config, module.rig)}
+    module = build_module(settings, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), rig)
+    drawn = build_sampler_of(settings, module.rig)
+    calibrate(settings.seed, module, drawn)
+    settings = replace(settings, data=replace(settings.data, store=str(store)))
+    samplers = {"drawn": drawn, "stored": build_sampler_of(settings, module.rig)}
     optimizer = module.configure_optimizers()["optimizer"]
     spent = dict.fromkeys(samplers, 0.0)
     for step in range(steps + 2):

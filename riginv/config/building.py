@@ -31,12 +31,12 @@ class ClassSpec(Generic[T]):
     `ClassSpec[RigBackend]` as the type of a config's field names the kind of class that is expected there.
 
     Attributes:
-        kind: the class itself.
+        target_class: the class itself.
         config: as the config says it: `_target_` and the arguments, plain values.
         key: where it stands in the config, for messages: `model.network`.
     """
 
-    kind: type[T]
+    target_class: type[T]
     config: Mapping[str, Any]
     key: str = ""
 
@@ -74,7 +74,7 @@ class ClassSpec(Generic[T]):
 
     def factory(self) -> "partial[T]":
         """The class with its arguments, still to be called with what it acts on: an optimiser, a schedule."""
-        return partial(self.kind, **_arguments(self.config, (), _may_name(self.kind)))
+        return partial(self.target_class, **_arguments(self.config, (), _may_name(self.target_class)))
 
     def check(self, **hints: Any) -> None:
         """Check arguments by annotations beyond those of the class, which may be another library's: `lr=PositiveFloat`.
@@ -178,7 +178,9 @@ def class_of(target: Any, only: tuple[str, ...] | None = None, kind: type | None
     if only is not None and found.__module__.partition(".")[0] not in only:
         raise InputError(f"{target} is defined in {found.__module__}, which is not allowed here")
     if kind is not None and not issubclass(found, kind):
-        raise InputError(f"{target} is not allowed here: it is no {kind.__module__}.{kind.__name__}")
+        raise InputError(
+            f"{target} is not allowed here: it names {found.__name__}, which is no {kind.__module__}.{kind.__name__}"
+        )
     return found
 
 

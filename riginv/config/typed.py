@@ -22,13 +22,26 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 from omegaconf import DictConfig
 
 from riginv.config.building import ClassSpec
-from riginv.config.values import check_value, did_you_mean, fits, in_words
+from riginv.config.values import PositiveFloat, PositiveInt, check_value, did_you_mean, fits, in_words
 from riginv.errors import InputError
 from riginv.runs.run_folder import resolved
 
 T = TypeVar("T")
 OTHERS = ("hydra", "verbose")  # keys of every command that are no part of what it does
 REST = {"rest": True}  # metadata of the field that takes the keys that no other field of its dataclass takes
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshSpaceConfig:
+    """The mesh space of a rig that does not end in a linear map: principal components of random poses.
+
+    Attributes:
+        samples: how many poses.
+        residual_mm: the mean vertex distance that may remain between them and the space.
+    """
+
+    samples: PositiveInt
+    residual_mm: PositiveFloat
 
 
 def to_typed(config: DictConfig | Mapping[str, Any], kind: type[T]) -> T:
@@ -67,13 +80,14 @@ def convert(value: Any, hint: Any, key: str) -> Any:
     if origin in (dict, Mapping) and isinstance(value, Mapping):
         return {name: convert(one, inner[1], _joined(key, name)) for name, one in value.items()}
     if origin in (list, tuple, Sequence) and isinstance(value, list | tuple) and (origin is not tuple or inner[-1] is Ellipsis):
-        return tuple(convert(one, inner[0], f"{key}[{number}]") for number, one in enumerate(value))
+        found = [convert(one, inner[0], f"{key}[{number}]") for number, one in enumerate(value)]
+        return tuple(found) if origin is tuple else found
     if type(value) is int and not fits(value, hint) and fits(str(value), hint):
         value = str(value)  # a name or a path that consists of digits
     check_value(value, hint, key)
     if type(value) is int and (inner[0] if origin is Annotated else hint) is float:
         return float(value)
-    return tuple(value) if isinstance(value, list) else value
+    return value
 
 
 def _one_of(value: Any, hint: Any, key: str) -> Any:
@@ -88,6 +102,9 @@ def _one_of(value: Any, hint: Any, key: str) -> Any:
                 return convert(value, member, key)
     for member in members:
         if fits(value, member) and get_origin(member) is not ClassSpec and not dataclasses.is_dataclass(member):
+            return convert(value, member, key)
+    for member in members:
+        if isinstance(value, list) and get_origin(member) in (list, tuple, Sequence):
             return convert(value, member, key)
     if type(value) is int and str in members:
         return str(value)

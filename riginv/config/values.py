@@ -104,7 +104,7 @@ def in_words(hint: Any) -> str:
     if origin in (dict, Mapping) or hint in (dict, Mapping) or is_dataclass(origin or hint):
         return "values with names"
     if origin in (list, tuple, Sequence) or hint in (list, tuple, Sequence):
-        return f"a list of {in_words(inner[0])}" if inner else "a list"
+        return f"a list of {in_words(inner[0])}" if inner and inner[0] is not Any else "a list"
     return getattr(hint, "__name__", str(hint))
 
 

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +14,11 @@ from riginv.geometry.kernels.library import pure_torch
 from riginv.geometry.skeleton import Skeleton
 from riginv.rig.arkit import ArkitParts
 from riginv.rig.jacobian import Jacobian
+
+if TYPE_CHECKING:
+    from riginv.rig.batches import PoseBatch
+    from riginv.rig.mesh_sets import MeshSet
+    from riginv.rig.mesh_space import MeshSpace
 
 Pull = Callable[[Tensor], Tensor]
 STEP = 1e-3  # of a control's range, between the two ends of a finite difference
@@ -65,6 +71,7 @@ class RigBackend(nn.Module, ABC):
         notes: whole sentences for the user: what was mended or guessed when the rig was read.
         contents: what it was made from, in a few words: `52 primary shapes, 12 in-betweens`; empty: nothing to say.
         poses_some: whether it makes some of its vertices for less than all of them (`some_vertices`).
+        held_out: of a rig that is known by recorded poses alone: those that evaluate in its place; None: it can be posed.
 
     Raises:
         InputError: the controls, the mesh or the faces do not make a rig.
@@ -74,6 +81,7 @@ class RigBackend(nn.Module, ABC):
     notes: tuple[str, ...] = ()
     contents: str = ""
     poses_some: bool = False
+    held_out: "MeshSet | None" = None
     lower: Tensor
     upper: Tensor
     neutral_controls: Tensor
@@ -132,6 +140,10 @@ class RigBackend(nn.Module, ABC):
         """Colours `(vertex, 3)` in [0, 1] for pictures, or None for plain clay."""
         return None
 
+    def true_rig(self) -> "RigBackend":
+        """The rig that evaluates what is trained on this one: itself, or the one that it stands for."""
+        return self
+
     def some_vertices(self, rows: Tensor) -> nn.Module:
         """Controls `(batch, control)` to the vertices `rows` alone, `(batch, row, 3)`, mm, where `poses_some` says so.
 
@@ -157,8 +169,12 @@ class LinearRig(RigBackend):
             the first, are driven directly; those after them correct these (in-betweens, combinations). Else 0.
         loose_parts: `(part,)`: how far each part of the rig may go on its own, where no control moves it like that, as a
             standard deviation: the turns of joints. Empty where a rig has none.
+        is_fitted: whether the basis was fitted to poses: the coefficients have the scale of these and no names.
+        is_surrogate: whether it was trained to stand for another rig, which is its `true_rig()`.
     """
 
+    is_fitted: bool = False
+    is_surrogate: bool = False
     basis: Tensor
     loose_parts: Tensor
 
@@ -223,6 +239,14 @@ class LinearRig(RigBackend):
     def neutral_coefficients(self) -> Tensor:
         """The coefficients `(1, coefficient)` of the rest mesh."""
         return self.coefficients(self.neutral_controls[None])
+
+    def posing_rig(self) -> RigBackend:
+        """The rig that makes the meshes: itself, or the one that the basis was fitted to."""
+        return self
+
+    def poses_to_train_on(self, space: "MeshSpace") -> "PoseBatch | None":
+        """The recorded poses to train on, in mesh coordinates; None: a rig that can be posed, at random."""
+        return None
 
     def features(self, coefficients: Tensor) -> Tensor | None:
         """What of coefficients `(batch, coefficient)` tells about the controls: `(batch, feature)`, differentiable.

@@ -120,11 +120,11 @@ def begun(config: Config, place: Place, shard: Shard, store: PoseStore | None, r
     layout, facts = planned(config, rig)
     if store is None:
         build_sampler(config["sampler"], rig)  # it may refuse, and nothing has been written yet
-        if place.path is None and isinstance(rig, BlackBoxRig) and shard.number:
+        if place.path is None and rig.is_fitted and shard.number:
             raise InputError(f"{place}: start shard=0/{shard.of} first: it fits the basis that all shards share")
         store = PoseStore.begin(place, layout, facts, rig)
-        if isinstance(rig, BlackBoxRig):
-            rig = store.fitted_rig(rig.posed)  # of the process that was quicker, if one was
+        if rig.is_fitted:
+            rig = store.fitted_rig(rig.posing_rig())  # of the process that was quicker, if one was
     check_same(store, replace(layout, coefficients=store.layout.coefficients), facts, rig)
     return store, rig
 
@@ -153,7 +153,7 @@ def planned(config: Config, rig: LinearRig) -> tuple[Layout, Config]:
         len(rig.controls),
         len(rig.coefficient_names),
         vertices if config["vertices"] else 0,
-        vertices if isinstance(rig, BlackBoxRig) else 0,
+        vertices if rig.is_fitted else 0,
     )
     layout = replace(layout, chunk=config["chunk"] or default_chunk(layout, slow=not rig.differentiable))
     facts = {

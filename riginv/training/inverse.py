@@ -6,6 +6,7 @@ from torch import Tensor, nn
 from riginv.errors import InputError
 from riginv.networks.inverse import Answer, InverseNetwork
 from riginv.rig.batches import PoseBatch
+from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.training.losses import LengthLoss, MeanDistanceLoss
 from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
@@ -39,6 +40,10 @@ class InverseModule(RigModule):
             )
         self.loss = loss
         self.last_loss = MeanDistanceLoss(rig.space.frame, sampled_vertices) if sampled_vertices else loss
+
+    @classmethod
+    def can_train_on(cls, rig: LinearRig) -> bool:
+        return rig.differentiable
 
     @property
     def losses(self) -> list[nn.Module]:
