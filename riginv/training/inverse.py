@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor, nn
 
+from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
 from riginv.networks.inverse import Answer, InverseNetwork
 from riginv.rig.batches import PoseBatch
@@ -30,7 +31,7 @@ class InverseModule(RigModule):
         loss: nn.Module,
         make_optimizer: OptimizerFactory,
         make_schedule: ScheduleFactory,
-        sampled_vertices: int = 0,
+        sampled_vertices: NonNegativeInt = 0,
     ) -> None:
         super().__init__(rig, network, make_optimizer, make_schedule)
         if not rig.rig.differentiable:
