@@ -25,7 +25,7 @@ from riginv.config.messages import CONFIGS
 from riginv.config.typed import to_typed
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.store.filling import planned
+from riginv.store.filling import SampleConfig, planned
 from riginv.store.making import ChunkMaker, build_sampler
 from riginv.store.place import Place
 from riginv.store.store import PoseStore
@@ -46,6 +46,10 @@ PLAN = {
     "dtype": "float32",
     "vertices": False,
     "chunk": None,
+    "shard": "0/1",
+    "jobs": 1,
+    "recheck": True,
+    "mesh_space": {"samples": 1000, "residual_mm": 0.01},
 }
 
 
@@ -69,7 +73,7 @@ class SlowFace(FaceRig):
 def overhead(folder: Path) -> float:
     """The time that sampling takes beyond the rig's own, as a share of that, of a rig of 200 poses a second."""
     rig = SlowFace()
-    layout, facts = planned({**PLAN, "samples": SLOW_POSES}, rig)
+    layout, facts = planned(to_typed({**PLAN, "samples": SLOW_POSES}, SampleConfig), rig)
     store = PoseStore.begin(Place(str(folder / "slow.zarr")), layout, facts, rig)
     maker = ChunkMaker(store, rig, build_sampler(PLAN["sampler"], rig))
     rig.spent, began = 0.0, time.perf_counter()

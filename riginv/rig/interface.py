@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from riginv.errors import InputError, printable
+from riginv.errors import InputError
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.kernels.library import pure_torch
 from riginv.geometry.skeleton import Skeleton
 from riginv.rig.arkit import ArkitParts
-from riginv.rig.jacobian import Jacobian
+from riginv.rig.checks import check_controls, check_mesh
+from riginv.rig.jacobian import Jacobian, finite_differences
 
 if TYPE_CHECKING:
     from riginv.rig.batches import PoseBatch
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from riginv.rig.mesh_space import MeshSpace
 
 Pull = Callable[[Tensor], Tensor]
-STEP = 1e-3  # of a control's range, between the two ends of a finite difference
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,8 @@ class RigBackend(nn.Module, ABC):
         super().__init__()
         self.name = name
         self.controls = tuple(controls)
-        _check_names(name, self.controls)
-        _check_controls(name, self.controls)
-        _check_mesh(name, rest_vertices, faces)
+        check_controls(name, self.controls)
+        check_mesh(name, rest_vertices, faces)
         for field in ("lower", "upper", "neutral"):
             values = torch.tensor([getattr(control, field) for control in self.controls], dtype=rest_vertices.dtype)
             self.register_buffer("neutral_controls" if field == "neutral" else field, values, persistent=False)
@@ -213,7 +212,7 @@ class LinearRig(RigBackend):
         derivative answers in its place.
         """
         if not self.differentiable:
-            return _finite_differences(self, controls)
+            return finite_differences(self.coefficients, controls, self.lower, self.upper)
         with torch.enable_grad(), pure_torch():  # the gradients of all coefficients are taken at once, as no kernel can
             given = controls.detach().requires_grad_()
             found = self.coefficients(given)
@@ -267,51 +266,3 @@ class LinearRig(RigBackend):
     def forward(self, controls: Tensor) -> Tensor:
         change = self.coefficients(controls) - self.neutral_coefficients().to(controls)
         return apply_deltas(self.rest_vertices.to(controls), self.basis.to(controls), change)
-
-
-@torch.no_grad()
-def _finite_differences(rig: LinearRig, controls: Tensor) -> tuple[Tensor, Jacobian]:
-    """One-sided differences, into the range: a rig need not answer beyond its limits."""
-    step = STEP * (rig.upper - rig.lower).to(controls)
-    step = torch.where(controls + step <= rig.upper.to(controls), step, -step)
-    found = rig.coefficients(controls)
-    moved = [rig.coefficients(controls + step * column) for column in torch.eye(len(rig.controls)).to(controls)]
-    return found, Jacobian(inner=(torch.stack(moved, dim=2) - found[:, :, None]) / step[:, None])
-
-
-def _check_names(rig: str, controls: Sequence[Control]) -> None:
-    """Names end up in terminals, tables and pages: what moves a cursor there, or ends a line, is no name."""
-    for what, name in (("it", rig), *(("a control", control.name) for control in controls)):
-        if printable(name) != name:
-            raise InputError(f"rig {rig!r:.80}: {what} is named {name!r:.80}, expected printable text: rename it")
-
-
-def _check_controls(rig: str, controls: Sequence[Control]) -> None:
-    seen: set[str] = set()
-    for control in controls:
-        if control.name in seen:
-            raise InputError(f"rig '{rig}': two controls are named '{control.name}'; names must be unique")
-        seen.add(control.name)
-        if not control.lower < control.upper:
-            raise InputError(f"rig '{rig}': control '{control.name}' has lower {control.lower} >= upper {control.upper}")
-        if not control.lower <= control.neutral <= control.upper:
-            raise InputError(
-                f"rig '{rig}': control '{control.name}' is neutral at {control.neutral}, outside its range "
-                f"[{control.lower}, {control.upper}]"
-            )
-    if not controls:
-        raise InputError(f"rig '{rig}' has no controls")
-
-
-def _check_mesh(rig: str, rest_vertices: Tensor, faces: Tensor) -> None:
-    if rest_vertices.ndim != 2 or rest_vertices.shape[1] != 3 or not len(rest_vertices):
-        raise InputError(f"rig '{rig}': the rest mesh has shape {tuple(rest_vertices.shape)}, expected (vertex, 3)")
-    if not torch.isfinite(rest_vertices).all():
-        raise InputError(f"rig '{rig}': the rest mesh holds NaN or infinite coordinates")
-    if faces.ndim != 2 or faces.shape[1] != 3:
-        raise InputError(f"rig '{rig}': the faces have shape {tuple(faces.shape)}, expected (face, 3): triangulate them")
-    if len(faces) and (faces.min() < 0 or faces.max() >= len(rest_vertices)):
-        raise InputError(
-            f"rig '{rig}': the faces use vertices {int(faces.min())} to {int(faces.max())}, "
-            f"the rest mesh has vertices 0 to {len(rest_vertices) - 1}"
-        )
