@@ -6,6 +6,7 @@ from omegaconf import DictConfig
 
 from riginv.clips.description_text import show_clip
 from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.config.aliases import upgraded
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
@@ -41,7 +42,7 @@ class EvaluateConfig:
 def evaluate(config: DictConfig) -> None:
     """Evaluate a bundle by the true rig, or, where none is named, one rig by another; leave metrics and a table behind."""
     settings = to_typed(config, EvaluateConfig)
-    folder = find_run_folder(run_directory(), plain_config(config), settings.resume)
+    folder = find_run_folder(run_directory(), plain_config(config), settings.resume, upgrade=upgraded)
     title, true_rig, results = evaluate_bundle(settings, settings.bundle) if settings.bundle else compare_rigs(settings)
     folder.begin()
     metrics = write_results(folder.path, results, true_rig, {})

@@ -90,7 +90,7 @@ def least_errors(objective: Objective, vertices: Tensor, known: Tensor | None = 
     """
     rig = objective.rig.rig
     coordinates = objective.rig.space.encode(vertices)
-    controls = objective.own_units(solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS).units)
+    controls = objective.to_controls(solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS).units)
     masks = [None] * len(vertices) if known is None else known[:, None]
     found = zip(controls, vertices, masks)
     return torch.cat([mean_distance(rig(one[None]), mesh[None], mask) for one, mesh, mask in found])

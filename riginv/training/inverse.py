@@ -72,7 +72,7 @@ def value_and_gradient(loss: nn.Module, answer: Answer) -> tuple[Tensor, Tensor]
     with torch.enable_grad():
         found = answer.found.detach().requires_grad_()
         value = loss(found, answer.target)
-    return value.detach(), answer.pull(torch.autograd.grad(value, found)[0])
+    return value.detach(), answer.vjp(torch.autograd.grad(value, found)[0])
 
 
 class _Summed(torch.autograd.Function):

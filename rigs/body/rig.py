@@ -6,7 +6,7 @@ from torch import Tensor
 
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.joint_jacobian import JointJacobian
-from riginv.geometry.kinematics import Skeleton, forward_kinematics, transform_from, tree_levels, turns_against
+from riginv.geometry.kinematics import Skeleton, forward_kinematics, relative_rotations, transform_from, tree_levels
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig.interface import LinearRig, Motion
 from riginv.rig.jacobian import Jacobian
@@ -20,7 +20,7 @@ from rigs.body.walk import FPS, walk
 ORDER = "XZY"  # of a joint's turns in its frame: about its last axis first, then the middle one, then the first (axes.py)
 
 LOCKED = 0.01  # the cosine of the middle angle below which first and last cannot be told apart
-LOOSE_TWIST, LOOSE_BEND = 12.0, 4.0  # degrees: how far joints turn about their bones, and across, without any control
+NOISE_TWIST, NOISE_BEND = 12.0, 4.0  # degrees: how far joints turn about their bones, and across, without any control
 PLACE_AND_TURN = 12  # numbers of the root's place and turn, the first of the features
 
 
@@ -68,10 +68,10 @@ class BodyRig(LinearRig):
         feature_frames[self.pelvis] = geometry["frames"][joint["root"]]
         self.register_buffer("feature_frames", feature_frames.to(self.dtype), persistent=False)
         self.register_buffer("root_to_pelvis", heads[joint["pelvis.L"]] - heads[joint["root"]], persistent=False)
-        loose = torch.full((len(KEPT), 3), LOOSE_BEND)
-        loose[:, LAST] = LOOSE_TWIST
+        loose = torch.full((len(KEPT), 3), NOISE_BEND)
+        loose[:, LAST] = NOISE_TWIST
         loose[joint["root"]] = 0.0  # its controls reach everything
-        self.loose_parts = torch.deg2rad(loose).flatten().to(self.dtype)
+        self.joint_noise = torch.deg2rad(loose).flatten().to(self.dtype)
         self.levels = tree_levels(self.parents, self.joint_names)
         self.derivatives = JointJacobian(self.parents, self.angles, skinned)
 
@@ -94,7 +94,7 @@ class BodyRig(LinearRig):
         """Controls `(batch, control)` to the 12 numbers of each skinned joint's matrix, `(batch, 12 * joint)`."""
         return self._coefficients(controls @ self.angles.to(controls), controls)
 
-    def loose_coefficients(self, controls: Tensor, parts: Tensor) -> Tensor:
+    def coefficients_with_joint_noise(self, controls: Tensor, parts: Tensor) -> Tensor:
         """As `coefficients`, where each joint has also turned on its own by `parts` `(batch, 3 * joint)`, radians."""
         return self._coefficients(controls @ self.angles.to(controls) + parts, controls)
 
@@ -126,7 +126,7 @@ class BodyRig(LinearRig):
         root = worlds[:, self.pelvis, :, :3]
         place = worlds[:, self.pelvis, :, 3] - root @ self.root_to_pelvis.to(coefficients)
         frames = self.feature_frames.to(coefficients)
-        turns = frames.mT @ turns_against(worlds, self.skinned_parents) @ frames
+        turns = frames.mT @ relative_rotations(worlds, self.skinned_parents) @ frames
         return torch.cat([place / 1000, root.flatten(1), joint_angles(turns).flatten(1)], dim=1)
 
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:

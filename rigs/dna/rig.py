@@ -47,7 +47,7 @@ class DnaRig(RigBackend):
         InputError: the file cannot be read or holds no rig; the message names the file, and what in it.
     """
 
-    poses_some = True
+    poses_subsets = True
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class DnaRig(RigBackend):
         """Controls `(batch, control)` of this rig to the file's raw controls `(batch, raw)`."""
         return self.mapping(controls)
 
-    def some_vertices(self, rows: Tensor) -> nn.Module:
+    def vertex_subset(self, rows: Tensor) -> nn.Module:
         return SomeVertices(self.model, self.mapping, rows)
 
     def skeleton(self) -> Skeleton | None:

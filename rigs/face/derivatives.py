@@ -8,11 +8,11 @@ from torch import Tensor
 from riginv.geometry.blendshapes import (
     add_to_columns,
     combination_derivatives,
-    combination_pull,
+    combination_vjp,
     combination_weights,
     screen,
     screen_derivatives,
-    screen_pull,
+    screen_vjp,
 )
 from riginv.geometry.curves import curves_and_derivatives
 from riginv.rig.jacobian import Factor, Jacobian, Pattern
@@ -71,18 +71,18 @@ class FaceSteps:
         self.controls = controls
 
     @torch.no_grad()
-    def pull(self, gradient: Tensor) -> Tensor:
+    def vjp(self, gradient: Tensor) -> Tensor:
         """A gradient `(batch, shape)` of the weights as one of the controls, `(batch, control)`: the steps backwards."""
         face = self.face
         of_primary, of_between, of_combined = gradient.split(self.counts, dim=1)
-        pulled = combination_pull(self.primary, face.combination_members, of_combined).add_(of_primary)
+        pulled = combination_vjp(self.primary, face.combination_members, of_combined).add_(of_primary)
         add_to_columns(pulled, face.inbetween_shape, of_between, self.bump_derivative)
         of_yielding = add_to_columns(torch.zeros_like(self.yielding), face.region_of_shape, pulled, self.held)
         pulled = torch.addmm(pulled * self.factor, of_yielding * self.yield_derivative, self.taken.T)
         of_close = pulled.index_select(1, face.ceiling_shape)
         pulled.index_copy_(1, face.ceiling_shape, of_close * self.free)
         add_to_columns(pulled, face.ceiling_under, of_close * (1 - self.free), self.under_derivative)
-        of_driven = screen_pull(self.driven, face.driver_of_shape, pulled)
+        of_driven = screen_vjp(self.driven, face.driver_of_shape, pulled)
         return add_to_columns(torch.zeros_like(self.controls), face.driver_control, of_driven, self.rise)
 
     def jacobian(self, patterns: tuple[Pattern, ...]) -> Jacobian:

@@ -6,7 +6,7 @@ from torch import Tensor
 from riginv.geometry.blendshapes import combination_weights, screen
 from riginv.geometry.curves import Curve, evaluate_curves, pack_curves
 from riginv.rig.arkit import ARKIT_NAMES
-from riginv.rig.interface import LinearRig, Pull
+from riginv.rig.interface import LinearRig, Vjp
 from riginv.rig.jacobian import Jacobian, Pattern
 from rigs.face.build import face_geometry
 from rigs.face.controls import build_controls
@@ -92,9 +92,9 @@ class FaceRig(LinearRig):
         return torch.cat([primary, between, combination_weights(primary, self.combination_members)], dim=1)
 
     @torch.no_grad()
-    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+    def coefficients_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
         steps = FaceSteps(self, controls)
-        return steps.weights, steps.pull
+        return steps.weights, steps.vjp
 
     @torch.no_grad()
     def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
