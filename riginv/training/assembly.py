@@ -19,8 +19,7 @@ from riginv.config.building import OURS, build, class_of, factory
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses, random_sets, watched
 from riginv.evaluation.results import check_same_controls, make_true_rig
-from riginv.networks.base import RigNetwork
-from riginv.networks.speed import compile_parts, use_bfloat16
+from riginv.networks.base import RigNetwork, compile_parts, use_bfloat16
 from riginv.rig.batches import generator_at
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
@@ -29,7 +28,7 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.rig.recorded import RecordedRig
 from riginv.runs.run_folder import RunFolder
 from riginv.runs.threads import Workers
-from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise, fitted
+from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise, select_for_rig
 from riginv.sampling.noise import CaptureNoise
 from riginv.store.training import reading_store, rig_of_store
 from riginv.tracking.capture import open_capture
@@ -146,7 +145,7 @@ def build_sampler(config: Config, rig: RigInMeshSpace) -> MeshSampler:
     if isinstance(rig.rig, RecordedRig):
         sampler = StoredPoses(rig.rig.poses_to_train_on(rig.space))
     else:
-        sampler = build(fitted(config["sampler"], rig.rig), rig, kind=MeshSampler)
+        sampler = build(select_for_rig(config["sampler"], rig.rig), rig, kind=MeshSampler)
         if config["data"]["store"]:
             sampler = reading_store(sampler, rig, config)
         elif not rig.rig.differentiable:
