@@ -1,9 +1,8 @@
 """Variants of the paper's networks, each with one change, to test the paper's claims on it (`riginv.reproduce`)."""
 
-from collections.abc import Sequence
-
 from torch import Tensor, nn
 
+from riginv.config.values import Widths
 from riginv.errors import InputError
 from riginv.networks.control_maps import ControlMap
 from riginv.networks.inverse import DirectInverse
@@ -28,7 +27,7 @@ class NormalisedInverse(DirectInverse):
         self,
         rig: RigInMeshSpace,
         normalisation: str,
-        hidden: Sequence[int] = (2048, 1024, 512, 256),
+        hidden: Widths = (2048, 1024, 512, 256),
         activation: str = "leaky_relu",
         control_map: str = "neutral_start",
     ) -> None:
@@ -47,9 +46,7 @@ class NormalisedInverse(DirectInverse):
 class UnboundedInverse(DirectInverse):
     """The paper's inverse with a linear output in place of tanh: in training it may leave the limits; `forward` clamps."""
 
-    def __init__(
-        self, rig: RigInMeshSpace, hidden: Sequence[int] = (2048, 1024, 512, 256), activation: str = "leaky_relu"
-    ) -> None:
+    def __init__(self, rig: RigInMeshSpace, hidden: Widths = (2048, 1024, 512, 256), activation: str = "leaky_relu") -> None:
         super().__init__(rig, hidden, activation, "neutral_start")
         self.control_map = _Linear(rig.rig)
 

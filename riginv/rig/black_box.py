@@ -54,6 +54,7 @@ class BlackBoxRig(LinearRig):
         posed: the rig that is posed.
     """
 
+    is_fitted = True
     projection: Tensor
     some_rest: Tensor
     some_projection: Tensor
@@ -109,6 +110,12 @@ class BlackBoxRig(LinearRig):
             f"{self.name}: a basis of {len(self.basis)} coefficients, fitted to poses to {residual_mm:.2g} mm on average; "
             f"on {CHECKED} others {float(errors.mean()):.2g} mm, at most {float(errors.max()):.2g} mm (config: mesh_space)"
         )
+
+    def posing_rig(self) -> RigBackend:
+        return self.posed
+
+    def true_rig(self) -> RigBackend:
+        return self.posed.true_rig()
 
     def coefficients(self, controls: Tensor) -> Tensor:
         if self.some is None:
