@@ -26,7 +26,7 @@ class ControlSampler(nn.Module, ABC):
         self.register_buffer("neutral", rig.rig.neutral_controls, persistent=False)
 
     @classmethod
-    def belongs_to(cls, rig: LinearRig) -> bool:
+    def suits(cls, rig: LinearRig) -> bool:
         """Whether a mixture for this rig includes this sampler (`riginv.sampling.meshes.select_for_rig`)."""
         return True
 
