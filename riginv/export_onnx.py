@@ -169,6 +169,9 @@ class _Plain(nn.Module):
 class _Whole(nn.Module):
     """The encoding of meshes, then a traced network."""
 
+    rest: Tensor
+    frame: Tensor
+
     def __init__(self, inverse: Inverse, traced: nn.Module) -> None:
         super().__init__()
         space = inverse.network.rig.space
@@ -193,8 +196,15 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
             traced.recompile()
             dynamic = ({0: torch.export.Dim("mesh", min=1)},)
             program = torch.export.export(_Whole(inverse, traced), (meshes,), dynamic_shapes=dynamic, strict=False)
-            names = {"input_names": ["vertices"], "output_names": ["controls"]}
-            return torch.onnx.export(program, dynamo=True, opset_version=OPSET, optimize=False, verbose=False, **names)
+            return torch.onnx.export(
+                program,
+                input_names=["vertices"],
+                output_names=["controls"],
+                dynamo=True,
+                opset_version=OPSET,
+                optimize=False,
+                verbose=False,
+            )
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(

@@ -26,7 +26,8 @@ def sweep_rows(sweep: Path) -> list[Row]:
     ranking = {rig: ranked_by([row for row in rows if row.get("rig") == rig]) for rig in rigs}
 
     def rank(row: Row) -> tuple[bool, int, float]:
-        return row["state"] != FINISHED, rigs.index(row.get("rig")), row.get(ranking[row.get("rig")], math.inf)
+        best = ranking[row.get("rig")]
+        return row["state"] != FINISHED, rigs.index(row.get("rig")), math.inf if best is None else row.get(best, math.inf)
 
     return sorted(rows, key=rank)
 

@@ -62,8 +62,8 @@ def read_kept(path: Path) -> dict[str, Any]:
     """
     kept = read_json(path)
     rows = kept.get("rows")
-    whole = fits(kept.get("source"), str) and fits(rows, list[Mapping[str, Any]]) and len(rows) > 0
-    if not whole or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
+    whole = fits(kept.get("source"), str) and fits(rows, list[Mapping[str, Any]])
+    if not whole or not rows or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
         raise InputError(f"{path}: not what a finished method left there: altered; remove it, and the method is run again")
     return kept
 

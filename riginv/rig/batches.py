@@ -1,7 +1,7 @@
 """Batches of poses, and the random generators that draw them."""
 
 import hashlib
-from typing import TypedDict
+from typing import Any, TypedDict, cast
 
 import torch
 from torch import Tensor
@@ -28,3 +28,9 @@ class PoseBatch(TypedDict, total=False):
     coordinates: Tensor
     controls: Tensor
     coefficients: Tensor
+
+
+def split_batch(batch: PoseBatch, sizes: int | list[int]) -> list[PoseBatch]:
+    """A batch cut into batches of a size each, or of these sizes."""
+    parts: dict[str, Any] = {key: torch.split(values, sizes) for key, values in batch.items()}  # type: ignore[arg-type]
+    return [cast(PoseBatch, dict(zip(parts, rows))) for rows in zip(*parts.values())]

@@ -43,8 +43,8 @@ def new_table(headings: Sequence[str], title: str = "", text_columns: Sequence[i
         text_columns: those whose cells are words and stand at the left; numbers stand at the right.
         padding: spaces between columns.
     """
-    style = {"title_justify": "left", "title_style": "bold", "show_header": any(headings), "padding": (0, padding, 0, 0)}
-    table = Table(title=escape(title) or None, box=box.SIMPLE_HEAD, **style)
+    table = Table(title=escape(title) or None, box=box.SIMPLE_HEAD, show_header=any(headings), padding=(0, padding, 0, 0))
+    table.title_justify, table.title_style = "left", "bold"
     for number, heading in enumerate(headings):
         table.add_column(escape(heading), justify="left" if number in text_columns else "right", overflow="fold")
     return table
@@ -110,7 +110,7 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
 def _times_optimum(metrics: Mapping[str, Any], name: str) -> str:
     """How many times the least possible error; of nothing there is no multiple."""
     ratio, best = (metrics.get(f"{name}/{key}") for key in ("optimum_ratio", "optimum_mean_vertex_error_mm"))
-    return "-" if ratio is None else EXACT if best < WITHIN_REACH_MM else f"{ratio:.3g}"
+    return "-" if ratio is None or best is None else EXACT if best < WITHIN_REACH_MM else f"{ratio:.3g}"
 
 
 def sets_of(metrics: Mapping[str, float]) -> list[str]:
