@@ -105,10 +105,10 @@ def fit_network(
 def train_surrogate_first(config: DictConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> ClassSpec[RigBackend]:
     """Train a surrogate of a rig that gives no gradients, in the run's own folder; the class of that surrogate as a rig."""
     first = as_surrogate(config)
+    settings = to_typed(first, TrainConfig)
     inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.written_here, upgraded)
     folder.begin()
     if not inner.finished:
-        settings = to_typed(first, TrainConfig)
         if folder.written_here:
             print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
         fit(settings, inner, rig, true_rig, last=False)

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
@@ -151,7 +151,7 @@ def resolved(config: DictConfig) -> dict[str, Any]:
     """
     for key in sorted(OmegaConf.missing_keys(config)):
         raise InputError(f"{key} must be given: add {key}=...")
-    return OmegaConf.to_container(config, resolve=True)
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
 
 
 def plain_config(config: DictConfig) -> dict[str, Any]:

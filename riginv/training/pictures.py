@@ -1,6 +1,6 @@
 """Pictures of the worst and the median pose, in TensorBoard."""
 
-from typing import Any
+from typing import Any, cast
 
 import lightning as L
 import numpy as np
@@ -14,6 +14,7 @@ from riginv.launch.sweep_hparams import RESULT
 from riginv.meshes.rendering import Pair, comparison
 from riginv.rig.batches import PoseBatch
 from riginv.runs.tables import sets_of
+from riginv.training.data import PoseDataModule
 from riginv.training.module import RigModule
 
 
@@ -27,12 +28,15 @@ class PosePictures(L.Callback):
     def __init__(self, every_n_validations: int) -> None:
         self.every_n_validations, self.validations = every_n_validations, 0
 
-    def on_validation_end(self, trainer: L.Trainer, module: RigModule) -> None:
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        assert isinstance(module, RigModule) and isinstance(module.logger, TensorBoardLogger)
         self.validations += 1
         if self.validations % self.every_n_validations and trainer.global_step < trainer.max_steps:
             return
-        for name, batch in trainer.datamodule.validation.items():
-            picture = worst_and_median(module, {key: values.to(module.device) for key, values in batch.items()})
+        data: PoseDataModule = trainer.datamodule  # type: ignore[attr-defined]  # set by fit
+        for name, batch in data.validation.items():
+            moved = {key: cast(torch.Tensor, values).to(module.device) for key, values in batch.items()}
+            picture = worst_and_median(module, cast(PoseBatch, moved))
             module.logger.experiment.add_image(f"poses/{name}", np.asarray(picture), trainer.global_step, dataformats="HWC")
 
 
@@ -46,7 +50,7 @@ def worst_and_median(module: RigModule, batch: PoseBatch) -> Image.Image:
 
 
 @rank_zero_only
-def log_choices(logger: TensorBoardLogger, config: dict[str, Any]) -> None:
+def log_choices(logger: Any, config: dict[str, Any]) -> None:
     """Log a plain config as flat hyper-parameters."""
     choices = _flat(config)
     logger.log_hyperparams(choices)  # for hparams.yaml
@@ -55,7 +59,7 @@ def log_choices(logger: TensorBoardLogger, config: dict[str, Any]) -> None:
         logger.experiment.file_writer.add_summary(summary)
 
 
-def log_results(logger: TensorBoardLogger, metrics: dict[str, float], step: int) -> None:
+def log_results(logger: Any, metrics: dict[str, Any], step: int) -> None:
     """Log every final metric: the results' columns."""
     known = {f"{RESULT}/{key}": value for key, value in metrics.items() if key.split("/")[0] in sets_of(metrics)}
     logger.log_metrics(known, step)
