@@ -32,8 +32,8 @@ from riginv.training.assembly import (
     speed_up,
 )
 from riginv.training.config import TrainConfig
+from riginv.training.dashboard import log_choices, log_results
 from riginv.training.devices import part, this_process
-from riginv.training.pictures import log_choices, log_results
 from riginv.training.summary import show
 
 

@@ -33,6 +33,7 @@ from riginv.store.training import reading_store, rig_of_store
 from riginv.tracking.capture import open_capture
 from riginv.training.checkpoints import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.training.config import ModelConfig, TrainConfig, TrainerConfig
+from riginv.training.dashboard import Dashboard
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import this_process
 from riginv.training.halves import HALVES
@@ -201,6 +202,7 @@ def build_trainer(settings: TrainConfig, folder: RunFolder) -> tuple[L.Trainer, 
         clock,
         TrainingProgress(),
         LearningRateMonitor(),
+        Dashboard(),
         SaveLast(folder.path, settings.checkpoint.every_n_steps),
     ]
     if settings.pictures.every_n_validations:

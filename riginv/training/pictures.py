@@ -1,19 +1,14 @@
 """Pictures of the worst and the median pose, in TensorBoard."""
 
-from typing import Any, cast
+from typing import cast
 
 import lightning as L
 import numpy as np
 import torch
-from lightning.pytorch.loggers import TensorBoardLogger
-from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from PIL import Image
-from torch.utils.tensorboard.summary import hparams
 
-from riginv.launch.sweep_hparams import RESULT
 from riginv.meshes.rendering import Pair, comparison
 from riginv.rig.batches import PoseBatch
-from riginv.runs.tables import sets_of
 from riginv.training.data import PoseDataModule
 from riginv.training.module import RigModule
 
@@ -47,30 +42,3 @@ def worst_and_median(module: RigModule, batch: PoseBatch) -> Image.Image:
     order = (results - targets).norm(dim=2).mean(dim=1).argsort(descending=True).tolist()
     rows = {"worst: target": order[0], "median: target": order[len(order) // 2]}
     return comparison(module.true_rig, [Pair(label, targets[row], results[row]) for label, row in rows.items()])
-
-
-@rank_zero_only
-def log_choices(logger: Any, config: dict[str, Any]) -> None:
-    """Log a plain config as flat hyper-parameters."""
-    choices = _flat(config)
-    logger.log_hyperparams(choices)  # for hparams.yaml
-    _, begun, ended = hparams(choices, {})  # the first would fix the columns by this run alone
-    for summary in (begun, ended):
-        logger.experiment.file_writer.add_summary(summary)
-
-
-def log_results(logger: Any, metrics: dict[str, Any], step: int) -> None:
-    """Log every final metric: the results' columns."""
-    known = {f"{RESULT}/{key}": value for key, value in metrics.items() if key.split("/")[0] in sets_of(metrics)}
-    logger.log_metrics(known, step)
-    logger.save()
-
-
-def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in config.items():
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value if isinstance(value, bool | int | float | str) else str(value)
-    return flat
