@@ -7,7 +7,7 @@ The signs are anatomical: 0 is the rest pose, and a bend above 0 folds the joint
 from typing import NamedTuple
 
 from riginv.rig.interface import Control
-from rigs.body.axes import FIRST, LAST, MIDDLE
+from rigs.body.skeleton import FIRST, LAST, MIDDLE
 
 FINGERS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "little": 5}
 SIDES = {"left": ".L", "right": ".R"}

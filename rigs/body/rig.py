@@ -11,12 +11,10 @@ from riginv.geometry.skeleton import Skeleton
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig.interface import LinearRig, Motion
 from riginv.rig.jacobian import Jacobian
-from rigs.body.axes import LAST
-from rigs.body.build import body_geometry
+from rigs.body.build import FPS, body_geometry, walk
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
-from rigs.body.skeleton import KEPT
-from rigs.body.walk import FPS, walk
+from rigs.body.skeleton import KEPT, LAST
 
 ORDER = "XZY"  # of a joint's turns in its frame: about its last axis first, then the middle one, then the first (axes.py)
 
@@ -86,7 +84,7 @@ class BodyRig(LinearRig):
 
     @torch.no_grad()
     def motion(self) -> Motion:
-        """A walk of 101 frames (`rigs.body.walk`)."""
+        """A walk of 101 frames (`rigs.body.build`)."""
         rotations, move = (values.to(self.rest_vertices) for values in walk())
         change = self.coefficients_of(rotations, move) - self.neutral_coefficients()
         return Motion("walk", FPS, apply_deltas(self.rest_vertices, self.basis, change))

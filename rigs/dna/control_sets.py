@@ -11,8 +11,8 @@ from rigs.dna.format import DnaFile
 from rigs.dna.format.layers import Behavior, Definition
 from rigs.dna.logic import Logic
 from rigs.dna.logic.conditions import input_ranges
+from rigs.dna.logic.layout import Stage, put
 from rigs.dna.logic.rotations import normalise
-from rigs.dna.logic.stage import Stage, put
 
 Kind = Literal["gui", "raw"]
 SHOWN = 6  # names in a note, at most

@@ -22,7 +22,7 @@ from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
 from rigs.dna.geometry.space import Space
 from rigs.dna.inverse import TableInverse
-from rigs.dna.logic import Logic, Stages
+from rigs.dna.logic.stages import Logic, Stages
 from rigs.dna.model import Model
 
 Arrays = dict[str, np.ndarray]

@@ -13,7 +13,7 @@ from scipy import sparse
 from torch import Tensor
 
 from riginv.geometry.skinning import NUMBERS
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Stage
 from rigs.dna.model import Model, Pose
 
 LINEAR = 9  # numbers of a matrix that rotate deltas

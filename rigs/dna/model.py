@@ -13,8 +13,7 @@ from rigs.dna.geometry.skeleton import Skeleton, joint_parents, with_ancestors
 from rigs.dna.geometry.skin import Skin
 from rigs.dna.geometry.space import Space
 from rigs.dna.logic import Logic
-from rigs.dna.logic.layout import Layout
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Layout, Stage
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from torch import Tensor
 
 from rigs.dna.control_sets import ControlSet
 from rigs.dna.linear import LinearMap
-from rigs.dna.logic.layout import MOST_NUMBERS
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import MOST_NUMBERS, Stage
 from rigs.dna.model import Model, Pose
 
 HALF = 0.5  # the weight above which a channel counts as driven by a control that is at its limit

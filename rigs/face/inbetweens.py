@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riginv.geometry.curves import Curve, Key
-from rigs.face.parts import PARTS
+from rigs.geometry.asset import PARTS
 
 COUNT = 150
 JAW_HINGE = np.array([0.0, 705.0, 22.0])  # mm; the jaw turns about the line through it along x

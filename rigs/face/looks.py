@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from rigs.face.parts import PARTS
+from rigs.geometry.asset import PARTS
 
 COLORS = {
     "skin": (0.80, 0.62, 0.53),

@@ -13,6 +13,9 @@ import numpy as np
 from riginv.errors import InputError
 from riginv.runs.files import sha256
 
+PARTS = ("skin", "mouth", "left_eye", "right_eye", "upper_teeth", "lower_teeth", "tongue")
+
+
 PATH = Path(__file__).parent / "geometry.npz"
 SUM = PATH.with_name("geometry.npz.sha256")
 POSITION_MM, TARGET_MM = 0.01, 0.1  # of a whole number in positions, and in targets

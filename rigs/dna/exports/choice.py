@@ -10,8 +10,8 @@ from riginv.rig.interface import LinearRig, RigBackend
 from rigs.body import BodyRig
 from rigs.dna.draft import Draft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
-from rigs.dna.exports.body import draft_of_body
 from rigs.dna.exports.gltf import draft_of_gltf
+from rigs.dna.exports.joints import draft_of_body
 from rigs.dna.exports.shapes import draft_of_shapes
 from rigs.dna.rig import DnaRig
 from rigs.face import FaceRig

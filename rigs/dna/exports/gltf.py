@@ -9,7 +9,7 @@ from rigs.dna.draft import Draft, MeshDraft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
 from rigs.dna.exports.joints import JointDrive, add_joints
 from rigs.gltf import GltfRig
-from rigs.gltf.motion import ANGLES, AXES_IN_SPACE
+from rigs.gltf.motion import ANGLES, AXES
 
 SEQUENCE = "zyx"  # R = Rx Ry Rz
 SAME_MM = 1e-2
@@ -32,14 +32,14 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     basis = rig.basis.double().numpy(force=True)
     rest = rig.rest_vertices.double().numpy(force=True)
     faces, motion = triangles(rig.faces.numpy(force=True)), rig.joint_motion
-    rows = 1 if motion is None else AXES_IN_SPACE
+    rows = 1 if motion is None else AXES
     deltas = basis[: rows * count].reshape(count, rows, *rest.shape).sum(axis=1)
     shapes = [Shape(name, [Factor(name, name)], delta) for name, delta in zip(rig.targets, deltas)]
     draft = blendshape_draft(rig.name, rest, faces, {name: Drive(name) for name in rig.targets}, shapes)
     if motion is None:
         return draft
     draft.sequence = SEQUENCE
-    frames = motion.places.double().numpy(force=True)
+    frames = motion.rest.double().numpy(force=True)
     points = basis[rows * count :][: NUMBERS * len(frames)].reshape(len(frames), 3, 4, *rest.shape)
     weights = points[:, 0, 3, :, 0].T  # (vertex, frame)
     _check_binding(rig, points, weights, frames, rest)

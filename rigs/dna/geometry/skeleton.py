@@ -9,12 +9,26 @@ from riginv.geometry.kinematics import invert, transform_from, tree_levels
 from rigs.dna.format import DnaFile
 from rigs.dna.format.layers import Definition, Vectors
 from rigs.dna.geometry.space import Space
-from rigs.dna.geometry.transforms import apply, follow
 from rigs.dna.logic.joint_stage import JointStage
 from rigs.dna.logic.joints import JointChanges
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.rotations import Angles
-from rigs.dna.logic.stage import Stage
+
+
+def apply(outer: Tensor, inner: Tensor) -> Tensor:
+    """The products `(joint, 3, column, batch)` of matrices `(joint, 3, 3, batch)` with `(joint, 3, column, batch)`."""
+    columns, rows = outer.unbind(2), inner.unbind(1)  # one step in the gradient, where indexing has one for each index
+    product = columns[0][:, :, None] * rows[0][:, None]
+    for column, row in zip(columns[1:], rows[1:]):
+        product = torch.addcmul(product, column[:, :, None], row[:, None])
+    return product
+
+
+def follow(outer: Tensor, inner: Tensor) -> Tensor:
+    """The transforms `(joint, 3, 4, batch)` that apply `inner` first, then `outer`."""
+    linear, offsets = outer.split((3, 1), dim=2)
+    first, last = apply(linear, inner).split((3, 1), dim=2)
+    return torch.cat([first, last + offsets], dim=2)
 
 
 def stacked(vectors: Vectors, layout: Layout, what: str, count: int | None = None) -> np.ndarray:

@@ -6,7 +6,7 @@ from scipy import sparse
 from torch import Tensor
 
 from rigs.dna.geometry.sparse import SparseMap
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Stage
 
 POSES, VERTICES = 16, 2048  # at a time: what a processor's cache holds; poses only where no gradient is wanted
 

@@ -8,7 +8,7 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Stage
 
 with warnings.catch_warnings():  # PyTorch says of the first sparse matrix of a process that they are new: let it be this one
     warnings.simplefilter("ignore")

@@ -5,8 +5,7 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format.layers import Conditions
-from rigs.dna.logic.layout import Layout
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Layout, Stage
 
 
 def runs_of(table: Conditions, rows: int) -> np.ndarray:

@@ -8,10 +8,9 @@ from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import MachineLearningOperations, TwistsAndSwings
 from rigs.dna.format.layers import Definition
 from rigs.dna.logic.joints import JointChanges, JointGroups
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.learned_joints import LearnedJoints
 from rigs.dna.logic.rotations import Angles, matrix_angles, quaternion_matrices
-from rigs.dna.logic.stage import Stage
 from rigs.dna.logic.twists import TwistedJoints
 
 ROTATION = slice(3, 6)  # of a joint's nine attributes

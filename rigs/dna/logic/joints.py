@@ -9,17 +9,16 @@ from torch import Tensor
 from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import JointRepresentations
 from rigs.dna.format.layers import Behavior, Definition, JointGroup
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.quaternion_joints import ROTATION, QuaternionJoints
 from rigs.dna.logic.rotations import Angles
-from rigs.dna.logic.stage import Stage
 
 ATTRIBUTES = 9
 QUATERNION = 1  # of a joint's representation of rotation
 
 
 class JointChanges(NamedTuple):
-    """What joints add to their neutral pose. The batch comes last, for speed (`rigs.dna.geometry.transforms`).
+    """What joints add to their neutral pose. The batch comes last, for speed (`rigs.dna.geometry.skeleton`).
 
     Attributes:
         attributes: `(joint, 9, batch)` in the file's units: translation, Euler angles, scale less 1.

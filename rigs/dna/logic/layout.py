@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from riginv.errors import InputError
 from rigs.dna.format import DnaFile
@@ -131,3 +133,18 @@ def quaternion_groups(groups: Sequence[np.ndarray]) -> np.ndarray:
     """Controls that hold quaternions, `(group, 4)` as x y z w, each group once."""
     unique = dict.fromkeys(tuple(int(index) for index in group) for group in groups)
     return np.array(list(unique), dtype=np.int64).reshape(-1, 4)
+
+
+class Stage(nn.Module):
+    """A module that holds facts, in buffers which are no part of its state, and nothing that is trained."""
+
+    def keep(self, **values: Tensor | np.ndarray) -> None:
+        """Register buffers; indices become int64, other numbers stay as they are."""
+        for name, value in values.items():
+            tensor = torch.as_tensor(np.array(value)) if isinstance(value, np.ndarray) else value
+            self.register_buffer(name, tensor if tensor.is_floating_point() else tensor.long(), persistent=False)
+
+
+def put(controls: Tensor, indices: Tensor, values: Tensor) -> Tensor:
+    """A copy of controls `(batch, control)` in which those of `indices` have other values `(batch, index)`."""
+    return controls.index_copy(1, indices, values)

@@ -5,9 +5,8 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format.later_layers import MachineLearningOperations
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.rotations import Angles, multiply, normalise
-from rigs.dna.logic.stage import Stage
 
 ROTATION_TYPE, QUATERNION = 1, 1
 BASIS = range(3, 10)  # keys of a change of basis

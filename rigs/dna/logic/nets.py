@@ -8,8 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from rigs.dna.format.later_layers import MachineLearning, Net
-from rigs.dna.logic.layout import Layout
-from rigs.dna.logic.stage import Stage, put
+from rigs.dna.logic.layout import Layout, Stage, put
 
 LEAKY, ACTIVATIONS = 2, 5
 

@@ -5,9 +5,8 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format.later_layers import MachineLearning, MachineLearningOperations, Operation
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage, put
 from rigs.dna.logic.nets import NetStage, check_outputs
-from rigs.dna.logic.stage import Stage, put
 
 GATHER, SCATTER, NET, SUM = 1, 2, 3, 4
 

@@ -6,8 +6,7 @@ from torch import Tensor
 
 from riginv.geometry.blendshapes import combination_weights
 from rigs.dna.format.layers import Psds
-from rigs.dna.logic.layout import Layout
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Layout, Stage
 
 
 class PoseSpaceDrivers(Stage):

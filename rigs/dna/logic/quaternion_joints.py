@@ -12,9 +12,8 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format.layers import JointGroup
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.rotations import Angles, multiply, normalise
-from rigs.dna.logic.stage import Stage
 
 ROTATION = (3, 4, 5)  # of a joint's nine attributes
 

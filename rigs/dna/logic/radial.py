@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format.later_layers import PoseOutput, RadialBasis, RadialBasisOutputs, Solver
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage, put
 from rigs.dna.logic.nets import check_outputs
 from rigs.dna.logic.rotations import conjugate, multiply, twist_of
-from rigs.dna.logic.stage import Stage, put
 
 INTERPOLATIVE, GIVEN_RADIUS, ALWAYS = 1, 1, 1
 EUCLIDEAN, SWING, TWIST = 0, 2, 3

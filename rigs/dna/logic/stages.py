@@ -21,12 +21,11 @@ from rigs.dna.format.layers import Behavior, Channels, Definition
 from rigs.dna.logic.conditions import ConditionTable
 from rigs.dna.logic.joint_stage import JointStage
 from rigs.dna.logic.joints import JointChanges, group_block, used_columns
-from rigs.dna.logic.layout import Layout, quaternion_groups
+from rigs.dna.logic.layout import Layout, Stage, put, quaternion_groups
 from rigs.dna.logic.nets import Nets
 from rigs.dna.logic.operations import Operations
 from rigs.dna.logic.psds import PoseSpaceDrivers
 from rigs.dna.logic.radial import EUCLIDEAN, RadialSolvers
-from rigs.dna.logic.stage import Stage, put
 
 
 class Stages(NamedTuple):

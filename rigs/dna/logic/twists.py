@@ -5,9 +5,8 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format.later_layers import Twist, TwistsAndSwings
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.rotations import conjugate, multiply, normalise, to_identity, twist_of
-from rigs.dna.logic.stage import Stage
 
 
 class TwistedJoints(Stage):

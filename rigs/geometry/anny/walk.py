@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels
+from rigs.body.build import FPS
 from rigs.body.skeleton import Skeleton
-from rigs.body.walk import FPS
 from rigs.geometry.anny.keys import KeyedBones, bone_axes
 from rigs.geometry.anny.skeleton import read_skeleton
 
