@@ -8,7 +8,7 @@ from rigs.geometry.asset import POSITION_MM, read_asset
 
 
 def body_geometry() -> dict[str, Tensor]:
-    """The body's tensors.
+    """The tensors of the body.
 
     Returns:
         rest_vertices `(vertex, 3)`, mm; faces `(face, 3)`; weights `(vertex, joint)`; parents `(joint,)`; heads and tails
@@ -34,7 +34,10 @@ FPS = 60.0
 
 
 def walk() -> tuple[Tensor, Tensor]:
-    """The rotations of each joint against its parent, `(frame, joint, 3, 3)`, and the move of the root, `(frame, 3)`, mm."""
+    """A walk: rotations of each joint relative to its parent, `(frame, joint, 3, 3)`, and root displacement `(frame, 3)`, mm.
+
+    Made for MakeHuman's skeleton in Blender (`rigs.geometry.anny.walk`).
+    """
     arrays = read_asset()
     move = torch.tensor(arrays["walk_move"])
     rotations = torch.eye(3).repeat(len(move), len(arrays["joint_parents"]), 1, 1)

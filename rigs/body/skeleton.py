@@ -1,4 +1,9 @@
-"""The skeleton that MakeHuman gives its base mesh, less the bones that only a face needs."""
+"""MakeHuman's skeleton, without the bones of the face, and the rotation axes of its joints.
+
+A joint has three orthogonal axes, `first`, `middle` and `last`, and rotates about the last one first: R = R_first R_middle
+R_last. The last axis is along the bone (twist); the first is that of the largest motion. Where the middle angle is 90 degrees,
+first and last coincide (gimbal lock).
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +18,9 @@ SIDED = (
 )
 CENTRAL = ("root", *(f"spine0{number}" for number in range(5, 0, -1)), "neck01", "neck02", "neck03", "head", "jaw")
 KEPT = (*CENTRAL, *(f"{name}.{side}" for side in "LR" for name in ("pelvis", *SIDED)))
+FIRST, MIDDLE, LAST = range(3)
+X, Y, Z = np.eye(3)
+MIRROR = np.diag([1.0, -1.0, -1.0])  # of rotation axes, left to right: one angle then rotates both sides symmetrically
 
 
 @dataclass(frozen=True)
@@ -21,9 +29,9 @@ class Skeleton:
 
     Attributes:
         names: of the joints.
-        parents: the number of each joint's parent, -1 for the root.
-        heads, tails: where each bone begins and ends, `(joint, 3)`.
-        rolls: of each bone about itself, radians, as Blender counts it.
+        parents: index of each joint's parent, -1 for the root.
+        heads, tails: ends of each bone, `(joint, 3)`.
+        rolls: Blender's roll angle of each bone, radians.
     """
 
     names: tuple[str, ...]
@@ -34,17 +42,12 @@ class Skeleton:
 
     @cached_property
     def number(self) -> dict[str, int]:
-        """The number of each joint."""
+        """Index of each joint by name."""
         return {name: number for number, name in enumerate(self.names)}
 
 
-FIRST, MIDDLE, LAST = range(3)
-X, Y, Z = np.eye(3)
-MIRROR = np.diag([1.0, -1.0, -1.0])  # of axes of rotation, left to right: one angle then turns both sides alike
-
-
 def joint_frames(skeleton: Skeleton) -> np.ndarray:
-    """For each joint the frame `(joint, 3, 3)` whose columns are its first, last and middle axis, a rotation matrix."""
+    """Rotation matrices `(joint, 3, 3)` whose columns are the first, last and middle axis of each joint."""
     bones = _Bones(skeleton)
     frames = np.stack([_frame(name, bones) for name in skeleton.names])
     for name, number in skeleton.number.items():
@@ -67,7 +70,7 @@ class _Bones:
         return _unit(self.skeleton.tails[number] - self.skeleton.heads[number])
 
     def palm(self) -> np.ndarray:
-        """Out of the left palm."""
+        """Unit normal of the left palm, outwards."""
         wrist = self.head("wrist.L")
         return -_unit(np.cross(self.head("finger2-1.L") - wrist, self.head("finger5-1.L") - wrist))
 

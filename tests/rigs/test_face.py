@@ -50,7 +50,7 @@ def plain_weights(face, controls: dict[str, float]) -> dict[str, float]:
     geometry = face_geometry()
     owners = [primary_names()[shape] for shape in geometry["inbetween_shape"].tolist()]
     result = list(weights.values())
-    for shape, place in zip(owners, geometry["inbetween_place"].tolist()):
+    for shape, place in zip(owners, geometry["inbetween_position"].tolist()):
         result.append(reference(bump(place, owners.count(shape)), weights[shape]))
     for group in geometry["combination_members"].tolist():
         result.append(np.prod([weights[primary_names()[shape]] for shape in group if shape >= 0]))
