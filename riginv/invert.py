@@ -12,14 +12,14 @@ from riginv.clips.description import describe
 from riginv.clips.description_text import show_clip
 from riginv.clips.open import open_clip
 from riginv.clips.options import clip_options
-from riginv.config.building import build
+from riginv.config.building import ClassSpec
+from riginv.config.typed import MeshSpaceConfig, convert
 from riginv.config.validation import validate
 from riginv.errors import InputError
 from riginv.inference.bundle import SUMS, read_bundle
 from riginv.inference.inverse import load_inverse
 from riginv.launch.command import command
 from riginv.rig.interface import LinearRig, RigBackend
-from riginv.rig.recorded import RecordedRig
 from riginv.rig.size import show_rig
 from riginv.runs.files import atomic_write, sha256
 from riginv.runs.locks import exclusive_lock
@@ -50,9 +50,10 @@ def invert(config: DictConfig) -> None:
     out = free_folder(plain["out"])
     named = named_rig(plain) if plain["bundle"] else None
     inverse = load_inverse(plain["bundle"], named) if plain["bundle"] else None
-    rig = inverse.rig if inverse else build_rig(named_in(plain))
-    true_rig = build_true_rig(plain, named or rig)
-    true_rig = rig if isinstance(true_rig, RecordedRig) else true_rig
+    rig = inverse.rig if inverse else build_rig(named_in(plain), convert(plain["mesh_space"], MeshSpaceConfig, "mesh_space"))
+    judge = plain["true_rig"] if plain["true_rig"].get("_target_") else None
+    true_rig = build_true_rig(ClassSpec.read(judge, RigBackend, "true_rig") if judge else None, named or rig)
+    true_rig = true_rig if true_rig.held_out is None else rig
     if not isinstance(plain["formats"], list):
         raise InputError(f"formats is {plain['formats']!r}, expected a list: formats=[csv,glb]")
     check_formats(true_rig, plain["formats"])
@@ -121,18 +122,18 @@ def free_folder(out: Any) -> Path:
 
 def named_rig(config: dict[str, Any]) -> Any:
     """The rig that was named beside a bundle, or None: the bundle's own."""
-    return build(config["rig"], kind=RigBackend) if config["rig"].get("_target_") else None
+    return ClassSpec.read(config["rig"], RigBackend, "rig").build() if config["rig"].get("_target_") else None
 
 
-def named_in(config: dict[str, Any]) -> dict[str, Any]:
-    """The config, where it names a rig.
+def named_in(config: dict[str, Any]) -> ClassSpec[RigBackend]:
+    """The rig that a config names.
 
     Raises:
         InputError: it names neither a bundle nor a rig.
     """
     if not config["rig"].get("_target_"):
         raise InputError("give bundle=DIR, a trained inverse, or rig=NAME: what is the clip a mesh of?")
-    return config
+    return ClassSpec.read(config["rig"], RigBackend, "rig")
 
 
 def made_by(config: dict[str, Any], method: str) -> dict[str, Any]:

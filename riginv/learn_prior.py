@@ -6,9 +6,12 @@ import torch
 from omegaconf import DictConfig
 from rich.console import Console
 
+from riginv.config.building import ClassSpec
+from riginv.config.typed import MeshSpaceConfig, convert
 from riginv.errors import InputError
 from riginv.invert import free_folder
 from riginv.launch.command import command
+from riginv.rig.interface import RigBackend
 from riginv.runs.locks import exclusive_lock
 from riginv.runs.run_folder import plain_config
 from riginv.tracking.priors.files import save_prior
@@ -28,7 +31,9 @@ def learn(config: DictConfig) -> None:
         raise InputError(f"takes is {takes!r}, expected a list of files: takes=[monday/curves.csv,live_link.csv]")
     if not isinstance(fraction, int | float) or isinstance(fraction, bool) or not 0 < fraction <= 1:
         raise InputError(f"fraction is {fraction!r}, expected a number above 0 and up to 1: of the takes in the prior")
-    rig = build_rig(plain)
+    rig = build_rig(
+        ClassSpec.read(plain["rig"], RigBackend, "rig"), convert(plain["mesh_space"], MeshSpaceConfig, "mesh_space")
+    )
     with exclusive_lock(out):
         prior, frames = default_prior(rig), 0
         if takes:
