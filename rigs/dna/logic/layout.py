@@ -1,4 +1,4 @@
-"""Where each kind of control stands among all of them, and checks that indices and numbers of a file can be used."""
+"""The base class of evaluated modules, and the layout of controls with checks of indices and numbers of a file."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,22 @@ from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import MachineLearning, RadialBasis, RadialBasisOutputs
 from rigs.dna.format.layers import Behavior, Definition, Descriptor, Lods
 
-MOST_NUMBERS = 50_000_000  # of a table that is filled up: production heads need a hundredth of it
+MOST_NUMBERS = 50_000_000  # of a padded table: production heads need a hundredth of it
+
+
+class Stage(nn.Module):
+    """A module with non-persistent buffers and no parameters."""
+
+    def keep(self, **values: Tensor | np.ndarray) -> None:
+        """Register buffers; indices become int64."""
+        for name, value in values.items():
+            tensor = torch.as_tensor(np.array(value)) if isinstance(value, np.ndarray) else value
+            self.register_buffer(name, tensor if tensor.is_floating_point() else tensor.long(), persistent=False)
+
+
+def put(controls: Tensor, indices: Tensor, values: Tensor) -> Tensor:
+    """Copy of controls `(batch, control)` with values `(batch, index)` at `indices`."""
+    return controls.index_copy(1, indices, values)
 
 
 @dataclass(frozen=True)
@@ -22,8 +37,8 @@ class Layout:
 
     Attributes:
         where: the file, for messages.
-        gui, raw, psd, ml, rbf: how many there are of each kind.
-        lod_count: levels of detail.
+        gui, raw, psd, ml, rbf: number of controls of each kind.
+        lod_count: number of levels of detail.
     """
 
     where: str
@@ -88,8 +103,8 @@ class Layout:
     def check_lengths(self, what: str, **lengths: int) -> None:
         """Raises InputError where lists that belong together have different lengths."""
         if len(set(lengths.values())) > 1:
-            said = ", ".join(f"{count} {name}" for name, count in lengths.items())
-            raise self.wrong(f"{what} has lists of different lengths: {said}")
+            counts = ", ".join(f"{count} {name}" for name, count in lengths.items())
+            raise self.wrong(f"{what} has lists of different lengths: {counts}")
 
     def check_room(self, what: str, *sizes: int) -> None:
         """Raises InputError where a table of such sizes would be far larger than could be meant."""
@@ -98,11 +113,11 @@ class Layout:
             raise self.wrong(f"{what} needs a table of {shape} numbers, more than could be meant")
 
     def wrong(self, found: str) -> InputError:
-        """The error for content that cannot be evaluated."""
+        """The error for invalid content."""
         return InputError(f"{self.where}: {found}: the file is damaged, or was written wrongly; export it again")
 
     def of_lod(self, what: str, counts: np.ndarray, lod: int, most: int) -> int:
-        """How many of `most` rows a level of detail uses; all where the file does not say.
+        """Number of rows, of `most`, that a level of detail uses; all where the file does not say.
 
         Raises:
             InputError: more than there are.
@@ -133,18 +148,3 @@ def quaternion_groups(groups: Sequence[np.ndarray]) -> np.ndarray:
     """Controls that hold quaternions, `(group, 4)` as x y z w, each group once."""
     unique = dict.fromkeys(tuple(int(index) for index in group) for group in groups)
     return np.array(list(unique), dtype=np.int64).reshape(-1, 4)
-
-
-class Stage(nn.Module):
-    """A module that holds facts, in buffers which are no part of its state, and nothing that is trained."""
-
-    def keep(self, **values: Tensor | np.ndarray) -> None:
-        """Register buffers; indices become int64, other numbers stay as they are."""
-        for name, value in values.items():
-            tensor = torch.as_tensor(np.array(value)) if isinstance(value, np.ndarray) else value
-            self.register_buffer(name, tensor if tensor.is_floating_point() else tensor.long(), persistent=False)
-
-
-def put(controls: Tensor, indices: Tensor, values: Tensor) -> Tensor:
-    """A copy of controls `(batch, control)` in which those of `indices` have other values `(batch, index)`."""
-    return controls.index_copy(1, indices, values)
