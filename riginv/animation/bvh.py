@@ -11,7 +11,7 @@ from riginv.animation.resampling import unbroken
 from riginv.animation.skeletons import LocalPoses, local_poses
 from riginv.animation.text import without_jumps
 from riginv.errors import InputError
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 from riginv.rig.interface import RigBackend
 from riginv.runs.files import write_text
 

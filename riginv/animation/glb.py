@@ -11,7 +11,7 @@ from riginv.animation.animation import Animation
 from riginv.animation.glb_document import GlbDocument
 from riginv.animation.shapes import check_drawable, moved_vertices, moving_shapes
 from riginv.animation.skeletons import local_poses
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 from riginv.rig.interface import RigBackend
 
 FILE = "animation.glb"

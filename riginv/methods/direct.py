@@ -8,9 +8,8 @@ from riginv.methods.base import Method
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.solvers.descent import descend
 from riginv.solvers.objective import Objective
-from riginv.solvers.starts import first_start
+from riginv.solvers.starts import descend, first_start
 
 
 class Direct(Method):

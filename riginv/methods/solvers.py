@@ -8,11 +8,10 @@ from riginv.methods.base import Method
 from riginv.methods.network import Network
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.solvers.clip import solve_clip
+from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.every_mesh import refine_meshes, solve_frames, solve_meshes
 from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.objective import PRIOR, Objective
-from riginv.solvers.smoothing import smoothed
 
 
 class LevenbergMarquardt(Method):

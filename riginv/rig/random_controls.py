@@ -12,7 +12,11 @@ from riginv.rig.mesh_space import RigInMeshSpace
 
 
 class ControlSampler(nn.Module, ABC):
-    """Draws controls `(count, control)` within the limits of a rig."""
+    """Draws random controls `(count, control)` within the limits of a rig."""
+
+    lower: Tensor
+    upper: Tensor
+    neutral: Tensor
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         super().__init__()
@@ -22,7 +26,7 @@ class ControlSampler(nn.Module, ABC):
 
     @classmethod
     def belongs_to(cls, rig: LinearRig) -> bool:
-        """Whether a mixture for this rig should hold poses of it (`riginv.sampling.meshes`)."""
+        """Whether a mixture for this rig includes this sampler (`riginv.sampling.meshes.select_for_rig`)."""
         return True
 
     @abstractmethod
@@ -31,7 +35,7 @@ class ControlSampler(nn.Module, ABC):
 
 
 class SparseControls(ControlSampler):
-    """The paper's: how many controls leave neutral is uniform, and so are their values (paper, "Differentiable rig function").
+    """The paper's: the number of active controls and their values are uniform (paper, "Differentiable rig function").
 
     Args:
         most: the greatest number of controls that leave neutral; None: all of them.
@@ -52,10 +56,10 @@ class SparseControls(ControlSampler):
 
 
 class PlausibleControls(ControlSampler):
-    """Poses as performances hold them: few controls at a time, and often at little strength.
+    """Poses like those of performances: few active controls, often weak.
 
-    The number of controls that leave neutral is log-uniform; half of the poses are faint as a whole, at a strength that is
-    uniform. A network that has only seen the paper's poses has hardly seen a nearly neutral face.
+    The number of active controls is log-uniform, and a fraction of the poses is scaled towards neutral by a uniform factor: the
+    paper's poses are rarely near neutral.
 
     Args:
         most: the greatest number of controls that leave neutral.
@@ -96,19 +100,19 @@ def check_plausible(most: int, faint: float) -> None:
 
 
 def choose(counts: Tensor, among: int, generator: torch.Generator) -> Tensor:
-    """Which of `among` things are chosen, `(batch, among)` of bool: `counts` `(batch,)` of them, all equally likely."""
+    """Random masks `(batch, among)` with `counts` `(batch,)` entries set in each row, all equally likely."""
     scores = torch.rand(len(counts), among, generator=generator, device=generator.device)
     threshold = scores.sort(dim=1).values.gather(1, counts[:, None] - 1)
     return scores <= threshold
 
 
 def uniform_counts(count: int, most: int, generator: torch.Generator) -> Tensor:
-    """Whole numbers `(count,)`, uniform from 1 to `most`."""
+    """Integers `(count,)`, uniform from 1 to `most`."""
     return torch.randint(1, most + 1, (count,), generator=generator, device=generator.device)
 
 
 def log_uniform_counts(count: int, most: int, generator: torch.Generator) -> Tensor:
-    """Whole numbers `(count,)` from 1 to `most`, whose logarithms are uniform."""
+    """Integers `(count,)` from 1 to `most`, log-uniform."""
     exponent = torch.rand(count, generator=generator, device=generator.device) * math.log(most)
     return exponent.exp().round().long().clamp(1, most)
 

@@ -1,4 +1,4 @@
-"""Controls that move together: poses as bodies hold them."""
+"""Correlated controls, for natural poses of bodies."""
 
 import re
 
@@ -11,15 +11,15 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.rig.random_controls import ControlSampler, choose, log_uniform_counts
 
 SIDES = re.compile(r"left|right", re.IGNORECASE)
-PROBE = 0.1  # how far a control is moved to see where it acts, as a share of its range
+PROBE = 0.1  # displacement that shows which vertices a control moves, as a fraction of its range
 
 
 class CorrelatedControls(ControlSampler):
-    """A smooth Gaussian around neutral: controls that act near each other go together, and so do left and right ones.
+    """A Gaussian around neutral: controls that act near each other are correlated, and so are left and right ones.
 
-    Where a control acts is asked of the rig: the middle of the vertices that it moves near neutral. The covariance of two
-    controls falls off with the distance of these places. Controls named `left...` and `right...` move alike in a third of the
-    poses, oppositely in a third, as in walking, and on their own in the rest. A share of the poses moves only some controls.
+    The position of a control is the centre of the vertices that it moves near neutral; the covariance of two controls falls off
+    with the distance of their positions. Controls named `left...` and `right...` move alike in a third of the poses, oppositely
+    in a third, as in walking, and independently in the rest. In a fraction of the poses only some controls are active.
 
     Args:
         reach: the distance at which the correlation has fallen to 0.6, as a share of the mesh's height.
@@ -30,15 +30,18 @@ class CorrelatedControls(ControlSampler):
         InputError: a number is out of range.
     """
 
+    mixing: Tensor
+    other_side: Tensor
+
     def __init__(self, rig: RigInMeshSpace, reach: float = 0.1, spread: float = 0.5, sparse: float = 0.5) -> None:
         super().__init__(rig)
         if not (reach > 0 and spread > 0 and 0 <= sparse <= 1):
             raise InputError(f"sampler: reach {reach} and spread {spread} must be above 0, sparse {sparse} a share from 0 to 1")
         self.spread, self.sparse = spread, sparse
-        places = acting_places(rig)
+        positions = control_positions(rig)
         rest = rig.space.rest_vertices
         height = (rest.amax(dim=0) - rest.amin(dim=0)).amax()
-        covariance = torch.exp(-0.5 * (torch.cdist(places, places) / (reach * height)).square()).double()
+        covariance = torch.exp(-0.5 * (torch.cdist(positions, positions) / (reach * height)).square()).double()
         values, vectors = torch.linalg.eigh(covariance)
         self.register_buffer("mixing", (vectors * values.clamp_min(0).sqrt()).T.to(rest), persistent=False)
         self.register_buffer("other_side", torch.tensor(other_sides(rig.rig.control_names)), persistent=False)
@@ -62,8 +65,8 @@ class CorrelatedControls(ControlSampler):
 
 
 @torch.no_grad()
-def acting_places(rig: RigInMeshSpace) -> Tensor:
-    """The middle `(control, 3)`, mm, of the rest vertices that each control moves near neutral."""
+def control_positions(rig: RigInMeshSpace) -> Tensor:
+    """The weighted centre `(control, 3)`, mm, of the rest vertices that each control moves near neutral."""
     backend = rig.rig
     upwards = torch.where(backend.upper > backend.neutral_controls, backend.upper, backend.lower) - backend.neutral_controls
     moved = backend.neutral_controls + PROBE * torch.diag(upwards)
@@ -72,8 +75,8 @@ def acting_places(rig: RigInMeshSpace) -> Tensor:
 
 
 def other_sides(names: tuple[str, ...]) -> list[int]:
-    """For each control the number of the one named `right` for `left`, or the reverse; its own where there is none."""
-    number = {name: place for place, name in enumerate(names)}
+    """For each control the index of the one named `right` for `left`, or the reverse; its own where there is none."""
+    number = {name: index for index, name in enumerate(names)}
     return [number.get(SIDES.sub(lambda found: _other(found[0]), name), number[name]) for name in names]
 
 

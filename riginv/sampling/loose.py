@@ -1,4 +1,4 @@
-"""Meshes near the poses of a jointed rig, but not among them."""
+"""Meshes near the poses of a skinned rig: joints have noise that no control gives them."""
 
 import math
 
@@ -13,21 +13,22 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.rig.random_controls import ControlSampler, choose, log_uniform_counts
 from riginv.sampling.meshes import MeshSampler
 
-FAINTEST = 0.1  # of the strongest
+WEAKEST = 0.1  # of the strongest
 
 
 class LoosePoses(MeshSampler):
-    """Poses of the rig in which joints also turn as no control turns them (`LinearRig.loose_coefficients`).
+    """Poses of the rig with random rotations of joints that no control makes (`LinearRig.loose_coefficients`).
 
-    Captured and retargeted bodies hold such turns: a wrist that twists without its forearm, a knee that gives sideways. A
-    network that has only seen exact poses takes every one of them for a change of some control.
+    Captured and retargeted bodies have such rotations: a wrist that twists without its forearm, a knee that bends sideways. A
+    network trained on exact poses attributes each of them to some control.
 
     Args:
-        controls: what draws the poses.
-        strength: how far the parts go at most, as a share of what the rig says of each; it is log-uniform from a tenth of that.
+        controls: the sampler of the poses.
+        strength: the greatest standard deviation, as a multiple of the rig's; each mesh draws its own, log-uniform from a tenth
+            of it.
 
     Raises:
-        InputError: the rig has no loose parts, or the strength is not above 0.
+        InputError: the rig has no joint noise, or the strength is not above 0.
     """
 
     def __init__(self, rig: RigInMeshSpace, controls: ControlSampler, strength: PositiveFloat = 1.0) -> None:
@@ -35,7 +36,7 @@ class LoosePoses(MeshSampler):
         if not strength > 0:
             raise InputError(f"sampler: strength is {strength}, expected a number above 0")
         if not self.belongs_to(rig.rig):
-            raise InputError(f"rig '{rig.rig.name}' has no loose parts: choose sampler=rig_poses")
+            raise InputError(f"rig '{rig.rig.name}' has no joint noise: choose sampler=rig_poses")
         self.rig, self.controls, self.strength = rig, controls, strength
 
     @classmethod
@@ -51,9 +52,9 @@ class LoosePoses(MeshSampler):
 
 
 def loose_parts(rig: LinearRig, count: int, generator: torch.Generator, strength: float = 1.0) -> Tensor:
-    """How far parts move on their own, `(count, part)`: their number is log-uniform, and so is their strength as a whole."""
+    """Random joint noise `(count, part)`: the number of active parts is log-uniform, and so is the strength of each mesh."""
     size, device = len(rig.loose_parts), generator.device
     active = choose(log_uniform_counts(count, size, generator), size, generator)
-    faintness = (math.log(FAINTEST) * torch.rand(count, 1, generator=generator, device=device)).exp()
+    weakness = (math.log(WEAKEST) * torch.rand(count, 1, generator=generator, device=device)).exp()
     draws = torch.randn(count, size, generator=generator, device=device).to(rig.loose_parts)
-    return torch.where(active, strength * faintness.to(draws) * draws * rig.loose_parts, 0.0)
+    return torch.where(active, strength * weakness.to(draws) * draws * rig.loose_parts, 0.0)

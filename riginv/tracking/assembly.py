@@ -12,7 +12,7 @@ from riginv.errors import InputError
 from riginv.inference.inverse import Inverse
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
@@ -168,7 +168,7 @@ def build_solver(
     return BySolver(objective, network, steps, options["key_starts"], options["descent_steps"])
 
 
-def _learned(config: Config, rig: RigInMeshSpace, held: FixedControlsRig, weights: Tensor | None) -> WeighedPrior | None:
+def _learned(config: Config, rig: RigInMeshSpace, held: FixedControlsRig, weights: Tensor | None) -> GaussianPrior | None:
     """The prior that a config names, among the free controls, as it counts beside the vertices that are believed."""
     if config.get("prior") is None:
         return None

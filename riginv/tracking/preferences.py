@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.solvers.objective import CORNER, Linearised, Objective
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import CORNER, GaussianPrior, Linearised, Objective
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class PreferringObjective(Objective):
         prior: float,
         sparsity: float,
         preferences: Preferences,
-        learned: WeighedPrior | None = None,
+        learned: GaussianPrior | None = None,
     ) -> None:
         penalty_scale = preferences.penalty_scale.to(rig.linear_map)
         super().__init__(rig, prior * penalty_scale, sparsity * penalty_scale, learned=learned)

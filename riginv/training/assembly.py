@@ -17,7 +17,7 @@ from riginv.config.typed import MeshSpaceConfig
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses, random_sets, watched
 from riginv.evaluation.results import check_same_controls, make_true_rig
-from riginv.networks.speed import compile_parts, use_bfloat16
+from riginv.networks.base import compile_parts, use_bfloat16
 from riginv.rig.batches import generator_at
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
@@ -25,7 +25,7 @@ from riginv.rig.mesh_sets import MeshSet, StoredMeshes
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.run_folder import RunFolder
 from riginv.runs.threads import Workers
-from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise, fitted
+from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise, select_for_rig
 from riginv.sampling.noise import CaptureNoise
 from riginv.store.training import reading_store, rig_of_store
 from riginv.tracking.capture import open_capture
@@ -130,7 +130,7 @@ def build_sampler(settings: TrainConfig, rig: RigInMeshSpace) -> MeshSampler:
     if recorded is not None:
         sampler: MeshSampler = StoredPoses(recorded)
     else:
-        sampler = build(fitted(settings.sampler.config, rig.rig), rig, kind=MeshSampler)
+        sampler = build(select_for_rig(settings.sampler.config, rig.rig), rig, kind=MeshSampler)
         if data.store:
             sampler = reading_store(sampler, rig, data.store, settings.seed)
         elif not rig.rig.differentiable:

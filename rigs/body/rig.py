@@ -5,9 +5,8 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.blendshapes import apply_deltas
-from riginv.geometry.joint_jacobian import JointSlopes
-from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels, turns_against
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.joint_jacobian import JointJacobian
+from riginv.geometry.kinematics import Skeleton, forward_kinematics, transform_from, tree_levels, turns_against
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig.interface import LinearRig, Motion
 from riginv.rig.jacobian import Jacobian
@@ -76,7 +75,7 @@ class BodyRig(LinearRig):
         loose[joint["root"]] = 0.0
         self.loose_parts = torch.deg2rad(loose).flatten().to(self.dtype)
         self.levels = tree_levels(self.parents, self.joint_names)
-        self.derivatives = JointSlopes(self.parents, self.angles, skinned)
+        self.derivatives = JointJacobian(self.parents, self.angles, skinned)
 
     def expressions(self) -> dict[str, dict[str, float]]:
         return EXPRESSIONS

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.jacobian import Jacobian, forward_jacobian

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 from rigs.dna.model import Model
 
 SCALES = slice(6, 9)  # of a joint's nine attributes

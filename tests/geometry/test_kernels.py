@@ -14,7 +14,7 @@ from riginv.geometry.kernels.library import kernels, kernels_for, pure_torch
 from riginv.rig.interface import LinearRig
 from riginv.runs.threads import Workers
 from riginv.solvers.band import Band, second_difference_bands
-from riginv.solvers.box_step import box_step, foreseen_change
+from riginv.solvers.box_step import box_step, predicted_change
 from tests.conftest import ROOT
 from tests.geometry.test_curves import random_curves
 
@@ -136,7 +136,7 @@ def test_steps_in_the_box_equal_those_of_pure_torch(controls, dtype):
         found, pure = both(box_step, matrices, gradient, at, added)
         torch.testing.assert_close(found, pure, **tolerance)
         assert ((at + found) >= -1e-6).all() and ((at + found) <= 1 + 1e-6).all()
-    for value, pure in (both(foreseen_change, matrix, gradient, found),):
+    for value, pure in (both(predicted_change, matrix, gradient, found),):
         torch.testing.assert_close(value, pure, rtol=1e-4 if dtype == torch.float32 else 1e-12, atol=1e-4)
 
 

@@ -8,8 +8,8 @@ from riginv.networks.surrogate import ControlMLP
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import Control, LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.sampling.correlated import CorrelatedControls, acting_places, other_sides
-from riginv.sampling.meshes import fitted
+from riginv.sampling.correlated import CorrelatedControls, control_positions, other_sides
+from riginv.sampling.meshes import select_for_rig
 from tests.support.toys import ToyRig
 
 PARTS = {
@@ -47,7 +47,7 @@ def row() -> RigInMeshSpace:
 
 
 def test_places_are_where_controls_act(row):
-    torch.testing.assert_close(acting_places(row), row.rig.rest_vertices, atol=1e-3, rtol=0)
+    torch.testing.assert_close(control_positions(row), row.rig.rest_vertices, atol=1e-3, rtol=0)
 
 
 def test_neighbours_go_together_and_far_ones_do_not(row):
@@ -82,9 +82,10 @@ def test_sides_are_found_in_any_spelling():
 
 
 def test_a_mixture_holds_what_belongs_to_the_rig():
-    assert list(fitted(MIXTURE, ToyRig())["samplers"]) == list(fitted(MIXTURE, ToyRig())["shares"]) == ["combinations", "poses"]
-    assert list(fitted(MIXTURE, Row())["samplers"]) == ["poses", "correlated"]
-    assert fitted(PARTS["combinations"], Row()) == PARTS["combinations"]  # named alone it stays, and says what is missing
+    selected = select_for_rig(MIXTURE, ToyRig())
+    assert list(selected["samplers"]) == list(selected["shares"]) == ["combinations", "poses"]
+    assert list(select_for_rig(MIXTURE, Row())["samplers"]) == ["poses", "correlated"]
+    assert select_for_rig(PARTS["combinations"], Row()) == PARTS["combinations"]  # its constructor refuses the rig
 
 
 def test_a_surrogate_of_millimetres_works_in_shares_and_spreads(row):

@@ -7,7 +7,7 @@ from riginv.errors import InputError
 from riginv.rig.batches import generator_at
 from riginv.rig.random_controls import SparseControls
 from riginv.sampling.loose import LoosePoses, loose_parts
-from riginv.sampling.meshes import fitted
+from riginv.sampling.meshes import select_for_rig
 from tests.support.toys import ToyRig
 
 COUNT = 2000
@@ -64,7 +64,7 @@ def test_rigs_without_loose_parts_are_refused_and_left_out_of_mixtures(toy):
     part = {"_target_": "riginv.sampling.loose.LoosePoses"}
     other = {"_target_": "riginv.sampling.meshes.RigPoses"}
     mixture = {"samplers": {"loose": part, "poses": other}, "shares": {"loose": 1, "poses": 1}}
-    assert list(fitted(mixture, ToyRig())["samplers"]) == ["poses"]
+    assert list(select_for_rig(mixture, ToyRig())["samplers"]) == ["poses"]
 
 
 def test_a_strength_of_nothing_is_refused(body_in_space):

@@ -11,11 +11,10 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig.random_controls import sparse_controls
 from riginv.solvers.band import second_difference_bands, solve_band
 from riginv.solvers.box_step import box_step
-from riginv.solvers.clip import solve_clip
+from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.every_mesh import refine_meshes, solve_frames, solve_meshes
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import Objective
-from riginv.solvers.smoothing import smoothed
 from tests.support.toys import ToyRig
 
 NO_PRIOR = 0.0

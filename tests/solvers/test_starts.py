@@ -4,11 +4,10 @@ import pytest
 import torch
 
 from riginv.rig.batches import generator_at
-from riginv.solvers.descent import descend
 from riginv.solvers.every_mesh import solve_meshes
 from riginv.solvers.levenberg_marquardt import REACH, levenberg_marquardt
 from riginv.solvers.objective import Objective
-from riginv.solvers.starts import first_start, start_at_random, start_by_derivative
+from riginv.solvers.starts import descend, first_start, start_at_random, start_by_derivative
 from tests.solvers.test_solvers import Degenerate, in_space, poses
 
 

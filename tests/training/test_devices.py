@@ -15,8 +15,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from riginv.config.validation import validate
 from riginv.errors import InputError
+from riginv.networks.base import use_bfloat16
 from riginv.networks.inverse import StagedInverse
-from riginv.networks.speed import use_bfloat16
 from riginv.runs.run_folder import plain_config
 from riginv.training.devices import this_process
 from tests.config.test_bad_input import refused

@@ -12,10 +12,9 @@ from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.files import check_regular
-from riginv.solvers.clip import solve_clip
+from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.every_mesh import solve_frames
 from riginv.solvers.objective import Objective
-from riginv.solvers.smoothing import smoothed
 
 SMOOTHNESS, STEPS, BLUR = 1.5, 4, 3.0  # of a recording's curves, as in riginv.invert
 LIVE_LINK = "Timecode"  # the first column of a Live Link Face recording
