@@ -5,6 +5,7 @@ from typing import cast
 import lightning as L
 import numpy as np
 import torch
+from lightning.pytorch.loggers import TensorBoardLogger
 from PIL import Image
 
 from riginv.meshes.rendering import Pair, comparison
