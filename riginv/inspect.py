@@ -26,7 +26,7 @@ from riginv.rig.size import show_rig
 from riginv.runs.console import show_lines
 from riginv.runs.files import is_file
 from riginv.runs.run_folder import BUNDLE, plain_config
-from riginv.store.place import Place
+from riginv.store.location import StoreLocation
 from riginv.store.store import PoseStore
 from riginv.store.summary import show as show_store
 
@@ -40,8 +40,8 @@ def inspect(config: DictConfig) -> None:
     validate(plain)
     path = Path(str(plain["clip"]))
     names = None if config.get("verbose") else NAMES
-    if is_file(path / STORE):
-        show_store(PoseStore.find(Place(str(path))), {})
+    if is_file(path / STORE) and (store := PoseStore.find(StoreLocation(str(path)))):
+        show_store(store, {})
     elif any(is_file(folder / DESCRIPTION) for folder in (path, path / BUNDLE)):
         show_rows(path.name, bundle_rows(path, names))
     else:
