@@ -12,9 +12,9 @@ from riginv.clips.clip import Clip
 from riginv.clips.description import describe
 from riginv.clips.description_text import NAMES, named, rows
 from riginv.clips.live_link import Recording, read_live_link
-from riginv.clips.open import open_clip, open_exclusively
+from riginv.clips.open import open_clip, open_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions, clip_options
-from riginv.clips.units import meaning_without_rig
+from riginv.clips.units import resolve_units_without_rig
 from riginv.config.building import build
 from riginv.config.validation import validate
 from riginv.errors import InputError, printable
@@ -63,11 +63,11 @@ def show_clip_file(config: dict[str, Any], names: int | None) -> None:
         show_rows(Path(path).name, recording_rows(read_live_link(path), names))
         return
     try:
-        clip, notes = open_clip(path, rig, reading, frames) if rig else open_without_rig(path, reading, frames)
+        clip, notes = open_clip(path, rig, reading, frames) if rig else read_without_rig(path, reading, frames)
     except InputError as misfit:
         if rig is None or path.lower().endswith(".csv"):
             raise
-        show_sequence(*open_without_rig(path, reading, frames), names)  # what it holds helps to see why
+        show_sequence(*read_without_rig(path, reading, frames), names)  # what it holds helps to see why
         show_rig(rig, config["rig"], Console())
         raise misfit from None
     show_sequence(clip, notes, names)
@@ -82,16 +82,16 @@ def named_rig(config: dict[str, Any]) -> RigBackend | None:
     return load_inverse(config["bundle"], rig).rig if config["bundle"] else rig
 
 
-def open_without_rig(path: str, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
+def read_without_rig(path: str, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
     """A clip in its own unit, where the file says none, and notes about what was guessed.
 
     Raises:
-        InputError: as `open_exclusively` and `meaning_without_rig`.
+        InputError: as `open_without_rig` and `resolve_units_without_rig`.
     """
-    sequence = open_exclusively(path, reading)
-    meaning = meaning_without_rig(sequence, reading.unit, reading.scale, reading.up, reading.fps)
-    clip = Clip(sequence, meaning, frames.first, frames.last, frames.exclude)
-    return clip, [*sequence.facts.notes, *meaning.notes]
+    sequence = open_without_rig(path, reading)
+    units = resolve_units_without_rig(sequence, reading.unit, reading.scale, reading.up, reading.fps)
+    clip = Clip(sequence, units, frames.first, frames.last, frames.exclude)
+    return clip, [*sequence.facts.notes, *units.notes]
 
 
 def show_sequence(clip: Clip, notes: Sequence[str], names: int | None) -> None:

@@ -24,18 +24,18 @@ from riginv.rig.size import show_rig
 from riginv.runs.files import atomic_write, sha256
 from riginv.runs.locks import exclusive_lock
 from riginv.runs.run_folder import plain_config
-from riginv.tracking.assembly import WHOLE_CLIP, build_parts, chosen_method
-from riginv.tracking.reach import with_reach
+from riginv.tracking.assembly import WHOLE_CLIP, build_parts, resolve_method
+from riginv.tracking.clip_optimum import with_optimum
 from riginv.tracking.report import InversionProgress, show
 from riginv.tracking.results import check_after, write_results
 from riginv.tracking.run import Smoothness, invert_clip, invert_smoothly
 from riginv.tracking.scans import (
     SURFACE,
     PreparedScans,
-    chosen_correspondence,
     frame_errors,
     prepare_scans,
     remarks_of,
+    resolve_correspondence,
     write_scan_table,
 )
 from riginv.tracking.surfaces.tracking import track_scans
@@ -46,7 +46,7 @@ def invert(config: DictConfig) -> None:
     """Invert `config.clip` and leave a folder `config.out` with its curves, and how good each frame is."""
     plain = plain_config(config)
     validate(plain)
-    chosen_method(plain)
+    resolve_method(plain)
     out = free_folder(plain["out"])
     named = named_rig(plain) if plain["bundle"] else None
     inverse = load_inverse(plain["bundle"], named) if plain["bundle"] else None
@@ -58,7 +58,7 @@ def invert(config: DictConfig) -> None:
     check_formats(true_rig, plain["formats"])
     check_after(plain["after"], plain["look"])
     reading, frames = clip_options(plain)
-    correspondence, said = chosen_correspondence(plain, true_rig, reading)
+    correspondence, said = resolve_correspondence(plain, true_rig, reading)
     if correspondence == SURFACE:
         show_rig(true_rig, plain["rig"])
         invert_surface(plain, rig, true_rig, prepare_scans(plain, rig, reading, frames, said), out)
@@ -78,7 +78,7 @@ def invert(config: DictConfig) -> None:
         else:
             found = invert_clip(*arguments)
         progress.advance("the rig's reach", 0)
-        errors = with_reach(found.errors, clip, found, parts.judge)
+        errors = with_optimum(found.errors, clip, found, parts.judge)
         facts = made_by(plain, parts.method)
         source = Path(plain["clip"]).name
         animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
@@ -94,10 +94,10 @@ def invert_surface(config: dict[str, Any], rig: LinearRig, true_rig: RigBackend,
     numbers = scans.frame_numbers
     with exclusive_lock(out), InversionProgress(len(numbers), scans.notes) as progress:
         free_folder(out)
-        track = track_scans(scans.solver, scans.scans, scans.meaning, scans.rows, scans.smoothness, progress.advance)
+        track = track_scans(scans.solver, scans.scans, scans.units, scans.rows, scans.smoothness, progress.advance)
         facts, source = made_by(config, SURFACE), Path(config["clip"]).name
         motion = track.motion if scans.solver.moves else None
-        animation = Animation(true_rig, track.controls, scans.meaning.fps, numbers, motion, source, facts)
+        animation = Animation(true_rig, track.controls, scans.units.fps, numbers, motion, source, facts)
         errors, remarks = frame_errors(track, numbers), remarks_of(track)
         with atomic_write(out) as beside:
             beside.mkdir()

@@ -14,7 +14,7 @@ from riginv.runs.run_folder import plain_config
 from riginv.tracking.priors.files import save_prior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
-from riginv.tracking.priors.takes import controls_of
+from riginv.tracking.priors.takes import read_take
 from riginv.training.assembly import build_rig
 
 NAMED = 5  # controls that are named as the freest
@@ -32,7 +32,7 @@ def learn(config: DictConfig) -> None:
     with exclusive_lock(out):
         prior, frames = default_prior(rig), 0
         if takes:
-            controls = torch.cat([controls_of(Path(take), rig, plain["first"], plain["last"]) for take in takes])
+            controls = torch.cat([read_take(Path(take), rig, plain["first"], plain["last"]) for take in takes])
             taken = learn_prior(rig, controls, ", ".join(Path(take).name for take in takes))
             prior, frames = blended(taken, prior, fraction), len(controls)
         save_prior(out, prior, rig, frames)

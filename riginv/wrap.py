@@ -17,9 +17,9 @@ from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
 from riginv.runs.files import atomic_write, write_text
 from riginv.runs.run_folder import plain_config
-from riginv.tracking.surfaces.meaning import meaning_of_scans
 from riginv.tracking.surfaces.scans import FileScans, Scan
 from riginv.tracking.surfaces.triangles import TriangleMesh
+from riginv.tracking.surfaces.units import resolve_scan_units
 from riginv.tracking.surfaces.wrap import Wrapped, WrapSettings, wrap
 
 RED_MM = 1.0  # the distance that the picture shows as dark red
@@ -32,10 +32,10 @@ def run(config: DictConfig) -> None:
     if out.suffix.lower() != ".obj":
         raise InputError(f"out={out}: expected a file that ends in .obj")
     rig = build(plain["rig"], kind=RigBackend)
-    scan, meaning = _scan(plain, rig)
-    for note in meaning.notes:
+    scan, units = _scan(plain, rig)
+    for note in units.notes:
         console.print(f"note: {note}", highlight=False, markup=False)
-    surface = scan.surface(meaning.mm, meaning.axes.double().numpy())
+    surface = scan.surface(units.mm, units.axes.double().numpy())
     found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface, WrapSettings())
     write_text(out, obj_text(found.vertices, rig.faces.cpu().numpy()))
     picture = out.with_suffix(".png")
@@ -58,7 +58,7 @@ def _scan(plain: dict[str, Any], rig: RigBackend) -> tuple[Scan, Any]:
     cleaned = None if scan is None else scan.cleaned()
     if cleaned is None:
         raise InputError(f"scan={plain['scan']}: fewer than 50 points: there is nothing to fit")
-    return cleaned, meaning_of_scans(scans, rig, reading)
+    return cleaned, resolve_scan_units(scans, rig, reading)
 
 
 def obj_text(vertices: np.ndarray, faces: np.ndarray) -> str:

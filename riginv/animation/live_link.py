@@ -97,10 +97,10 @@ def nearest_weights(rig: RigBackend, deltas: Tensor, controls: Tensor) -> Tensor
     size.copy_(torch.where(size > 0, size * (1 + RIDGE), 1.0))  # a shape without any size takes no part
     along = rig.basis.flatten(1).double() @ flat.T if isinstance(rig, LinearRig) else None
     found = []
-    for piece in controls.split(BATCH_SIZE):
+    for batch in controls.split(BATCH_SIZE):
         if along is None:
-            aim = (rig(piece) - rig.rest_vertices).flatten(1).double() @ flat.T
+            aim = (rig(batch) - rig.rest_vertices).flatten(1).double() @ flat.T
         else:
-            aim = (rig.coefficients(piece) - rig.neutral_coefficients()).double() @ along
+            aim = (rig.coefficients(batch) - rig.neutral_coefficients()).double() @ along
         found.append(bounded_least_squares(gram, aim))
     return torch.cat(found).cpu()

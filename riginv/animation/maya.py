@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from riginv.animation.animation import Animation
-from riginv.animation.text import digits, moves_and_turns
+from riginv.animation.text import digits, rigid_motion_columns
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from riginv.runs.files import write_text
@@ -51,7 +51,7 @@ def write(path: Path, animation: Animation) -> None:
         name = legal(control.name)
         lines += _curve(name, name, f"{legal(rig.name)}_controls", number, OUTPUTS.get(control.unit, "unitless"))
         lines += _keys(times, values, rows)
-    motion = moves_and_turns(animation)
+    motion = rigid_motion_columns(animation)
     if motion is not None:
         for number, (name, values) in enumerate(zip(MOTION, digits(np.ascontiguousarray(motion.T)))):
             full = f"{name[:-1]}.{name}"

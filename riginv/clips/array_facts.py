@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.clips.times import FrameTimes, frames_of
+from riginv.clips.times import FrameTimes, frames_from_times
 from riginv.errors import InputError
 from riginv.meshes.polygons import Polygons
 from riginv.meshes.text_numbers import number_of
@@ -84,7 +84,7 @@ def _timed(path: Path, arrays: Arrays, count: int) -> FrameTimes:
         raise InputError(
             f"{path}: {name} are {times.dtype} of shape {times.shape}, expected a number for each of {count} frames"
         )
-    return frames_of(times.reshape(-1) if times.dtype.kind == "f" else times.reshape(-1).astype(np.float64), name)
+    return frames_from_times(times.reshape(-1) if times.dtype.kind == "f" else times.reshape(-1).astype(np.float64), name)
 
 
 def _rate(path: Path, arrays: Arrays) -> tuple[float | None, str]:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riginv.clips.motion_check import MotionCheck
 from riginv.clips.sequence import MeshSequence
-from riginv.clips.units import Meaning
+from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.rig.mesh_sets import MeshSet
 
@@ -21,7 +21,7 @@ class Clip(MeshSet):
 
     Args:
         sequence: as read.
-        meaning: of its numbers.
+        units: of its numbers.
         first, last: the frames to take, both included, as the source counts them; None: from its start, to its end.
         exclude: frames that are not to be believed, as numbers or spans `120-135`: all their vertices count as unknown.
 
@@ -37,7 +37,7 @@ class Clip(MeshSet):
     def __init__(
         self,
         sequence: MeshSequence,
-        meaning: Meaning,
+        units: ClipUnits,
         first: int | None = None,
         last: int | None = None,
         exclude: Sequence[Any] = (),
@@ -48,20 +48,20 @@ class Clip(MeshSet):
             raise InputError(
                 f"{sequence.path}: frames {first} to {last} were asked for, and it has {numbers[0]} to {numbers[-1]}: none left"
             )
-        self.sequence, self.meaning, self.offset = sequence, meaning, int(np.argmax(inside))
+        self.sequence, self.units, self.offset = sequence, units, int(np.argmax(inside))
         controls = None if sequence.controls is None else torch.from_numpy(sequence.controls[inside])
-        super().__init__("clip", meaning.fps, controls, torch.tensor(numbers[inside]))
+        super().__init__("clip", units.fps, controls, torch.tensor(numbers[inside]))
         self.excluded = excluded_frames(sequence.path, self.frame_numbers, exclude)
-        self.motion_check = MotionCheck(self.frame_numbers, meaning.fps, bool(meaning.unit_source))
+        self.motion_check = MotionCheck(self.frame_numbers, units.fps, bool(units.unit_source))
 
     def __len__(self) -> int:
         return len(self.frame_numbers)
 
     def vertices(self, start: int, stop: int) -> Tensor:
         points = torch.from_numpy(self.sequence.read(self.offset + start, self.offset + stop))
-        if not bool((self.meaning.axes == torch.eye(3)).all()):
-            points = points @ self.meaning.axes.T
-        points = points * self.meaning.mm
+        if not bool((self.units.axes == torch.eye(3)).all()):
+            points = points @ self.units.axes.T
+        points = points * self.units.mm
         points = torch.where(torch.isfinite(points).all(dim=2, keepdim=True), points, torch.nan)
         points[self.excluded[start:stop]] = torch.nan
         self._check(points, start)

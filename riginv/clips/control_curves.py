@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.animation.text import MOVE_COLUMNS, TURN_COLUMNS
+from riginv.animation.text import ROTATION_COLUMNS, TRANSLATION_COLUMNS
 from riginv.clips.arrays import VERTICES
 from riginv.clips.csv_table import CsvTable
 from riginv.clips.frame_rate import usual_rate
@@ -15,7 +15,7 @@ from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
 from riginv.runs.files import check_regular, read_json
 
 FRAME, SECONDS = "frame", "seconds"
-MOTION = (*MOVE_COLUMNS, *TURN_COLUMNS)
+MOTION = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS)
 CONTROLS, FPS, NUMBERS = "controls", "fps", "frame_numbers"  # arrays of an .npz
 NAMES = ("names", "control_names")
 SAME_RATE = 1e-3  # two rates nearer than that, as a share of them, are one

@@ -108,7 +108,7 @@ def describe(clip: Clip) -> ClipDescription:
         InputError: the file turns out to be damaged.
     """
     look(clip)
-    sequence, meaning, numbers = clip.sequence, clip.meaning, clip.frame_numbers.numpy()
+    sequence, units, numbers = clip.sequence, clip.units, clip.frame_numbers.numpy()
     missing, some = _missing(numbers)
     return ClipDescription(
         file=Path(sequence.path).name or sequence.path,
@@ -120,14 +120,14 @@ def describe(clip: Clip) -> ClipDescription:
         missing=missing,
         missing_first=some,
         excluded=int(clip.excluded.sum()),
-        fps=meaning.fps,
-        rate_source=meaning.rate_source,
-        unit_mm=meaning.mm if meaning.unit_source else None,
-        unit_source=meaning.unit_source,
-        up=meaning.up,
-        up_source=meaning.up_source,
+        fps=units.fps,
+        rate_source=units.rate_source,
+        unit_mm=units.mm if units.unit_source else None,
+        unit_source=units.unit_source,
+        up=units.up,
+        up_source=units.up_source,
         motion=clip.motion_check.motion,
-        notes=(*sequence.facts.notes, *meaning.notes),
+        notes=(*sequence.facts.notes, *units.notes),
     )
 
 

@@ -31,17 +31,17 @@ class FileFrames(MeshSequence):
         self.face_bytes, self.first_faces, self.points_in_file = first.face_bytes, first.polygons(), len(first.points)
         names = first.objects
         read = tuple(name for name in names if name in options.mesh_names) if names and options.mesh_names else names
-        self.picked = _vertices_of(first, options.mesh_names) if names and options.mesh_names else None
+        self.selected = _vertices_of(first, options.mesh_names) if names and options.mesh_names else None
         notes = (*self.frames.notes, *first.notes, *options.unused(self.suffix[1:].upper(), not names))
         notes += note_on_objects(first.path, read)
         left_out = tuple(name for name in names if name not in read)
         facts = SourceFacts(self.suffix[1:].upper(), read, left_out, notes=notes)
         faces, count = self.first_faces, len(first.points)
-        if self.picked is not None:
+        if self.selected is not None:
             if faces is not None:
                 faces.check(path, count)
-                faces = faces.among(self.picked)
-            count = len(self.picked)
+                faces = faces.among(self.selected)
+            count = len(self.selected)
         super().__init__(path, self.frames.numbers, count, faces, facts=facts)
 
     def read(self, start: int, stop: int) -> np.ndarray:
@@ -67,7 +67,7 @@ class FileFrames(MeshSequence):
                     f"{path}: its {len(found)} faces are not the {len(expected)} of {first}: all frames must be the same mesh "
                     f"with its vertices in the same order; export them again"
                 )
-        return mesh.points if self.picked is None else mesh.points[self.picked]
+        return mesh.points if self.selected is None else mesh.points[self.selected]
 
 
 def _vertices_of(mesh: MeshFile, names: list[str]) -> np.ndarray:

@@ -57,7 +57,7 @@ class NumberedFiles(NamedTuple):
         return pattern_of([_negative(name, self.position) for name in self.files], self.position)
 
 
-def take_apart(path: Path) -> FileName:
+def parse_name(path: Path) -> FileName:
     """The numbers in a name, and what stands around them."""
     stem, texts, digits, end = path.stem, [], [], 0
     for match in NUMBER.finditer(stem):
@@ -71,7 +71,7 @@ def group(files: Sequence[Path]) -> list[list[FileName]]:
     """Files whose names differ in their numbers alone, largest group first; `f-1` is negative where there is `f1`, too."""
     groups: dict[tuple[str, ...], list[FileName]] = {}
     for file in files:
-        name = take_apart(file)
+        name = parse_name(file)
         groups.setdefault(name.kind, []).append(name)
     for kind in [kind for kind in groups if any(text.endswith("-") for text in kind[:-1])]:
         for position, text in enumerate(kind[:-1]):

@@ -11,12 +11,12 @@ from riginv.clips.file_frames import ObjFrames, PlyFrames
 from riginv.clips.live_link import TIMECODE, RecordedShapes, is_recording
 from riginv.clips.numbered import is_pattern, visible_files
 from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.picked import PickedVertices
 from riginv.clips.point_caches import MddCache, Pc2Cache
 from riginv.clips.posed_curves import PosedCurves
 from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
+from riginv.clips.vertex_map import MappedVertices
 from riginv.config.building import class_of
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
@@ -45,11 +45,11 @@ def open_clip(path: str, rig: RigBackend, reading: ReadingOptions, frames: Frame
     """
     sequence = open_sequence(path, rig, reading)
     if reading.vertices is not None:
-        sequence = PickedVertices(sequence, Path(str(reading.vertices)))
+        sequence = MappedVertices(sequence, Path(str(reading.vertices)))
     note = check_topology(sequence, rig, reading.check_faces)
-    meaning = meaning_of(sequence, rig, reading.unit, reading.scale, reading.up, reading.fps)
-    clip = Clip(sequence, meaning, frames.first, frames.last, frames.exclude)
-    return clip, [*sequence.facts.notes, *meaning.notes, *([note] if note else [])]
+    units = resolve_units(sequence, rig, reading.unit, reading.scale, reading.up, reading.fps)
+    clip = Clip(sequence, units, frames.first, frames.last, frames.exclude)
+    return clip, [*sequence.facts.notes, *units.notes, *([note] if note else [])]
 
 
 def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) -> MeshSequence:
@@ -86,7 +86,7 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) ->
     raise InputError(f"{path}: clips end in {', '.join(KNOWN)}; convert it to one of these")
 
 
-def open_exclusively(path: str, options: ReadingOptions) -> MeshSequence:
+def open_without_rig(path: str, options: ReadingOptions) -> MeshSequence:
     """Open a clip where there is no rig: its reader chooses the meshes by itself.
 
     Raises:

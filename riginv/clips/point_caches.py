@@ -12,7 +12,7 @@ import numpy as np
 from riginv.clips.array_facts import read_numbers
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MOST_VERTICES, MeshSequence, SourceFacts
-from riginv.clips.times import FrameTimes, frames_at, frames_of
+from riginv.clips.times import FrameTimes, frames_at_step, frames_from_times
 from riginv.errors import InputError
 from riginv.runs.files import opened
 
@@ -109,7 +109,7 @@ class MddCache(PointCache):
             )
         with np.errstate(invalid="ignore"):
             times = read_numbers(path, np.dtype(f"{layout.order}f4"), (layout.frames,), 8).astype(np.float32)
-        super().__init__(path, layout, frames_of(times, "times"), options.unused("MDD"))
+        super().__init__(path, layout, frames_from_times(times, "times"), options.unused("MDD"))
 
 
 class Pc2Cache(PointCache):
@@ -131,7 +131,7 @@ class Pc2Cache(PointCache):
         notes = options.unused("PC2")
         if header["version"] != PC2_VERSION:
             notes += (f"It is a PC2 of version {header['version']}, and was read as one of version {PC2_VERSION}.",)
-        times = frames_at(float(header["start"]), float(header["rate"]), layout.frames)
+        times = frames_at_step(float(header["start"]), float(header["rate"]), layout.frames)
         super().__init__(path, layout, times, notes)
 
 

@@ -46,7 +46,7 @@ class FrameTimes(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def frames_at(start: float, step: float, count: int) -> FrameTimes:
+def frames_at_step(start: float, step: float, count: int) -> FrameTimes:
     """Samples every `step` frames from frame `start` on, of a file that does not say its rate."""
     notes = []
     step = float(f"{step:.6g}")  # as it was before it became a single float
@@ -72,7 +72,7 @@ def frames_at(start: float, step: float, count: int) -> FrameTimes:
     return FrameTimes(first + np.arange(count), fps, source, tuple(notes))
 
 
-def frames_of(times: np.ndarray, source: str) -> FrameTimes:
+def frames_from_times(times: np.ndarray, source: str) -> FrameTimes:
     """Samples at times `(sample,)`: in seconds, or in frames or smaller units where a clip in seconds would be too slow.
 
     Args:
@@ -157,7 +157,7 @@ def _uneven(times: np.ndarray, steps: np.ndarray, source: str) -> FrameTimes:
 
 def _in_frames(times: np.ndarray, step: float, skipped: np.ndarray, source: str) -> FrameTimes:
     """Samples whose times are frames."""
-    found = frames_at(float(times[0]), round(step, 6), len(times))
+    found = frames_at_step(float(times[0]), round(step, 6), len(times))
     stride = int(found.numbers[1] - found.numbers[0])
     first = ", ".join(f"{time:g}" for time in times[:3])
     said = f"{found.fps:g} samples a second" if found.fps else f"{DEFAULT_FPS:g} frames a second"

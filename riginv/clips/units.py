@@ -25,7 +25,7 @@ TO_Y_UP = {
 }
 
 
-class Meaning(NamedTuple):
+class ClipUnits(NamedTuple):
     """How a clip's numbers become millimetres, y up.
 
     Attributes:
@@ -48,7 +48,7 @@ class Meaning(NamedTuple):
     rate_source: str = AS_GIVEN
 
 
-def meaning_of(clip: MeshSequence, rig: RigBackend, unit: Any, scale: Any, up: Any, fps: Any) -> Meaning:
+def resolve_units(clip: MeshSequence, rig: RigBackend, unit: Any, scale: Any, up: Any, fps: Any) -> ClipUnits:
     """What a clip's numbers mean.
 
     Args:
@@ -67,11 +67,11 @@ def meaning_of(clip: MeshSequence, rig: RigBackend, unit: Any, scale: Any, up: A
     mm, unit_source = _unit(clip, unit, found * scale, rig_mm, rig.name, notes)
     rate, rate_source = _fps(clip, fps, notes)
     axis, up_source = _up(clip, up, notes)
-    return Meaning(mm * scale, TO_Y_UP[axis], rate, notes, unit_source, axis, up_source, rate_source)
+    return ClipUnits(mm * scale, TO_Y_UP[axis], rate, notes, unit_source, axis, up_source, rate_source)
 
 
-def meaning_without_rig(clip: MeshSequence, unit: Any, scale: Any, up: Any, fps: Any) -> Meaning:
-    """What a clip's numbers mean where there is no rig to compare its size with; arguments as for `meaning_of`.
+def resolve_units_without_rig(clip: MeshSequence, unit: Any, scale: Any, up: Any, fps: Any) -> ClipUnits:
+    """What a clip's numbers mean where there is no rig to compare its size with; arguments as for `resolve_units`.
 
     Raises:
         InputError: a value is none of these.
@@ -81,7 +81,7 @@ def meaning_without_rig(clip: MeshSequence, unit: Any, scale: Any, up: Any, fps:
     mm, unit_source = (clip.unit_mm or 1.0, AS_THE_FILE_SAYS if clip.unit_mm else "") if unit == "auto" else _given_unit(unit)
     rate, rate_source = _fps(clip, fps, notes)
     axis, up_source = _up(clip, up, notes)
-    return Meaning(mm * scale, TO_Y_UP[axis], rate, notes, unit_source, axis, up_source, rate_source)
+    return ClipUnits(mm * scale, TO_Y_UP[axis], rate, notes, unit_source, axis, up_source, rate_source)
 
 
 def _check_scale(scale: Any) -> None:

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from riginv.rig.interface import LinearRig
 from riginv.tracking.anchors import Anchors
+from riginv.tracking.estimators import ControlEstimator
 from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
-from riginv.tracking.solving import Solving
 
 
-def bridged(controls: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
+def interpolate_controls(controls: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
     """Controls `(frame, control)`, on a straight line between the nearest known frames where they are not known `(frame,)`.
 
     Args:
@@ -26,10 +26,10 @@ def bridged(controls: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
     return controls[before] + share[:, None].to(controls) * (controls[after] - controls[before])
 
 
-def bridged_motion(motion: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
+def interpolate_motion(motion: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
     """Rigid motions `(frame, 4, 4)`, likewise; rotations go the shortest way."""
     before, after, share = _neighbours(known, numbers)
-    result = bridged(motion.flatten(1), known, numbers).unflatten(1, (4, 4))
+    result = interpolate_controls(motion.flatten(1), known, numbers).unflatten(1, (4, 4))
     turn = roma.rotvec_to_rotmat(
         share[:, None].to(motion) * roma.rotmat_to_rotvec(motion[before, :3, :3].mT @ motion[after, :3, :3])
     )
@@ -85,7 +85,9 @@ class WindowInverter:
         turns: at most.
     """
 
-    def __init__(self, rig: LinearRig, solving: Solving, anchors: Anchors | None, weights: Tensor | None, turns: int) -> None:
+    def __init__(
+        self, rig: LinearRig, solving: ControlEstimator, anchors: Anchors | None, weights: Tensor | None, turns: int
+    ) -> None:
         self.rig, self.solving, self.anchors, self.weights, self.turns = rig, solving, anchors, weights, turns
 
     @torch.no_grad()
@@ -98,7 +100,7 @@ class WindowInverter:
         rows = present.nonzero()[:, 0]
         if len(rows):
             whole = bool(known[rows].all()) and self.weights is None
-            turns = _Turns(self, vertices[rows], known[rows], whole)
+            turns = _AlternatingSolve(self, vertices[rows], known[rows], whole)
             controls[rows] = turns.take()
             if motion is not None:
                 motion[rows] = turns.motion
@@ -113,7 +115,7 @@ class WindowInverter:
         return Found(controls, motion, still, complete, results, present)
 
 
-class _Turns:
+class _AlternatingSolve:
     """The turns that are taken for some frames, all of which can be solved.
 
     Args:

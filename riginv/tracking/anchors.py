@@ -15,15 +15,15 @@ class Anchors:
 
     Args:
         rig: the rig.
-        stillness: how much each of its vertices counts, `(vertex,)`.
+        stability: how much each of its vertices counts, `(vertex,)`.
         stride: between two vertices that are taken.
     """
 
-    def __init__(self, rig: LinearRig, stillness: Tensor, stride: int | None = None) -> None:
-        self.rig, self.stillness = rig, stillness
-        self.stride = stride or max(1, len(stillness) // ENOUGH)
+    def __init__(self, rig: LinearRig, stability: Tensor, stride: int | None = None) -> None:
+        self.rig, self.stability = rig, stability
+        self.stride = stride or max(1, len(stability) // ENOUGH)
         self.some = slice(None, None, self.stride)
-        self.weights = stillness[self.some]
+        self.weights = stability[self.some]
         self.rest, self.basis = rig.rest_vertices[self.some], rig.basis[:, self.some].contiguous()
 
     @torch.no_grad()
@@ -37,4 +37,4 @@ class Anchors:
         enough = (
             self.stride == 1 or not len(known) or int((known[:, self.some] & (self.weights > 0)).sum(dim=1).min()) >= FEWEST
         )
-        return self if enough else Anchors(self.rig, self.stillness, stride=1)
+        return self if enough else Anchors(self.rig, self.stability, stride=1)

@@ -16,16 +16,16 @@ from riginv.solvers.weighed_prior import WeighedPrior
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
+from riginv.tracking.estimators import NetworkEstimator, SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
-from riginv.tracking.frame_evaluation import FrameJudge
-from riginv.tracking.preferences import PreferringObjective
+from riginv.tracking.frame_evaluation import FrameEvaluator
+from riginv.tracking.penalties import PenalisedObjective
 from riginv.tracking.priors.files import load_prior
 from riginv.tracking.priors.prior import independent_measurements
 from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
 from riginv.tracking.rigid_check import anchors_if_moving
-from riginv.tracking.solving import ByNetwork, BySolver
+from riginv.tracking.stability import TrainingRange, has_root_controls, stability_weights
 from riginv.tracking.static_controls import static_values
-from riginv.tracking.stillness import TrainingRange, moves_itself, stillness
 
 NETWORK, REFINED, EACH_FRAME, WHOLE_CLIP = "network", "refined", "levenberg_marquardt", "clip"
 METHODS = (NETWORK, REFINED, EACH_FRAME, WHOLE_CLIP)
@@ -48,12 +48,12 @@ class Parts:
 
     clip: Clip
     inverter: WindowInverter
-    judge: FrameJudge
+    judge: FrameEvaluator
     method: str
     notes: list[str]
 
 
-def chosen_method(config: Config) -> str:
+def resolve_method(config: Config) -> str:
     """The method that a config names, or the one that goes with what it has.
 
     Raises:
@@ -80,7 +80,7 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
     Raises:
         InputError: a value is wrong, or the method cannot do what is asked of it.
     """
-    method, notes = chosen_method(config), []
+    method, notes = resolve_method(config), []
     constraints = resolve_constraints(rig, config["controls"])
     weights = vertex_weights(true_rig, *(config["vertices"][key] for key in ("weights", "regions", "default")))
     if method == NETWORK:
@@ -97,12 +97,12 @@ def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend
         inverter = WindowInverter(rig, solving, anchors, None, config["turns"])
         constraints = constraints.with_fixed(constraints.static, static_values(clip, inverter, solving, constraints.static))
     solving = (
-        ByNetwork(inverse, constraints)
+        NetworkEstimator(inverse, constraints)
         if method == NETWORK
         else build_solver(config, in_space, constraints, weights, inverse, method)
     )
     inverter = WindowInverter(rig, solving, anchors, weights if method == NETWORK else None, config["turns"])
-    judge = FrameJudge(
+    judge = FrameEvaluator(
         len(clip),
         true_rig,
         rig,
@@ -128,14 +128,14 @@ def _anchors(
     """What rigid motion is told by; None where that is left to the rig's own controls."""
     if motion not in MOTIONS:
         raise InputError(f"motion is {motion!r}, expected one of {', '.join(MOTIONS)}")
-    if motion == "auto" and moves_itself(rig):
+    if motion == "auto" and has_root_controls(rig):
         notes.append(
             f"rigid motion is left to the controls of rig '{rig.rig.name}' that move all of it (motion=remove takes it out)"
         )
         return None
     if motion == "keep":
         return None
-    still = stillness(true_rig)
+    still = stability_weights(true_rig)
     return Anchors(rig.rig, still if weights is None else still * weights)
 
 
@@ -146,7 +146,7 @@ def build_solver(
     weights: Tensor | None,
     inverse: Inverse | None,
     method: str,
-) -> BySolver:
+) -> SolverEstimator:
     """The solver of a method, over the controls that are free.
 
     Args:
@@ -156,16 +156,16 @@ def build_solver(
     options = config["solver"]
     held = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.held)
     space = rig.space if weights is None else weighted_space(rig.rig, weights)
-    objective = PreferringObjective(
+    objective = PenalisedObjective(
         RigInMeshSpace(held, space),
         options["prior"],
         options["sparsity"],
-        constraints.preferences_of_free(),
+        constraints.penalties_of_free(),
         _learned(config, rig, held, weights),
     )
-    network = ByNetwork(inverse, constraints) if inverse is not None and method != EACH_FRAME else None
+    network = NetworkEstimator(inverse, constraints) if inverse is not None and method != EACH_FRAME else None
     steps = (config["refine"] or REFINE_STEPS) if network else options["steps"]
-    return BySolver(objective, network, steps, options["key_starts"], options["descent_steps"])
+    return SolverEstimator(objective, network, steps, options["key_starts"], options["descent_steps"])
 
 
 def _learned(config: Config, rig: RigInMeshSpace, held: FixedControlsRig, weights: Tensor | None) -> WeighedPrior | None:

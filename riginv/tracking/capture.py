@@ -24,11 +24,11 @@ from riginv.runs.cache import cached_tensors, code_key
 from riginv.solvers.objective import PRIOR, Objective
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
+from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
 from riginv.tracking.rigid import remove_motion
 from riginv.tracking.rigid_check import anchors_if_moving
-from riginv.tracking.solving import BySolver
-from riginv.tracking.stillness import moves_itself, stillness
+from riginv.tracking.stability import has_root_controls, stability_weights
 
 NAME = "capture"  # of the set
 WINDOW = 128  # frames at a time
@@ -144,10 +144,10 @@ def _prepared(clip: Clip, rig: LinearRig, true_rig: RigBackend, holes: Tensor) -
     """The rigid motion and the controls of all frames, and whether each is known; empty where there is no need for them."""
     space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     held = FixedControlsRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
-    solving = BySolver(Objective(RigInMeshSpace(held, space.space), PRIOR), None, STEPS, 1, 0)
+    solving = SolverEstimator(Objective(RigInMeshSpace(held, space.space), PRIOR), None, STEPS, 1, 0)
     anchors = None
-    if not clip.sequence.in_rig_space and not moves_itself(space):
-        anchors = Anchors(rig, stillness(true_rig))
+    if not clip.sequence.in_rig_space and not has_root_controls(space):
+        anchors = Anchors(rig, stability_weights(true_rig))
         anchors = anchors_if_moving(clip, rig, solving, anchors, None, TURNS, [])
     inverter = WindowInverter(rig, solving, anchors, None, TURNS)
     controls = rig.neutral_controls.repeat(len(clip), 1)

@@ -11,7 +11,7 @@ from torch import Tensor
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from riginv.tracking.control_names import ControlNames
-from riginv.tracking.preferences import Preferences
+from riginv.tracking.penalties import ControlPenalties
 
 
 @dataclass(frozen=True)
@@ -22,22 +22,22 @@ class ControlConstraints:
         free: whether a control is left to find, `(control,)`.
         held: what those that are not stand at, `(control,)`; neutral unless said.
         static: those that have one value for the clip, `(control,)`.
-        preferences: among all controls.
+        penalties: among all controls.
     """
 
     free: Tensor
     held: Tensor
     static: Tensor
-    preferences: Preferences
+    penalties: ControlPenalties
 
     @property
     def only_of_solvers(self) -> str:
         """The key of a wish that a network alone cannot meet; empty where there is none."""
-        preferences = self.preferences
+        penalties = self.penalties
         named = {
-            "controls.weights": bool((preferences.penalty_scale != 1).any()),
-            "controls.symmetric": len(preferences.symmetric) > 0,
-            "controls.exclusive": len(preferences.exclusive) > 0,
+            "controls.weights": bool((penalties.penalty_scale != 1).any()),
+            "controls.symmetric": len(penalties.symmetric) > 0,
+            "controls.exclusive": len(penalties.exclusive) > 0,
         }
         return next((key for key, wished in named.items() if wished), "")
 
@@ -45,14 +45,14 @@ class ControlConstraints:
         """The same with further controls `(control,)`, by mask, held at values `(control,)`."""
         return replace(self, free=self.free & ~controls, held=torch.where(controls, values, self.held))
 
-    def preferences_of_free(self) -> Preferences:
-        """The preferences among the free controls alone, by their numbers among these; pairs with a held one are dropped."""
+    def penalties_of_free(self) -> ControlPenalties:
+        """The penalties among the free controls alone, by their numbers among these; pairs with a held one are dropped."""
         place = torch.cumsum(self.free.long(), 0) - 1
 
         def kept(pairs: Tensor) -> Tensor:
             return place[pairs[self.free[pairs].all(dim=1)]]
 
-        ours = self.preferences
+        ours = self.penalties
         return replace(
             ours, penalty_scale=ours.penalty_scale[self.free], symmetric=kept(ours.symmetric), exclusive=kept(ours.exclusive)
         )
@@ -91,10 +91,10 @@ def resolve_constraints(rig: RigBackend, options: Mapping[str, Any]) -> ControlC
     }
     for key in ("symmetric_mm2", "exclusive_mm2"):
         _check_number(f"controls.{key}", options[key], 0.0, 1e6)
-    preferences = Preferences(
+    penalties = ControlPenalties(
         penalty_scale, pairs["symmetric"], pairs["exclusive"], options["symmetric_mm2"], options["exclusive_mm2"]
     )
-    return ControlConstraints(free, held, static & free, preferences)
+    return ControlConstraints(free, held, static & free, penalties)
 
 
 def _mapping(options: Mapping[str, Any], key: str) -> dict[str, Any]:

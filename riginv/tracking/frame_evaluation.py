@@ -15,11 +15,11 @@ from riginv.animation.animation import (
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace
 from riginv.tracking.alternation import Found
-from riginv.tracking.solving import ByNetwork, Solving
-from riginv.tracking.stillness import TrainingRange
+from riginv.tracking.estimators import ControlEstimator, NetworkEstimator
+from riginv.tracking.stability import TrainingRange
 
 
-class FrameJudge:
+class FrameEvaluator:
     """Judges windows, and keeps what it found, frame by frame.
 
     Args:
@@ -41,7 +41,7 @@ class FrameJudge:
         true_rig: RigBackend,
         rig: RigBackend,
         space: MeshSpace,
-        solving: Solving,
+        solving: ControlEstimator,
         training: TrainingRange | None,
         believed: Tensor | None,
         regions: Sequence[str],
@@ -87,7 +87,7 @@ class FrameJudge:
         away = (complete - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
         unreachable = (away.clamp_min(0) / self.space.vertex_count).sqrt() > self.reach_mm
         poor = mean > self.reach_mm
-        if isinstance(self.solving, ByNetwork):  # what is poor may be the network's fault: a solver would tell
+        if isinstance(self.solving, NetworkEstimator):  # what is poor may be the network's fault: a solver would tell
             settled = settled & (~poor | unreachable)
         unusual = torch.zeros_like(settled)
         if self.training is not None:

@@ -87,7 +87,7 @@ def show(
         highlight=False,
         soft_wrap=True,
     )
-    if errors.reach is not None:
+    if errors.optimum is not None:
         console.print(f"  {_scale(errors)}", highlight=False, soft_wrap=True)
     if animation.motion is not None:
         console.print(f"  Rigid motion was removed: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
@@ -103,7 +103,7 @@ def show(
 
 def _scale(errors: FrameErrors) -> str:
     """How the errors compare with the least that is possible."""
-    values, count = errors.summary(), len(errors.reach.rows)
+    values, count = errors.summary(), len(errors.optimum.rows)
     ours, least = values["mean_error_there_mm"], values["least_mean_error_mm"]
     frames = f"{count} frames spread over the clip" if count > 1 else "one frame"
     return f"Least possible, from many starts, on {frames}: {least:.3g} mm; these curves: {ours:.3g} mm there."

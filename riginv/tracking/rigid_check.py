@@ -14,8 +14,8 @@ from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.tracking.alternation import FEWEST_KNOWN, Found, WindowInverter
 from riginv.tracking.anchors import Anchors
+from riginv.tracking.estimators import ControlEstimator
 from riginv.tracking.rigid import apply_motion, fit_rigid
-from riginv.tracking.solving import Solving
 
 PROBED, SOLVED, FARTHEST = 128, 12, 4  # frames that are looked at, that are solved, and of these the ones that moved farthest
 OBVIOUS = 0.02  # of the mesh's size, that half of the frames went: no need to solve
@@ -50,7 +50,7 @@ class RigidCheck:
 
 @torch.no_grad()
 def check_rigid(
-    clip: Clip, rig: LinearRig, solving: Solving, anchors: Anchors, weights: Tensor | None, turns: int
+    clip: Clip, rig: LinearRig, solving: ControlEstimator, anchors: Anchors, weights: Tensor | None, turns: int
 ) -> RigidCheck:
     """Whether a clip moves as a whole.
 
@@ -85,7 +85,13 @@ def check_rigid(
 
 
 def anchors_if_moving(
-    clip: Clip, rig: LinearRig, solving: Solving, anchors: Anchors, weights: Tensor | None, turns: int, notes: list[str]
+    clip: Clip,
+    rig: LinearRig,
+    solving: ControlEstimator,
+    anchors: Anchors,
+    weights: Tensor | None,
+    turns: int,
+    notes: list[str],
 ) -> Anchors | None:
     """The anchors where a clip moves as a whole; None, and a note, where it does not."""
     if clip.sequence.in_rig_space:

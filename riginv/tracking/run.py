@@ -12,10 +12,10 @@ from riginv.errors import InputError
 from riginv.solvers.clip import solve_clip
 from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.smoothing import smoothed
-from riginv.tracking.alternation import Found, WindowInverter, bridged, bridged_motion
-from riginv.tracking.frame_evaluation import FrameJudge
+from riginv.tracking.alternation import Found, WindowInverter, interpolate_controls, interpolate_motion
+from riginv.tracking.estimators import SolverEstimator
+from riginv.tracking.frame_evaluation import FrameEvaluator
 from riginv.tracking.rigid import fit_rigid
-from riginv.tracking.solving import BySolver
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Smoothness:
 
 
 def invert_clip(
-    clip: Clip, inverter: WindowInverter, judge: FrameJudge, window: int, advance: Callable[[str, int], None]
+    clip: Clip, inverter: WindowInverter, judge: FrameEvaluator, window: int, advance: Callable[[str, int], None]
 ) -> Inversion:
     """Invert each frame for itself, and judge it while it is at hand.
 
@@ -65,13 +65,13 @@ def invert_clip(
         kept.keep(start, found)
         advance("inverting", len(vertices))
     kept.check(clip)
-    return kept.finished(bridged(kept.controls, kept.known, clip.frame_numbers), clip, judge)
+    return kept.finished(interpolate_controls(kept.controls, kept.known, clip.frame_numbers), clip, judge)
 
 
 def invert_smoothly(
     clip: Clip,
     inverter: WindowInverter,
-    judge: FrameJudge,
+    judge: FrameEvaluator,
     window: int,
     advance: Callable[[str, int], None],
     how: Smoothness,
@@ -81,7 +81,7 @@ def invert_smoothly(
     The clip is read twice. Between, its mesh coordinates are kept, a fortieth of it for the default face.
     """
     solving = inverter.solving
-    if not isinstance(solving, BySolver):
+    if not isinstance(solving, SolverEstimator):
         raise TypeError("a whole clip is for solvers")
     kept, size = _Kept(len(clip), inverter), solving.space.size
     coordinates, done = torch.full((len(clip), size), torch.nan), torch.zeros(len(clip), dtype=torch.bool)
@@ -138,7 +138,7 @@ class _Kept:
         if not bool(self.known.any()):
             raise InputError(f"{clip.sequence.path}: no frame has enough known vertices: there is nothing to invert")
 
-    def finished(self, controls: Tensor, clip: Clip, judge: FrameJudge) -> Inversion:
-        motion = None if self.motion is None else bridged_motion(self.motion, self.known, clip.frame_numbers)
+    def finished(self, controls: Tensor, clip: Clip, judge: FrameEvaluator) -> Inversion:
+        motion = None if self.motion is None else interpolate_motion(self.motion, self.known, clip.frame_numbers)
         rig = judge.true_rig
         return Inversion(controls.clamp(rig.lower, rig.upper), motion, judge.errors(clip.frame_numbers))

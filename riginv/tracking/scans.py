@@ -14,19 +14,19 @@ from riginv.clips.clip import excluded_frames
 from riginv.clips.open import open_sequence
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.topology import check_topology
-from riginv.clips.units import Meaning
+from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.array_files import DAMAGED_ZIP
 from riginv.tracking.priors.files import load_prior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import ControlPrior
-from riginv.tracking.stillness import stillness
+from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.clip import ScanSmoothness
-from riginv.tracking.surfaces.meaning import meaning_of_scans
 from riginv.tracking.surfaces.scans import SUFFIXES, FileScans, MeshScans, RaggedArrays, ScanSequence
 from riginv.tracking.surfaces.solving import ScanSettings, ScanSolver
 from riginv.tracking.surfaces.tracking import ScanTrack
+from riginv.tracking.surfaces.units import resolve_scan_units
 
 AUTO, VERTICES, SURFACE = "auto", "vertices", "surface"
 TABLE = "scans.csv"
@@ -34,7 +34,7 @@ MOST_NAMES = 12  # of controls that a remark names
 CORRESPONDENCES = (AUTO, VERTICES, SURFACE)
 
 
-def chosen_correspondence(config: Mapping[str, Any], rig: RigBackend, reading: ReadingOptions) -> tuple[str, list[str]]:
+def resolve_correspondence(config: Mapping[str, Any], rig: RigBackend, reading: ReadingOptions) -> tuple[str, list[str]]:
     """`vertices` or `surface`, and what the user should know.
 
     Raises:
@@ -90,7 +90,7 @@ class PreparedScans:
     """A clip of scans, and everything that solves it, built once.
 
     Attributes:
-        scans, meaning: the clip, and what its numbers mean.
+        scans, units: the clip, and what its numbers mean.
         solver: of its frames.
         rows: the number of each frame in the clip, -1 for one that is left out.
         frame_numbers: as the source counts them, `(frame,)`.
@@ -99,7 +99,7 @@ class PreparedScans:
     """
 
     scans: ScanSequence
-    meaning: Meaning
+    units: ClipUnits
     solver: ScanSolver
     rows: list[int]
     frame_numbers: torch.Tensor
@@ -117,8 +117,8 @@ def prepare_scans(
     """
     _refuse(config)
     scans = open_scans(str(config["clip"]), rig, reading)
-    meaning = meaning_of_scans(scans, rig, reading)
-    prior, about = chosen_prior(config["prior"], rig)
+    units = resolve_scan_units(scans, rig, reading)
+    prior, about = resolve_prior(config["prior"], rig)
     numbers = scans.frame_numbers
     first = numbers[0] if frames.first is None else frames.first
     last = numbers[-1] if frames.last is None else frames.last
@@ -129,9 +129,9 @@ def prepare_scans(
     gone = excluded_frames(scans.path, kept, frames.exclude)
     rows = [-1 if out else int(row) for row, out in zip(inside.nonzero()[0], gone.tolist())]
     settings = ScanSettings(noise_mm=config["noise_mm"])
-    solver = ScanSolver(rig, prior, settings, config["motion"] != "keep", stillness(rig).cpu().numpy())
+    solver = ScanSolver(rig, prior, settings, config["motion"] != "keep", stability_weights(rig).cpu().numpy())
     smoothness = ScanSmoothness() if config["method"] in (None, "clip") else None
-    return PreparedScans(scans, meaning, solver, rows, kept, smoothness, [*said, *meaning.notes, about])
+    return PreparedScans(scans, units, solver, rows, kept, smoothness, [*said, *units.notes, about])
 
 
 def _refuse(config: Mapping[str, Any]) -> None:
@@ -146,7 +146,7 @@ def _refuse(config: Mapping[str, Any]) -> None:
         raise InputError(f"controls.{(asked or ['activate'])[0]} is not for correspondence=surface yet: leave it out")
 
 
-def chosen_prior(path: Any, rig: LinearRig) -> tuple[ControlPrior, str]:
+def resolve_prior(path: Any, rig: LinearRig) -> tuple[ControlPrior, str]:
     """The prior of a file, or the rig's default one; and which it is."""
     if path is not None:
         prior = load_prior(Path(str(path)), rig)

@@ -6,20 +6,20 @@ from torch import Tensor
 from riginv.clips.clip import Clip
 from riginv.geometry.neighbours import evenly
 from riginv.tracking.alternation import WindowInverter
-from riginv.tracking.solving import BySolver
+from riginv.tracking.estimators import SolverEstimator
 
 FRAMES = 96  # of the clip that decide, spread evenly
 FAINT = 1e-9  # of the curvature, added so that a frame that says nothing of a control does not matter
 
 
-def sample_of(clip: Clip, count: int = FRAMES) -> Tensor:
+def spread_frames(clip: Clip, count: int = FRAMES) -> Tensor:
     """Frames `(frame, vertex, 3)` spread evenly over a clip, in their order."""
     rows = evenly(count, len(clip)).tolist()
     return torch.cat([clip.vertices(row, row + 1) for row in rows])
 
 
 @torch.no_grad()
-def static_values(clip: Clip, inverter: WindowInverter, solving: BySolver, static: Tensor) -> Tensor:
+def static_values(clip: Clip, inverter: WindowInverter, solving: SolverEstimator, static: Tensor) -> Tensor:
     """The values `(control,)` of static controls; those of others mean nothing.
 
     Each frame says what it would like, and how much it minds another value, once its other controls have made up for it: the
@@ -28,7 +28,7 @@ def static_values(clip: Clip, inverter: WindowInverter, solving: BySolver, stati
     Args:
         static: `(control,)`, whether a control is.
     """
-    found = inverter.invert(sample_of(clip))
+    found = inverter.invert(spread_frames(clip))
     controls, complete = found.controls[found.present], found.complete[found.present]
     units = solving.units(controls)
     near = solving.objective.linearise(units, solving.space.encode(complete))

@@ -10,7 +10,7 @@ from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
 from riginv.errors import InputError
 from tests.support.blends import blender
 from tests.support.clips import performance
@@ -63,8 +63,8 @@ def test_what_blender_writes_is_read(name, written):
     rig = ToyRig()
     sequence = open_sequence(str(written / name), rig, OPTIONS)
     assert not check_topology(sequence, rig)
-    clip = Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", OPTIONS.fps))
-    assert len(clip) == FRAMES and clip.meaning.mm == 10
+    clip = Clip(sequence, resolve_units(sequence, rig, "auto", 1.0, "auto", OPTIONS.fps))
+    assert len(clip) == FRAMES and clip.units.mm == 10
     expected = performance(rig, FRAMES)
     for start, stop in ((0, FRAMES), (2, 4), (FRAMES - 1, FRAMES)):
         assert np.abs(clip.vertices(start, stop).numpy() - expected[start:stop]).max() < 2e-3

@@ -10,10 +10,10 @@ import pytest
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.description_text import LONGEST_LINE, line, rows, show_clip
-from riginv.clips.open import open_clip, open_exclusively
+from riginv.clips.open import open_clip, open_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.sequence import MeshSequence, SourceFacts
-from riginv.clips.units import meaning_of, meaning_without_rig
+from riginv.clips.units import resolve_units, resolve_units_without_rig
 from riginv.errors import InputError
 from tests.support.clips import obj_sequence, performance, write_mdd, write_npz, write_pc2
 from tests.support.toys import ToyRig
@@ -85,7 +85,7 @@ def test_what_a_scene_held_and_what_was_passed_over(rig, meshes):
 
 
 def as_clip(sequence: MeshSequence, rig: ToyRig, **frames) -> Clip:
-    return Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", None), **frames)
+    return Clip(sequence, resolve_units(sequence, rig, "auto", 1.0, "auto", None), **frames)
 
 
 def test_a_line_is_short_whatever_names_the_file_has(rig, meshes):
@@ -212,14 +212,14 @@ def test_only_a_bounded_number_of_frames_is_looked_at(rig, meshes):
 
 
 def test_without_a_rig_lengths_are_in_the_files_unit(rig, meshes, tmp_path):
-    sequence = open_exclusively(str(saved(tmp_path / "take.npz", meshes / 7, fps=24.0)), ReadingOptions())
-    found = describe(Clip(sequence, meaning_without_rig(sequence, "auto", 1.0, "auto", None)))
+    sequence = open_without_rig(str(saved(tmp_path / "take.npz", meshes / 7, fps=24.0)), ReadingOptions())
+    found = describe(Clip(sequence, resolve_units_without_rig(sequence, "auto", 1.0, "auto", None)))
     assert "units, unit not known" in line(found) and found.unit_mm is None and found.motion.fastest_m_s == 0
     np.testing.assert_allclose(found.as_json()["size"], np.ptp(meshes[0] / 7, axis=0), rtol=1e-4)
-    given = describe(Clip(sequence, meaning_without_rig(sequence, "cm", 0.7, "y", None)))
+    given = describe(Clip(sequence, resolve_units_without_rig(sequence, "cm", 0.7, "y", None)))
     assert given.unit_mm == pytest.approx(7) and "unit 7 mm (as given)" in line(given)
     with pytest.raises(InputError, match="reading.unit is 'ell'"):
-        meaning_without_rig(sequence, "ell", 1.0, "auto", None)
+        resolve_units_without_rig(sequence, "ell", 1.0, "auto", None)
 
 
 def test_facts_stand_beside_the_curves_and_on_the_page(run: Callable, rig, meshes, tmp_path):

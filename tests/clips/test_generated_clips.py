@@ -12,7 +12,7 @@ import trimesh
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
 from riginv.errors import InputError
 from tests.support.clips import performance
 from tests.support.ply_writer import FORMS, Written, faces, ply, vertices
@@ -146,8 +146,8 @@ def check(kind: str, folder: Path, random: np.random.Generator) -> None:
     assert len(sequence) == len(made.numbers) or (missing == "bridge" and np.isnan(np.delete(found, rows, axis=0)).all())
     if kind in ("arrays", "mdd"):
         span = made.numbers[-1] - made.numbers[0]
-        meaning = meaning_of(sequence, RIG, "mm", 1.0, "y", None)
-        assert abs(span / meaning.fps - span / made.fps) < 1e-3 * span / made.fps + 1e-6, (path, meaning.fps, made.fps)
+        units = resolve_units(sequence, RIG, "mm", 1.0, "y", None)
+        assert abs(span / units.fps - span / made.fps) < 1e-3 * span / made.fps + 1e-6, (path, units.fps, made.fps)
 
 
 @pytest.mark.parametrize("kind", WRITERS)

@@ -29,7 +29,7 @@ from riginv.reproduce.preflight import check_budget, check_capture, check_rig, c
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import RunFolder, plain_config, register_folder_resolvers
-from riginv.tracking.assembly import build_parts, chosen_method
+from riginv.tracking.assembly import build_parts, resolve_method
 from riginv.tracking.results import check_after
 from riginv.training.assembly import (
     build_clip,
@@ -62,7 +62,7 @@ def before_training(plain: dict[str, Any], folder: Path) -> None:
 
 def before_inverting(plain: dict[str, Any], folder: Path) -> None:
     """What riginv.invert does before its first frame."""
-    chosen_method(plain)
+    resolve_method(plain)
     if plain["bundle"]:
         raise InputError("a bundle is read by what reads bundles")
     rig = build_rig(plain)

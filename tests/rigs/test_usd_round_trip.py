@@ -11,7 +11,7 @@ from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
 from tests.conftest import ROOT
 from tests.support.animations import NUMBERS, meshes_of, moving
 from tests.support.blends import blender
@@ -149,6 +149,6 @@ def test_a_clip_of_the_rig_is_opened_by_its_name_in_a_process_of_its_own(tmp_pat
     write(tmp_path / "animation.usdc", animation)
     sequence = open_sequence(str(tmp_path / "animation.usdc"), rig, ReadingOptions())
     assert not check_topology(sequence, rig)
-    clip = Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", None))
+    clip = Clip(sequence, resolve_units(sequence, rig, "auto", 1.0, "auto", None))
     held = np.isin(clip.frame_numbers.numpy(), NUMBERS.numpy())
     assert np.abs(clip.vertices(0, 15).numpy()[held] - meshes_of(animation)).max() < 2e-2

@@ -23,11 +23,11 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.objective import PRIOR, Objective
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.capture import content_key, open_capture
+from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
 from riginv.tracking.rigid import apply_motion
 from riginv.tracking.rigid_check import RigidCheck, check_rigid
-from riginv.tracking.solving import BySolver
-from riginv.tracking.stillness import stillness
+from riginv.tracking.stability import stability_weights
 from tests.conftest import ROOT
 from tests.support.clips import obj_sequence, performance, write_npz
 from tests.support.toys import ToyRig
@@ -154,9 +154,9 @@ def test_advice_about_captures_is_right_for_any_rig(run):
     assert "TAKE.csv" not in outcome.text and "mm from neutral" in outcome.text
 
 
-def solver(rig: LinearRig, space: RigInMeshSpace) -> BySolver:
+def solver(rig: LinearRig, space: RigInMeshSpace) -> SolverEstimator:
     held = FixedControlsRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
-    return BySolver(Objective(RigInMeshSpace(held, space.space), PRIOR), None, 30, 1, 0)
+    return SolverEstimator(Objective(RigInMeshSpace(held, space.space), PRIOR), None, 30, 1, 0)
 
 
 class Frames:
@@ -184,7 +184,7 @@ def slight(count: int, mm: float, degrees: float) -> torch.Tensor:
 
 
 def check(rig: LinearRig, space: RigInMeshSpace, meshes: torch.Tensor) -> RigidCheck:
-    return check_rigid(Frames(meshes), rig, solver(rig, space), Anchors(rig, stillness(rig)), None, 12)
+    return check_rigid(Frames(meshes), rig, solver(rig, space), Anchors(rig, stability_weights(rig)), None, 12)
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 0.1, 0.5])

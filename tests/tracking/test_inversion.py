@@ -11,22 +11,22 @@ from omegaconf import OmegaConf
 
 from riginv.clips.clip import Clip
 from riginv.clips.sequence import MeshSequence, Polygons
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
 from riginv.errors import InputError
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.tracking.alternation import WindowInverter, bridged, bridged_motion
+from riginv.tracking.alternation import WindowInverter, interpolate_controls, interpolate_motion
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.assembly import EACH_FRAME, WHOLE_CLIP, build_parts, build_solver
 from riginv.tracking.constraints import resolve_constraints
+from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
-from riginv.tracking.preferences import PreferringObjective
+from riginv.tracking.penalties import PenalisedObjective
 from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
 from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
 from riginv.tracking.run import Inversion, Smoothness, invert_clip, invert_smoothly
-from riginv.tracking.solving import BySolver
-from riginv.tracking.stillness import moves_itself, stillness
+from riginv.tracking.stability import has_root_controls, stability_weights
 from tests.support.clips import performance
 from tests.support.toys import ToyRig
 
@@ -56,7 +56,7 @@ def config(**changes: Any) -> dict:
 
 def inverted(rig: LinearRig, meshes: torch.Tensor, numbers: np.ndarray | None = None, **changes: Any) -> Inversion:
     settings, sequence = config(**changes), Given(meshes, rig.faces, numbers)
-    clip = Clip(sequence, meaning_of(sequence, rig, "mm", 1.0, "y", None), **settings["frames"])
+    clip = Clip(sequence, resolve_units(sequence, rig, "mm", 1.0, "y", None), **settings["frames"])
     parts = build_parts(settings, clip, rig, rig, None)
     arguments = (clip, parts.inverter, parts.judge, settings["window"], lambda what, frames: None)
     if parts.method == WHOLE_CLIP:
@@ -110,7 +110,7 @@ def test_rigid_motion_is_found_whatever_a_third_of_the_vertices_does(rig):
 
 
 @pytest.fixture(scope="module")
-def face_solver(face, face_in_space) -> BySolver:
+def face_solver(face, face_in_space) -> SolverEstimator:
     settings = config(solver={"descent_steps": 0, "key_starts": 1, "steps": 15})
     return build_solver(settings, face_in_space, resolve_constraints(face, settings["controls"]), None, None, EACH_FRAME)
 
@@ -118,7 +118,7 @@ def face_solver(face, face_in_space) -> BySolver:
 @torch.no_grad()
 def test_a_moved_clip_gives_the_controls_of_the_unmoved_one(face, face_solver, acted):
     """Must reach: a difference of 0.05 mm at most, also from the clip that was solved without looking for motion."""
-    anchors = Anchors(face, stillness(face))
+    anchors = Anchors(face, stability_weights(face))
     meshes, motion = tumbled(acted)
     kept, still, found = (
         WindowInverter(face, face_solver, looked_for, None, 12).invert(given)
@@ -152,11 +152,11 @@ def test_missing_vertices_are_told_frame_by_frame(rig, meshes):
 
 
 def test_a_rig_with_a_root_keeps_its_motion(body_in_space, toy):
-    assert moves_itself(body_in_space) and not moves_itself(toy)
+    assert has_root_controls(body_in_space) and not has_root_controls(toy)
 
 
 def test_the_still_vertices_are_those_that_no_pose_moves(face):
-    weights = stillness(face)
+    weights = stability_weights(face)
     skull, chin = face.rest_vertices[:, 1].argmax(), face.arkit_deltas()["jawOpen"].norm(dim=1).argmax()
     assert weights[skull] > 0.5 and weights[chin] < 0.05
     anchors = Anchors(face, weights)
@@ -180,10 +180,10 @@ def test_whole_frames_that_are_unknown_are_bridged(rig, meshes):
 def test_bridges_are_straight_and_turn_the_short_way():
     known = torch.tensor([False, True, False, False, True, False])
     values = torch.tensor([9.0, 0.0, 9.0, 9.0, 3.0, 9.0])[:, None]
-    assert bridged(values, known, torch.arange(6)).flatten().tolist() == [0, 0, 1, 2, 3, 3]
+    assert interpolate_controls(values, known, torch.arange(6)).flatten().tolist() == [0, 0, 1, 2, 3, 3]
     motion = torch.eye(4).repeat(6, 1, 1)
     motion[4, :3, :3] = roma.rotvec_to_rotmat(torch.tensor([0.0, 0.0, 0.9]))
-    angles = roma.rotmat_to_rotvec(bridged_motion(motion, known, torch.arange(6))[:, :3, :3])[:, 2]
+    angles = roma.rotmat_to_rotvec(interpolate_motion(motion, known, torch.arange(6))[:, :3, :3])[:, 2]
     assert torch.allclose(angles, torch.tensor([0, 0, 0.3, 0.6, 0.9, 0.9]), atol=1e-5)
 
 
@@ -272,10 +272,10 @@ def test_a_held_rig_is_the_rig(rig):
 def test_the_gradient_of_preferences_is_that_of_their_cost(rig):
     """Against finite differences in float64, for every kind of preference at once."""
     rig = ToyRig().double()
-    preferences = constraints(
+    penalties = constraints(
         rig, weights={"bump*": 50.0}, symmetric=[["bump0", "bump1"]], exclusive=[["bump2", "side"], ["bump3", "all"]]
-    ).preferences
-    objective = PreferringObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, preferences)
+    ).penalties
+    objective = PenalisedObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, penalties)
     objective.apart, objective.together = 20.0, 30.0
     units = 0.2 + 0.6 * torch.rand(3, 7, generator=generator_at(0, "units"), dtype=torch.float64)
     _, gradient, _ = objective._preference(units)
@@ -371,7 +371,7 @@ def test_values_that_cannot_be_meant_are_refused(rig):
 
 
 def test_sides_are_paired_by_their_names(face):
-    names, pairs = face.control_names, constraints(face, symmetric="auto").preferences.symmetric.tolist()
+    names, pairs = face.control_names, constraints(face, symmetric="auto").penalties.symmetric.tolist()
     assert [names.index("browDownLeft"), names.index("browDownRight")] in pairs and len(pairs) > 20
 
 

@@ -9,7 +9,7 @@ from riginv.solvers.weighed_prior import WeighedPrior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import independent_measurements
 from riginv.tracking.surfaces.alignment import Aligner
-from riginv.tracking.surfaces.clip import ScanSmoothness, eliminated, smooth_scans
+from riginv.tracking.surfaces.clip import ScanSmoothness, eliminate_motion, smooth_scans
 from riginv.tracking.surfaces.fitting import TURN, Linearised, State, SurfaceFit
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.motion import Motion
@@ -94,7 +94,7 @@ def test_eliminating_motion_gives_the_step_of_the_dense_system(fit):
     hessian[:count, :count] += fit.prior.precision
     gradient[:count] += fit.prior.gradient(linear.state.units[None])[0]
     dense = torch.linalg.solve(hessian, -gradient)
-    reduced = eliminated(fit, linear)
+    reduced = eliminate_motion(fit, linear)
     step = torch.linalg.solve(reduced.hessian, -reduced.gradient)
     follow = reduced.follow[:, 0] + reduced.follow[:, 1:] @ step
     torch.testing.assert_close(torch.cat([step, follow]), dense, rtol=1e-3, atol=1e-6)
@@ -125,7 +125,7 @@ def test_other_vertices_of_the_same_surface_give_the_same_answer(rig):
 def test_a_scan_that_was_turned_and_moved_is_found(face):
     surface = RigSurface(face, 800)
     mesh = surface.pose(face.neutral_controls).mesh
-    aligner = Aligner(mesh, np.flatnonzero(surface.outer), surface.sampled, surface.stillness)
+    aligner = Aligner(mesh, np.flatnonzero(surface.outer), surface.sampled, surface.stability)
     motion = Motion.none().after(np.radians([12.0, -12, 10]), np.array([30.0, -30, 26]), surface.centre)
     scan = TriangleMesh(motion.apply(mesh.points), mesh.faces)
     found = aligner.align(Target.of(scan, 800)).motion

@@ -21,7 +21,7 @@ SMOOTHNESS, STEPS, BLUR = 1.5, 4, 3.0  # of a recording's curves, as in riginv.i
 LIVE_LINK = "Timecode"  # the first column of a Live Link Face recording
 
 
-def controls_of(take: Path, rig: LinearRig, first: int | None = None, last: int | None = None) -> Tensor:
+def read_take(take: Path, rig: LinearRig, first: int | None = None, last: int | None = None) -> Tensor:
     """The controls `(frame, control)` of a take; a Live Link Face recording is inverted first.
 
     Args:

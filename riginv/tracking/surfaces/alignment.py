@@ -45,14 +45,14 @@ class Aligner:
         mesh: the mesh.
         outer: the vertices that can be seen from outside, `(outer,)`.
         sampled: some of these, spread evenly, `(sample,)`.
-        stillness: how much each vertex counts, `(vertex,)`.
+        stability: how much each vertex counts, `(vertex,)`.
     """
 
-    def __init__(self, mesh: TriangleMesh, outer: np.ndarray, sampled: np.ndarray, stillness: np.ndarray) -> None:
+    def __init__(self, mesh: TriangleMesh, outer: np.ndarray, sampled: np.ndarray, stability: np.ndarray) -> None:
         some = sampled[:: max(1, len(sampled) // POINTS)]
-        self.points, self.normals, self.weights = mesh.points[some], mesh.normals[some], stillness[some]
+        self.points, self.normals, self.weights = mesh.points[some], mesh.normals[some], stability[some]
         self.vertices, self.vertex_normals = mesh.points[outer], mesh.normals[outer]
-        self.vertex_weights = stillness[outer] * ~mesh.border_points[outer]  # a scan may go on beyond the border
+        self.vertex_weights = stability[outer] * ~mesh.border_points[outer]  # a scan may go on beyond the border
         self.tree = cKDTree(self.vertices)
 
     def align(self, target: Target, thorough: bool = False) -> Alignment:

@@ -114,7 +114,7 @@ class _Window:
         scale = max(schedule.last_scale_mm, BROAD * float(np.nan_to_num(found.quality.scan_mm)))
         posed = fit.surface.posed(fit.coefficients(found.state.units))
         pairs = match(fit.surface, posed, target, found.state.motion, scale, schedule.degrees)
-        return eliminated(fit, Linearised(fit, found.state, pairs))
+        return eliminate_motion(fit, Linearised(fit, found.state, pairs))
 
     def _prior_alone(self, found: SolvedScan) -> Reduced:
         fit = self.solver.fit_of(1.0)
@@ -142,7 +142,7 @@ class _Window:
             self.result[frame] = replace(self.result[frame], state=_moved(self.solver, self.result[frame].state, change, each))
 
 
-def eliminated(fit: SurfaceFit, near: Linearised) -> Reduced:
+def eliminate_motion(fit: SurfaceFit, near: Linearised) -> Reduced:
     """The normal equations of the controls once rigid motion follows them as well as it can."""
     count, (_, gradient, hessian) = len(near.state.units), near.normal
     motion = hessian[count:, count:]

@@ -106,7 +106,7 @@ class SurfaceFit:
         state, damping, typical = start, START_DAMPING, 0.0
         for step in range(schedule.steps):
             if step in schedule.sides_at:
-                state = self.take_sides(target, state, schedule)
+                state = self.choose_sides(target, state, schedule)
             last = max(schedule.last_scale_mm, NOISE * typical)
             scale = max(last, schedule.first_scale_mm * schedule.factor**step)
             state, moved, damping, typical = self.step(target, state, scale, schedule, damping)
@@ -133,7 +133,7 @@ class SurfaceFit:
         moved = float(change[: len(state.units)].abs().max())
         return near.moved(change), moved, max(damping / 3, LEAST_DAMPING), pairs.typical_mm
 
-    def take_sides(self, target: Target, state: State, schedule: Schedule) -> State:
+    def choose_sides(self, target: Target, state: State, schedule: Schedule) -> State:
         """A state whose two-sided controls near neutral, where many have a kink, stand on the side that helps more."""
         kinks = (self.neutral > 0) & (self.neutral < 1) & ((state.units - self.neutral).abs() < OFF_KINK)
         if not bool(kinks.any()):

@@ -16,7 +16,7 @@ CUT_MM = 8.0  # at which a distance is cut off
 
 
 @torch.no_grad()
-def promising(fit: SurfaceFit, target: Target, motion: Motion, found: Quality, poses: Tensor, count: int) -> list[int]:
+def promising_starts(fit: SurfaceFit, target: Target, motion: Motion, found: Quality, poses: Tensor, count: int) -> list[int]:
     """The numbers of the `count` poses `(pose, control)` that come nearest to a scan's unexplained points and as many others.
 
     Args:

@@ -34,7 +34,7 @@ class RigSurface:
     Args:
         rig: the rig.
         samples: how many of its outer vertices stand for the skin, spread evenly.
-        stillness: how much each vertex counts when rigid motion is looked for, `(vertex,)`; None: all alike.
+        stability: how much each vertex counts when rigid motion is looked for, `(vertex,)`; None: all alike.
 
     Attributes:
         outer: whether each vertex can be seen from outside, `(vertex,)`.
@@ -42,9 +42,9 @@ class RigSurface:
         centre: of the rest mesh, `(3,)`, mm: what rigid motion turns about.
     """
 
-    def __init__(self, rig: LinearRig, samples: int = 1500, stillness: np.ndarray | None = None) -> None:
+    def __init__(self, rig: LinearRig, samples: int = 1500, stability: np.ndarray | None = None) -> None:
         self.rig = rig
-        self.stillness = np.ones(len(rig.rest_vertices)) if stillness is None else stillness
+        self.stability = np.ones(len(rig.rest_vertices)) if stability is None else stability
         self.faces = np.ascontiguousarray(rig.faces.cpu().numpy(), np.int64)
         self.border = border_edges(self.faces)
         rest = rig.rest_vertices.cpu().numpy().astype(np.float64)

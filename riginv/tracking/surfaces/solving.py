@@ -14,7 +14,7 @@ from riginv.tracking.surfaces.fitting import FROM_NEAR, FROM_SCRATCH, Schedule, 
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.quality import Quality, quality
-from riginv.tracking.surfaces.restarts import hidden_controls, promising
+from riginv.tracking.surfaces.restarts import hidden_controls, promising_starts
 from riginv.tracking.surfaces.rig_surface import RigSurface
 from riginv.tracking.surfaces.triangles import Surface
 
@@ -78,21 +78,21 @@ class ScanSolver:
         prior: how likely its controls are.
         settings: how.
         moves: whether rigid motion is to be found.
-        stillness: how much each vertex counts when the scan is first looked for, `(vertex,)`; None: all alike.
+        stability: how much each vertex counts when the scan is first looked for, `(vertex,)`; None: all alike.
     """
 
     rig: LinearRig
     prior: ControlPrior
     settings: ScanSettings = field(default_factory=ScanSettings)
     moves: bool = True
-    stillness: np.ndarray | None = None
+    stability: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        self.surface = RigSurface(self.rig, self.settings.samples, self.stillness)
+        self.surface = RigSurface(self.rig, self.settings.samples, self.stability)
         self.start = self.prior.mean.clamp(OFF_KINKS, 1 - OFF_KINKS)
         first = self.fit_of(1.0)
         mesh, outer = self.surface.posed(first.coefficients(self.start)).mesh, np.flatnonzero(self.surface.outer)
-        self.aligner = Aligner(mesh, outer, self.surface.sampled, self.surface.stillness)
+        self.aligner = Aligner(mesh, outer, self.surface.sampled, self.surface.stability)
         self.library = PoseLibrary.of(self.rig)
         self.hidden, self.fit_neutral = hidden_controls(first), first.neutral
 
@@ -141,7 +141,7 @@ class ScanSolver:
         for number in self.hidden:
             starts.append(self.start.clone())
             starts[-1][number] = STRONG if self.fit_neutral[number] < 1 else 1 - STRONG
-        starts += [fresh[number] for number in promising(fit, target, motion, best.quality, near, self.settings.starts)]
+        starts += [fresh[number] for number in promising_starts(fit, target, motion, best.quality, near, self.settings.starts)]
         for units in starts:
             best = self._better(best, self._try(fit, target, State(units, motion), self.settings.from_scratch))
         return replace(best, restarted=True)

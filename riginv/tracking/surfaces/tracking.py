@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.clips.units import Meaning
+from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.tracking.surfaces.clip import ScanSmoothness, smooth_scans
 from riginv.tracking.surfaces.matching import Target
@@ -49,7 +49,7 @@ class ScanTrack:
 def track_scans(
     solver: ScanSolver,
     scans: ScanSequence,
-    meaning: Meaning,
+    units: ClipUnits,
     frames: Sequence[int],
     smoothness: ScanSmoothness | None = None,
     advance: Callable[[str, int], None] = lambda what, frames: None,
@@ -57,7 +57,7 @@ def track_scans(
     """Controls and rigid motion of some frames of a clip.
 
     Args:
-        meaning: of the scans' numbers.
+        units: of the scans' numbers.
         frames: the numbers of the frames to solve, in order, counted from 0; -1 for one that is left out.
         smoothness: of the curves; None: each frame for itself.
         advance: told what is done, and how many frames are.
@@ -69,7 +69,7 @@ def track_scans(
     def load(row: int) -> Target | None:
         scan = scans.scan(frames[row]) if frames[row] >= 0 else None
         cleaned = None if scan is None else scan.cleaned()
-        return None if cleaned is None else solver.target(cleaned.surface(meaning.mm, meaning.axes.double().numpy()))
+        return None if cleaned is None else solver.target(cleaned.surface(units.mm, units.axes.double().numpy()))
 
     found: list[SolvedScan | None] = []
     for row in range(len(frames)):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from riginv.tracking.surfaces.clip import eliminated
+from riginv.tracking.surfaces.clip import eliminate_motion
 from riginv.tracking.surfaces.fitting import Linearised
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
@@ -36,7 +36,7 @@ def uncertainty(solver: ScanSolver, target: Target, found: SolvedScan) -> Uncert
     scale = max(schedule.last_scale_mm, 5 * found.quality.scan_mm)
     near = Linearised(fit, found.state, match(fit.surface, posed, target, found.state.motion, scale, schedule.degrees))
     each = solver.variance_per_measurement(target)
-    covariance = each * torch.linalg.inv(eliminated(fit, near).hessian)
+    covariance = each * torch.linalg.inv(eliminate_motion(fit, near).hessian)
     before = each * torch.linalg.inv(fit.prior.precision)
     remaining = (covariance.diagonal().clamp_min(0) / before.diagonal()).sqrt().numpy()
     columns = _skin_columns(solver, found)

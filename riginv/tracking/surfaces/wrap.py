@@ -190,7 +190,7 @@ def _adjacency(faces: np.ndarray, count: int) -> sparse.csr_array:
 
 
 def _with_loose_parts(rest: np.ndarray, faces: np.ndarray, skin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Parts that hang free, such as eyeballs and teeth, follow the skin near them as rigid pieces."""
+    """Parts that hang free, such as eyeballs and teeth, follow the skin near them as rigid bodies."""
     if skin.all():
         return displacement
     result = displacement.copy()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from riginv.clips.options import ReadingOptions
-from riginv.clips.units import AS_GIVEN, AS_THE_FILE_SAYS, DEFAULT_FPS, GUESSED_SOURCE, TO_Y_UP, UNITS, Meaning
+from riginv.clips.units import AS_GIVEN, AS_THE_FILE_SAYS, DEFAULT_FPS, GUESSED_SOURCE, TO_Y_UP, UNITS, ClipUnits
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from riginv.tracking.surfaces.scans import ScanSequence
@@ -15,7 +15,7 @@ FITS = 3.0  # times the rig's size that a scan may be, either way
 LOOKED_AT = 20  # frames, at most, that are looked at for one with enough points
 
 
-def meaning_of_scans(scans: ScanSequence, rig: RigBackend, reading: ReadingOptions) -> Meaning:
+def resolve_scan_units(scans: ScanSequence, rig: RigBackend, reading: ReadingOptions) -> ClipUnits:
     """Millimetres to a unit, axes and rate of a clip of scans.
 
     Raises:
@@ -32,7 +32,7 @@ def meaning_of_scans(scans: ScanSequence, rig: RigBackend, reading: ReadingOptio
         notes.append(f"{DEFAULT_FPS:g} frames a second taken, because the files do not say (reading.fps=...)")
     if not 0 < fps < 1e6:
         raise InputError(f"reading.fps is {fps!r}, expected frames a second, a number above 0")
-    return Meaning(
+    return ClipUnits(
         mm,
         TO_Y_UP[up],
         float(fps),

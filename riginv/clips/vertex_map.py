@@ -11,7 +11,7 @@ from riginv.runs.array_files import check_npy
 UNKNOWN = -1
 
 
-class PickedVertices(MeshSequence):
+class MappedVertices(MeshSequence):
     """Some vertices of another sequence, in the order of the rig.
 
     Args:
@@ -24,17 +24,17 @@ class PickedVertices(MeshSequence):
 
     def __init__(self, sequence: MeshSequence, path: Path) -> None:
         self.sequence = sequence
-        self.picked = read_picked(path, sequence.vertex_count)
+        self.vertex_map = read_vertex_map(path, sequence.vertex_count)
         known = sequence.fps, sequence.unit_mm, sequence.up, sequence.facts
-        super().__init__(sequence.path, sequence.frame_numbers, len(self.picked), None, *known)
+        super().__init__(sequence.path, sequence.frame_numbers, len(self.vertex_map), None, *known)
 
     def read(self, start: int, stop: int) -> np.ndarray:
-        values = self.sequence.read(start, stop)[:, self.picked]
-        values[:, self.picked == UNKNOWN] = np.nan
+        values = self.sequence.read(start, stop)[:, self.vertex_map]
+        values[:, self.vertex_map == UNKNOWN] = np.nan
         return values
 
 
-def read_picked(path: Path, vertices: int) -> np.ndarray:
+def read_vertex_map(path: Path, vertices: int) -> np.ndarray:
     """The numbers `(vertex of the rig,)` of a clip's vertices."""
     expected = f"expected for each vertex of the rig a number from 0 to {vertices - 1}, or -1"
     try:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from riginv.animation.animation import FrameErrors, Reach
+from riginv.animation.animation import FrameErrors, SampledOptimum
 from riginv.clips.clip import Clip
 from riginv.evaluation.optimum import TOLERANCE
 from riginv.geometry.neighbours import evenly
@@ -13,7 +13,7 @@ from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes, solve_meshes
 from riginv.solvers.objective import Objective
-from riginv.tracking.frame_evaluation import FrameJudge
+from riginv.tracking.frame_evaluation import FrameEvaluator
 from riginv.tracking.rigid import remove_motion
 from riginv.tracking.run import Inversion
 
@@ -22,7 +22,7 @@ STARTS, STEPS, DESCENT_STEPS = 3, 60, 100
 
 
 @torch.no_grad()
-def with_reach(errors: FrameErrors, clip: Clip, found: Inversion, judge: FrameJudge) -> FrameErrors:
+def with_optimum(errors: FrameErrors, clip: Clip, found: Inversion, judge: FrameEvaluator) -> FrameErrors:
     """The errors of an inversion, with the least that many-start Levenberg-Marquardt finds on frames spread over the clip.
 
     All controls are free there, whatever was asked of them. Unchanged for a true rig that does not end in a linear map, or that
@@ -48,4 +48,4 @@ def with_reach(errors: FrameErrors, clip: Clip, found: Inversion, judge: FrameJu
     )
     each = [mean_distance(rig(objective.own_units(answer.units)), vertices, counted) for answer in answers]
     least = torch.stack([*each, errors.mean_mm[rows]]).amin(dim=0)
-    return replace(errors, reach=Reach(rows, least))
+    return replace(errors, optimum=SampledOptimum(rows, least))

@@ -18,7 +18,7 @@ MORE_STEPS = 3  # of a solver, where its start is nearly there
 UNSETTLED_MM = 0.02  # root mean square distance that one step more would still gain: the solver was not done
 
 
-class Solving(ABC):
+class ControlEstimator(ABC):
     """A way from complete meshes `(frame, vertex, 3)`, mm, without rigid motion, to controls `(frame, control)`."""
 
     @abstractmethod
@@ -34,7 +34,7 @@ class Solving(ABC):
         """Whether nothing more is to be gained, `(frame,)`."""
 
 
-class ByNetwork(Solving):
+class NetworkEstimator(ControlEstimator):
     """The network alone; controls that are held, are held after it."""
 
     def __init__(self, inverse: Inverse, constraints: ControlConstraints) -> None:
@@ -43,8 +43,8 @@ class ByNetwork(Solving):
     @torch.no_grad()
     def first(self, vertices: Tensor) -> Tensor:
         network = self.inverse.network
-        pieces = [network(network.rig.space.encode(piece)) for piece in vertices.split(BATCH_SIZE)]
-        return torch.where(self.constraints.free, torch.cat(pieces), self.constraints.held)
+        batches = [network(network.rig.space.encode(batch)) for batch in vertices.split(BATCH_SIZE)]
+        return torch.where(self.constraints.free, torch.cat(batches), self.constraints.held)
 
     def again(self, vertices: Tensor, controls: Tensor) -> Tensor:
         return self.first(vertices)
@@ -53,7 +53,7 @@ class ByNetwork(Solving):
         return torch.ones(len(vertices), dtype=torch.bool)
 
 
-class BySolver(Solving):
+class SolverEstimator(ControlEstimator):
     """Levenberg-Marquardt, from the answers of a network or of neighbouring frames.
 
     Args:
@@ -64,7 +64,7 @@ class BySolver(Solving):
     """
 
     def __init__(
-        self, objective: Objective, start: ByNetwork | None, steps: int, key_starts: int = 2, descent_steps: int = 60
+        self, objective: Objective, start: NetworkEstimator | None, steps: int, key_starts: int = 2, descent_steps: int = 60
     ) -> None:
         self.objective, self.start, self.steps, self.key_starts = objective, start, steps, key_starts
         self.held: FixedControlsRig = objective.rig.rig

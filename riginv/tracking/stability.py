@@ -16,7 +16,7 @@ OPEN = 1e-3  # of a control's range, away from neutral
 
 
 @torch.no_grad()
-def stillness(rig: RigBackend) -> Tensor:
+def stability_weights(rig: RigBackend) -> Tensor:
     """How much each vertex counts when rigid motion is looked for, `(vertex,)` in (0, 1]: 1 where no pose moves it."""
     ways = [
         (vertices - rig.rest_vertices).norm(dim=2) for _, vertices in random_poses(rig, POSES, "stillness").batches(POSES // 4)
@@ -27,7 +27,7 @@ def stillness(rig: RigBackend) -> Tensor:
 
 
 @torch.no_grad()
-def moves_itself(rig: RigInMeshSpace) -> bool:
+def has_root_controls(rig: RigInMeshSpace) -> bool:
     """Whether controls of the rig move all of it along every axis, as those of a root do."""
     backend = rig.rig
     towards = torch.where(backend.neutral_controls + OPEN * (backend.upper - backend.lower) <= backend.upper, 1.0, -1.0)
@@ -51,11 +51,11 @@ class TrainingRange:
     @torch.no_grad()
     def __init__(self, rig: RigInMeshSpace) -> None:
         self.space = rig.space
-        pieces = [rig(controls) for controls in random_poses(rig.rig, MESHES, "training range").controls.split(256)]
+        batches = [rig(controls) for controls in random_poses(rig.rig, MESHES, "training range").controls.split(256)]
         if rig.rig.has_blendshapes:
             weights = random_weights(len(rig.rig.basis), MESHES, generator_at(0, "training range"))
-            pieces.append(weights.to(rig.linear_map) @ rig.linear_map)
-        seen = torch.cat(pieces)
+            batches.append(weights.to(rig.linear_map) @ rig.linear_map)
+        seen = torch.cat(batches)
         self.low, self.high = WIDER * seen.amin(dim=0), WIDER * seen.amax(dim=0)
 
     def outside_mm(self, coordinates: Tensor) -> Tensor:

@@ -11,8 +11,8 @@ from riginv.solvers.weighed_prior import WeighedPrior
 
 
 @dataclass(frozen=True)
-class Preferences:
-    """Preferences among the controls of an objective.
+class ControlPenalties:
+    """Penalties among the controls of an objective.
 
     Attributes:
         penalty_scale: what prior and sparsity of each control are multiplied with, `(control,)`.
@@ -29,8 +29,8 @@ class Preferences:
     exclusive_mm2: float
 
 
-class PreferringObjective(Objective):
-    """The objective with preferences in it. For a symmetric pair 0.5 s (a - b)^2 is added, for an exclusive one e |a| |b|,
+class PenalisedObjective(Objective):
+    """The objective with penalties in it. For a symmetric pair 0.5 s (a - b)^2 is added, for an exclusive one e |a| |b|,
     with a and b as far from neutral as the controls are, in shares of their ranges.
     """
 
@@ -39,14 +39,14 @@ class PreferringObjective(Objective):
         rig: RigInMeshSpace,
         prior: float,
         sparsity: float,
-        preferences: Preferences,
+        penalties: ControlPenalties,
         learned: WeighedPrior | None = None,
     ) -> None:
-        penalty_scale = preferences.penalty_scale.to(rig.linear_map)
+        penalty_scale = penalties.penalty_scale.to(rig.linear_map)
         super().__init__(rig, prior * penalty_scale, sparsity * penalty_scale, learned=learned)
-        self.symmetric, self.exclusive = preferences.symmetric.T, preferences.exclusive.T
-        self.together = preferences.symmetric_mm2 * self.vertex_count
-        self.apart = preferences.exclusive_mm2 * self.vertex_count
+        self.symmetric, self.exclusive = penalties.symmetric.T, penalties.exclusive.T
+        self.together = penalties.symmetric_mm2 * self.vertex_count
+        self.apart = penalties.exclusive_mm2 * self.vertex_count
 
     @torch.no_grad()
     def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
