@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from riginv.geometry.kernels.library import Kernels, kernels_for, plain_rows, pure_gradients
+from riginv.geometry.kernels.library import Kernels, is_transformed, kernels_for, plain_rows, pure_gradients
 
 
 def add_to_columns(sums: Tensor, columns: Tensor, entries: Tensor, scales: Tensor | None = None) -> Tensor:
@@ -174,7 +174,7 @@ class _CompiledProducts(torch.autograd.Function):
     @staticmethod
     def backward(ctx: torch.autograd.function.FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None, None]:
         factors, members = ctx.saved_tensors
-        if torch.is_grad_enabled():
+        if torch.is_grad_enabled() or is_transformed([gradient]):
             combine = screen if ctx.complement else combination_weights
             return pure_gradients(lambda given: combine(given, members), factors, gradient), None, None, None
         return _pull(factors, members, gradient, ctx.complement), None, None, None

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riginv.geometry.kernels.library import Kernels, kernels_for, plain_rows, pure_gradients, pure_torch
+from riginv.geometry.kernels.library import Kernels, is_transformed, kernels_for, plain_rows, pure_gradients, pure_torch
 
 ITERATIONS = 24  # of bracketed Newton, at most; typical curves need 4, vertical tangents more
 PLAIN = 3  # steps of Newton's without bracketing, before it is seen what they leave
@@ -111,7 +111,7 @@ class _CompiledCurves(torch.autograd.Function):
     @staticmethod
     def backward(ctx: torch.autograd.function.FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None]:
         inputs, table, derivatives = ctx.saved_tensors
-        if torch.is_grad_enabled():
+        if torch.is_grad_enabled() or is_transformed([gradient]):
             return pure_gradients(lambda given: evaluate_curves(table, given), inputs, gradient), None, None
         return gradient * derivatives, None, None
 

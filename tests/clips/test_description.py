@@ -9,7 +9,7 @@ import pytest
 
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
-from riginv.clips.description_text import LONGEST_LINE, line, rows, show_clip
+from riginv.clips.description_text import LONGEST_LINE, in_short, line, rows, show_clip
 from riginv.clips.open import open_clip, open_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.sequence import MeshSequence, SourceFacts
@@ -114,7 +114,7 @@ def test_a_line_is_short_whatever_names_the_file_has(rig, meshes):
 def test_gaps_are_counted_and_the_first_are_named(numbers, said, rig, meshes, tmp_path):
     path = saved(tmp_path / "gaps.npz", meshes[: len(numbers)], frame_numbers=np.array(numbers), fps=24.0)
     found = described(path, rig)
-    assert f"NumPy .npz, mesh vertices, {said}, 24 fps" in line(found)
+    assert f"NumPy .npz, mesh vertices, {said}, 24 fps" in in_short(found, 300)
     assert found.as_json()["frames"]["missing"] == found.missing
 
 

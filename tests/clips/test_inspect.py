@@ -48,7 +48,7 @@ def test_a_path_alone_is_enough_in_a_shell(rig, meshes, tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"{name}\n")
     found = table(done.stdout)
-    assert found["frames"] == "20 frames 0 to 19" and found["rate"] == "24 frames a second (as the file says)"
+    assert found["frames"] == "20 frames 0 to 19" and found["rate"] == "24 frames a second (its array fps)"
     assert found["unit"] == "not known" and found["vertices"] == "162, 320 faces"
 
 

@@ -227,12 +227,12 @@ def test_invert_leaves_alone_what_does_not_move_and_says_so(run, rig, meshes, tm
     written(tmp_path / "still.npz", meshes, rig)
     written(tmp_path / "slight.npz", apply_motion(slight(FRAMES, 0.5, 0.5), meshes), rig)
     still = run("invert", *TOY, *plain, "clip=still.npz", "out=a")
-    assert still.code == 0 and "no rigid motion found" in still.text and "was taken out" not in still.text
+    assert still.code == 0 and "no rigid motion found" in still.text and "was removed" not in still.text
     assert "motion" not in json.loads((tmp_path / "a/curves.json").read_text())
     slightly = run("invert", *TOY, *plain, "clip=slight.npz", "out=b")
-    assert slightly.code == 0 and "Rigid motion was taken out" in slightly.text
+    assert slightly.code == 0 and "Rigid motion was removed" in slightly.text
     forced = run("invert", *TOY, *plain, "clip=still.npz", "out=c", "motion=remove")
-    assert forced.code == 0 and "Rigid motion was taken out" in forced.text
+    assert forced.code == 0 and "Rigid motion was removed" in forced.text
 
 
 def test_invert_says_what_neutral_and_the_best_would_be(run, rig, meshes, tmp_path):

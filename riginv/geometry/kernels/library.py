@@ -76,7 +76,7 @@ def kernels_for(*tensors: Tensor) -> Kernels | None:
 
     Tensors of whole numbers, which are indices, must be int64.
     """
-    if _pure.get() or torch.compiler.is_compiling() or _is_transformed(tensors):
+    if _pure.get() or torch.compiler.is_compiling() or is_transformed(tensors):
         return None
     dtype = tensors[0].dtype
     for tensor in tensors:
@@ -87,9 +87,11 @@ def kernels_for(*tensors: Tensor) -> Kernels | None:
     return kernels() if dtype in SUFFIXES else None
 
 
-def _is_transformed(tensors: Sequence[Tensor]) -> bool:
+def is_transformed(tensors: Sequence[Tensor]) -> bool:
     """Whether PyTorch follows tensors in a way that kernels know nothing of: a batch of vmap, or tangents of forward mode."""
     if torch._C._functorch.maybe_current_level() is not None:
+        return True
+    if not all(torch._C._has_storage(tensor) for tensor in tensors):  # torch.autograd's own vmap
         return True
     return forward_ad._current_level >= 0 and any(forward_ad.unpack_dual(tensor).tangent is not None for tensor in tensors)
 

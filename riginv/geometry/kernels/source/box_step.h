@@ -69,10 +69,10 @@ API int NAME(box_step)(const REAL *matrices, Index each, const REAL *diagonal, c
     if (!target || !is_free || NAME(reserve)(&work, controls)) return free(target), free(is_free), 1;
     for (Index mesh = 0; mesh < batch; mesh++) {
         const REAL *matrix = matrices + mesh * each, *added = diagonal ? diagonal + mesh * controls : NULL;
-        const REAL *slope = gradient + mesh * controls, *here = at + mesh * controls;
+        const REAL *derivative = gradient + mesh * controls, *here = at + mesh * controls;
         REAL *way = step + mesh * controls;
         for (Index i = 0; i < controls; i++) {
-            is_free[i] = !((here[i] <= 0 && slope[i] > 0) || (here[i] >= 1 && slope[i] < 0));
+            is_free[i] = !((here[i] <= 0 && derivative[i] > 0) || (here[i] >= 1 && derivative[i] < 0));
             way[i] = 0;
         }
         for (Index round = 0; round < rounds; round++) {
@@ -84,7 +84,7 @@ API int NAME(box_step)(const REAL *matrices, Index each, const REAL *diagonal, c
                 REAL sum = 0;
                 if (round)
                     for (Index j = 0; j < controls; j++) sum += is_free[j] ? 0 : row[j] * way[j];
-                work.right[i] = -slope[work.free[i]] - sum;
+                work.right[i] = -derivative[work.free[i]] - sum;
             }
             NAME(solve_free)(&work, matrix, added, controls, count);
             for (Index i = 0; i < count; i++) target[work.free[i]] = here[work.free[i]] + work.right[i];

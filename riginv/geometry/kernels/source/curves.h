@@ -1,4 +1,4 @@
-/* Driven-key curves: riginv.geometry.curves.curves_and_slopes. */
+/* Driven-key curves: riginv.geometry.curves.curves_and_derivatives. */
 
 #define WIDTH 32       /* curves that are solved together */
 #define ITERATIONS 60  /* of bracketed Newton, at most; typical curves need 4 */
@@ -18,10 +18,10 @@ static void NAME(solve)(const REAL *a, const REAL *b, const REAL *c, const REAL 
         int moving = 0;
         for (int k = 0; k < WIDTH; k++) {
             REAL error = ((a[k] * t[k] + b[k]) * t[k] + c[k]) * t[k] - target[k];
-            REAL slope = (3 * a[k] * t[k] + 2 * b[k]) * t[k] + c[k];
+            REAL derivative = (3 * a[k] * t[k] + 2 * b[k]) * t[k] + c[k];
             high[k] = error > 0 ? t[k] : high[k];
             low[k] = error > 0 ? low[k] : t[k];
-            REAL newton = t[k] - error / slope;
+            REAL newton = t[k] - error / derivative;
             int inside = (newton >= low[k]) & (newton <= high[k]);
             REAL next = inside ? newton : (low[k] + high[k]) / 2;
             next = FABS(error) <= exact ? t[k] : next;
@@ -32,12 +32,12 @@ static void NAME(solve)(const REAL *a, const REAL *b, const REAL *c, const REAL 
     }
 }
 
-/* The value of each curve at its own input, and its slope there.
+/* The value of each curve at its own input, and its derivative there.
  *
- * table (curve, segment, 9); inputs, values and slopes (batch, curve). slopes may be NULL.
+ * table (curve, segment, 9); inputs, values and derivatives (batch, curve). derivatives may be NULL.
  */
 API int NAME(curves)(const REAL *table, Index curves, Index segments, const REAL *inputs, Index inputs_ld, REAL *values,
-                     Index values_ld, REAL *slopes, Index slopes_ld, Index batch) {
+                     Index values_ld, REAL *derivatives, Index derivatives_ld, Index batch) {
     Index padded = (curves + WIDTH - 1) / WIDTH * WIDTH;
     /* Number by number, so that what is computed together lies together; the curves' ends come last. */
     REAL *columns = malloc(sizeof(REAL) * (size_t)(padded * (NUMBERS * segments + 1)));
@@ -60,7 +60,7 @@ API int NAME(curves)(const REAL *table, Index curves, Index segments, const REAL
     for (Index row = 0; row < batch; row++) {
         for (Index first = 0; first < curves; first += WIDTH) {
             Index count = curves - first < WIDTH ? curves - first : WIDTH;
-            REAL given[WIDTH] = {0}, x[WIDTH], part[NUMBERS][WIDTH], target[WIDTH], t[WIDTH], value[WIDTH], slope[WIDTH];
+            REAL given[WIDTH] = {0}, x[WIDTH], part[NUMBERS][WIDTH], target[WIDTH], t[WIDTH], value[WIDTH], derivative[WIDTH];
             memcpy(given, inputs + row * inputs_ld + first, sizeof(REAL) * (size_t)count);
             for (int k = 0; k < WIDTH; k++) {
                 REAL start = columns[first + k], end = ends[first + k];
@@ -84,12 +84,12 @@ API int NAME(curves)(const REAL *table, Index curves, Index segments, const REAL
                 REAL along = (3 * part[2][k] * t[k] + 2 * part[3][k]) * t[k] + part[4][k];
                 along = (along < EPSILON ? EPSILON : along) * part[1][k];
                 REAL rise = ((3 * part[5][k] * t[k] + 2 * part[6][k]) * t[k] + part[7][k]) / along;
-                slope[k] = x[k] == given[k] ? rise : 0;
+                derivative[k] = x[k] == given[k] ? rise : 0;
                 value[k] = ((part[5][k] * t[k] + part[6][k]) * t[k] + part[7][k]) * t[k] + part[8][k];
                 value[k] = x[k] == x[k] ? value[k] : x[k];
             }
             memcpy(values + row * values_ld + first, value, sizeof(REAL) * (size_t)count);
-            if (slopes) memcpy(slopes + row * slopes_ld + first, slope, sizeof(REAL) * (size_t)count);
+            if (derivatives) memcpy(derivatives + row * derivatives_ld + first, derivative, sizeof(REAL) * (size_t)count);
         }
     }
     free(columns);

@@ -76,22 +76,22 @@ API int NAME(products_pull)(const REAL *given, Index given_ld, Index factors, co
 }
 
 /* The derivative (batch, product, slot) of each product by the factor in each slot; 0 in empty slots. */
-API int NAME(products_slopes)(const REAL *given, Index given_ld, Index factors, const Index *members, Index products,
-                              Index slots, Index complement, REAL *slopes, Index batch) {
+API int NAME(products_derivatives)(const REAL *given, Index given_ld, Index factors, const Index *members, Index products,
+                              Index slots, Index complement, REAL *derivatives, Index batch) {
     REAL *padded = malloc(sizeof(REAL) * (size_t)(factors + 1));
     if (!padded) return 1;
     for (Index row = 0; row < batch; row++) {
         NAME(pad)(given + row * given_ld, factors, complement, padded);
         for (Index product = 0; product < products; product++) {
             const Index *member = members + product * slots;
-            REAL *slope = slopes + (row * products + product) * slots, value = 1;
+            REAL *derivative = derivatives + (row * products + product) * slots, value = 1;
             for (Index slot = 0; slot < slots; slot++) {
-                slope[slot] = value;
+                derivative[slot] = value;
                 value *= padded[member[slot] < 0 ? factors : member[slot]];
             }
             value = 1;
             for (Index slot = slots - 1; slot >= 0; slot--) {
-                slope[slot] = member[slot] < 0 ? 0 : slope[slot] * value;
+                derivative[slot] = member[slot] < 0 ? 0 : derivative[slot] * value;
                 value *= padded[member[slot] < 0 ? factors : member[slot]];
             }
         }
