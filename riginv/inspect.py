@@ -10,11 +10,10 @@ from rich.text import Text
 
 from riginv.clips.clip import Clip
 from riginv.clips.description import describe
-from riginv.clips.description_text import NAMES, named, rows
+from riginv.clips.description_text import NAMES, listed, rows
 from riginv.clips.live_link import Recording, read_live_link
-from riginv.clips.open import open_clip, open_without_rig
-from riginv.clips.options import FrameOptions, ReadingOptions, clip_options
-from riginv.clips.units import resolve_units_without_rig
+from riginv.clips.open import open_clip, open_clip_without_rig
+from riginv.clips.options import clip_options
 from riginv.config.building import build
 from riginv.config.validation import validate
 from riginv.errors import InputError, printable
@@ -63,11 +62,11 @@ def show_clip_file(config: dict[str, Any], names: int | None) -> None:
         show_rows(Path(path).name, recording_rows(read_live_link(path), names))
         return
     try:
-        clip, notes = open_clip(path, rig, reading, frames) if rig else read_without_rig(path, reading, frames)
+        clip, notes = open_clip(path, rig, reading, frames) if rig else open_clip_without_rig(path, reading, frames)
     except InputError as misfit:
         if rig is None or path.lower().endswith(".csv"):
             raise
-        show_sequence(*read_without_rig(path, reading, frames), names)  # what it holds helps to see why
+        show_sequence(*open_clip_without_rig(path, reading, frames), names)  # what it holds helps to see why
         show_rig(rig, config["rig"], Console())
         raise misfit from None
     show_sequence(clip, notes, names)
@@ -80,18 +79,6 @@ def named_rig(config: dict[str, Any]) -> RigBackend | None:
     """The rig that the clip should be a mesh of, or None where none is named."""
     rig = build(config["rig"], kind=RigBackend) if config["rig"].get("_target_") else None
     return load_inverse(config["bundle"], rig).rig if config["bundle"] else rig
-
-
-def read_without_rig(path: str, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
-    """A clip in its own unit, where the file says none, and notes about what was guessed.
-
-    Raises:
-        InputError: as `open_without_rig` and `resolve_units_without_rig`.
-    """
-    sequence = open_without_rig(path, reading)
-    units = resolve_units_without_rig(sequence, reading.unit, reading.scale, reading.up, reading.fps)
-    clip = Clip(sequence, units, frames.first, frames.last, frames.exclude)
-    return clip, [*sequence.facts.notes, *units.notes]
 
 
 def show_sequence(clip: Clip, notes: Sequence[str], names: int | None) -> None:
@@ -115,8 +102,8 @@ def recording_rows(recording: Recording, names: int | None) -> list[Row]:
         ("columns", f"{len(recording.names):,} shapes"),
         ("rate", f"{recording.fps:g} frames a second"),
         ("length", f"{(count - 1) / recording.fps:.4g} s"),
-        ("shapes that move", f"{len(moving):,}: {named(moving, names)}" if moving else "none: it never moves"),
-        ("shapes that do not", f"{len(still):,}: {named(still, names)}" if still else "none"),
+        ("shapes that move", f"{len(moving):,}: {listed(moving, names)}" if moving else "none: it never moves"),
+        ("shapes that do not", f"{len(still):,}: {listed(still, names)}" if still else "none"),
     ]
 
 
@@ -129,7 +116,7 @@ def bundle_rows(path: Path, names: int | None) -> list[Row]:
     return [
         ("bundle", kind),
         ("rig", f"{rig['name']}, {len(bundle.space['rest_vertices']):,} vertices ({rig['config'].get('_target_', '')})"),
-        ("controls", f"{len(controls):,}: {named(controls, names)}"),
+        ("controls", f"{len(controls):,}: {listed(controls, names)}"),
         ("network", str(bundle.description["network"].get("_target_", ""))),
         ("mesh space", f"{len(bundle.space['frame']):,} coordinates"),
         ("training", ", ".join(f"{key} {value}" for key, value in training.items())),

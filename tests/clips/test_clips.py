@@ -10,7 +10,6 @@ import torch
 
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
 from riginv.clips.units import resolve_units
@@ -23,6 +22,7 @@ from tests.support.clips import (
     obj_sequence,
     performance,
     ply_sequence,
+    reading_options,
     write_animated_glb,
     write_mdd,
     write_npz,
@@ -44,11 +44,11 @@ def meshes(rig) -> np.ndarray:
 
 
 def opened(path, rig, **options) -> MeshSequence:
-    return open_sequence(str(path), rig, ReadingOptions(**options))
+    return open_sequence(str(path), rig, reading_options(**options))
 
 
 def as_clip(sequence, rig, unit="auto", up="auto", fps=None, **frames) -> Clip:
-    return Clip(sequence, resolve_units(sequence, rig, unit, 1.0, up, fps), **frames)
+    return Clip(sequence, resolve_units(sequence, rig, reading_options(unit=unit, up=up, fps=fps)), **frames)
 
 
 def written(kind: str, folder: Path, meshes: np.ndarray, faces: np.ndarray) -> str | Path:

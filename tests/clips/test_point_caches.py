@@ -41,7 +41,7 @@ def said(sequence: MeshSequence) -> str:
 
 def seconds(sequence: MeshSequence) -> float:
     """From the first frame to the last, as the commands count."""
-    fps = resolve_units(sequence, RIG, "mm", 1.0, "y", None).fps
+    fps = resolve_units(sequence, RIG, ReadingOptions(unit="mm", up="y")).fps
     return float(sequence.frame_numbers[-1] - sequence.frame_numbers[0]) / fps
 
 
@@ -129,7 +129,7 @@ def test_times_in_half_frames_and_milliseconds(tmp_path):
         (np.zeros(8), "do not rise"),
         (np.arange(8)[::-1] / 24, "do not rise"),
         (np.full(8, np.nan), "not all numbers"),
-        (np.arange(8) * 1e-5, "cannot be meant"),
+        (np.arange(8) * 1e-5, "implausible"),
         ([0, 1, 2, 4, 4.5, 6, 7.2, 8], "uneven"),
     ],
 )

@@ -11,7 +11,6 @@ import trimesh
 
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
 from riginv.clips.topology import check_topology
 from riginv.clips.units import resolve_units
 from riginv.clips.vertex_map import read_vertex_map
@@ -36,6 +35,7 @@ from tests.inference.test_bundle import rewrite_sums
 from tests.support import sculpts
 from tests.support.clips import (
     performance,
+    reading_options,
     write_animated_glb,
     write_mdd,
     write_npz,
@@ -57,9 +57,9 @@ def toy() -> ToyRig:
 def read_clip(path: Path) -> np.ndarray:
     """As the command does: opened, compared with the rig, measured, and read window by window."""
     rig = toy()
-    sequence = open_sequence(str(path), rig, ReadingOptions())
+    sequence = open_sequence(str(path), rig, reading_options())
     check_topology(sequence, rig)
-    clip = Clip(sequence, resolve_units(sequence, rig, "auto", 1.0, "auto", None))
+    clip = Clip(sequence, resolve_units(sequence, rig, reading_options()))
     batches = [clip.vertices(start, min(start + 5, len(clip))).numpy() for start in range(0, len(clip), 5)]
     found = np.concatenate(batches)
     assert found.shape[1:] == (len(rig.rest_vertices), 3) and found.dtype == np.float32

@@ -10,6 +10,7 @@ import torch
 from omegaconf import OmegaConf
 
 from riginv.clips.clip import Clip
+from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.clips.units import resolve_units
 from riginv.errors import InputError
@@ -56,7 +57,7 @@ def config(**changes: Any) -> dict:
 
 def inverted(rig: LinearRig, meshes: torch.Tensor, numbers: np.ndarray | None = None, **changes: Any) -> Inversion:
     settings, sequence = config(**changes), Given(meshes, rig.faces, numbers)
-    clip = Clip(sequence, resolve_units(sequence, rig, "mm", 1.0, "y", None), **settings["frames"])
+    clip = Clip(sequence, resolve_units(sequence, rig, ReadingOptions(unit="mm", up="y")), **settings["frames"])
     parts = build_parts(settings, clip, rig, rig, None)
     arguments = (clip, parts.inverter, parts.judge, settings["window"], lambda what, frames: None)
     if parts.method == WHOLE_CLIP:

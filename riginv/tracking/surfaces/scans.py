@@ -8,7 +8,7 @@ import numpy as np
 
 from riginv.clips.numbered import find_frames, visible_files
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MOST_VERTICES, MeshSequence
+from riginv.clips.sequence import MAX_VERTICES, MeshSequence
 from riginv.errors import InputError, in_short
 from riginv.meshes.polygons import Polygons
 from riginv.meshes.reading import read_mesh
@@ -220,5 +220,5 @@ def _check_offsets(path: Path, name: str, values: np.ndarray, last: int, frames:
         raise InputError(
             f"{path}: {name} must rise from 0 to {last}, one more than there are frames; found shape {values.shape}"
         )
-    if np.diff(values.astype(np.int64)).max() > MOST_VERTICES:
-        raise InputError(f"{path}: a scan of more than {MOST_VERTICES} points: damaged; save it again")
+    if np.diff(values.astype(np.int64)).max() > MAX_VERTICES:
+        raise InputError(f"{path}: a scan of more than {MAX_VERTICES} points: damaged; save it again")
