@@ -11,7 +11,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-KERNELS = Path(__file__).parent / "riginv" / "kernels"
+KERNELS = Path(__file__).parent / "riginv" / "geometry" / "kernels"
 
 
 class KernelBuildHook(BuildHookInterface):

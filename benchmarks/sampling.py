@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -21,16 +22,17 @@ from rich.console import Console
 from rich.table import Table
 
 from riginv.config.messages import CONFIGS
+from riginv.config.typed import to_typed
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.runs.run_folder import plain_config
-from riginv.store.filling import planned
+from riginv.store.filling import SampleConfig, planned
 from riginv.store.making import ChunkMaker, build_sampler
 from riginv.store.place import Place
 from riginv.store.store import PoseStore
 from riginv.store.windows import WindowReader
 from riginv.training.assembly import build_module, calibrate
 from riginv.training.assembly import build_sampler as build_sampler_of
+from riginv.training.config import TrainConfig
 from rigs.face import FaceRig
 
 SLOW_POSES, SLOW_RATE, BATCH = 2048, 200, 64
@@ -44,6 +46,10 @@ PLAN = {
     "dtype": "float32",
     "vertices": False,
     "chunk": None,
+    "shard": "0/1",
+    "jobs": 1,
+    "recheck": True,
+    "mesh_space": {"samples": 1000, "residual_mm": 0.01},
 }
 
 
@@ -67,7 +73,7 @@ class SlowFace(FaceRig):
 def overhead(folder: Path) -> float:
     """The time that sampling takes beyond the rig's own, as a share of that, of a rig of 200 poses a second."""
     rig = SlowFace()
-    layout, facts = planned({**PLAN, "samples": SLOW_POSES}, rig)
+    layout, facts = planned(to_typed({**PLAN, "samples": SLOW_POSES}, SampleConfig), rig)
     store = PoseStore.begin(Place(str(folder / "slow.zarr")), layout, facts, rig)
     maker = ChunkMaker(store, rig, build_sampler(PLAN["sampler"], rig))
     rig.spent, began = 0.0, time.perf_counter()
@@ -100,13 +106,13 @@ def training_speed(model: str, store: Path, steps: int) -> dict[str, float]:
     """Poses a second that training steps take, drawn as they go and from a store, turn by turn."""
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
-        config = plain_config(compose("train", [f"model={model}"]))
+        settings = to_typed(compose("train", [f"model={model}"]), TrainConfig)
     rig = FaceRig()
-    module = build_module(config, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), rig)
-    drawn = build_sampler_of(config, module.rig)
-    calibrate(config, module, drawn)
-    config["data"]["store"] = str(store)
-    samplers = {"drawn": drawn, "stored": build_sampler_of(config, module.rig)}
+    module = build_module(settings, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), rig)
+    drawn = build_sampler_of(settings, module.rig)
+    calibrate(settings.seed, module, drawn)
+    settings = replace(settings, data=replace(settings.data, store=str(store)))
+    samplers = {"drawn": drawn, "stored": build_sampler_of(settings, module.rig)}
     optimizer = module.configure_optimizers()["optimizer"]
     spent = dict.fromkeys(samplers, 0.0)
     for step in range(steps + 2):

@@ -72,7 +72,7 @@ class Bench:
         self.clip, self.faces = live_link_clip(take, self.rig), self.rig.faces.numpy()
         self.half = len(self.clip) // 2
         self.without = default_prior(self.rig)
-        learned = learn_prior(self.rig, read_take(take, self.rig, 0, self.half - 1), "the first half")
+        learned = learn_prior(self.rig, read_take(take, self.rig, 0, self.half - 1).controls, "the first half")
         self.learned = blended(learned, self.without)
         self.stability = stability_weights(self.rig).numpy()
         self.objective = Objective(RigInMeshSpace(self.rig, MeshSpace.from_rig(self.rig)))

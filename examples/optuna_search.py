@@ -14,12 +14,13 @@ import optuna
 from hydra import compose, initialize_config_dir
 
 from riginv.config.messages import CONFIGS
-from riginv.config.validation import validate
+from riginv.config.typed import to_typed
 from riginv.errors import InputError, NonFiniteLossError
 from riginv.launch.closed_output import filter_warnings
 from riginv.runs.run_folder import METRICS, find_run_folder, plain_config
 from riginv.train import fit
 from riginv.training.assembly import build_rig, build_true_rig
+from riginv.training.config import TrainConfig
 
 GOAL = "rig_poses/mean_vertex_error_mm"
 SPACE = {
@@ -31,15 +32,16 @@ SPACE = {
 
 def search(overrides: list[str], trials: int, out: Path) -> optuna.Study:
     """Run so many more trials of riginv.train with these arguments; the study, whose file is kept in `out`."""
-    rig = build_rig(configured(overrides))
-    true_rig = build_true_rig(configured(overrides), rig)
+    settings = to_typed(configured(overrides), TrainConfig)
+    rig = build_rig(settings.rig, settings.mesh_space, settings.data.store)
+    true_rig = build_true_rig(settings.true_rig, rig)
 
     def error_mm(trial: optuna.Trial) -> float:
         chosen = [f"{key}={suggest(trial, key)}" for key, suggest in SPACE.items()]
         config = configured([*overrides, *chosen])
         folder = find_run_folder(out / f"{trial.number:03d}", config, resume=False)
         try:
-            fit(config, folder, rig, true_rig)
+            fit(to_typed(config, TrainConfig), folder, rig, true_rig)
         except NonFiniteLossError as error:
             raise optuna.TrialPruned(str(error)) from None
         return json.loads((folder.path / METRICS).read_text(encoding="utf-8"))[GOAL]
@@ -52,9 +54,7 @@ def search(overrides: list[str], trials: int, out: Path) -> optuna.Study:
 
 def configured(overrides: list[str]) -> dict:
     """The plain config of `python -m riginv.train OVERRIDES`."""
-    config = plain_config(compose("train", overrides))
-    validate(config)
-    return config
+    return plain_config(compose("train", overrides))
 
 
 def main() -> None:

@@ -1,28 +1,36 @@
 """python -m riginv.check: does a rig keep the contract?"""
 
 import sys
+from dataclasses import dataclass
 
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
-from riginv.config.building import build
-from riginv.config.validation import validate
+from riginv.config.building import ClassSpec
+from riginv.config.typed import to_typed
+from riginv.config.values import NonNegativeInt
 from riginv.launch.command import command
 from riginv.rig.contract import ContractError, contract
 from riginv.rig.interface import RigBackend
 from riginv.rig.size import show_rig
-from riginv.runs.run_folder import plain_config
+
+
+@dataclass(frozen=True)
+class CheckConfig:
+    """The config of `riginv.check`; conf/check.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend]
+    seed: NonNegativeInt
 
 
 def check(config: DictConfig) -> None:
     """Go through the contract clause by clause, and exit with 1 where one does not hold."""
-    plain = plain_config(config)
-    validate(plain)
-    rig = build(plain["rig"], kind=RigBackend)
+    settings = to_typed(config, CheckConfig)
+    rig = settings.rig.build()
     console, broken = Console(), 0
-    show_rig(rig, plain["rig"], console)
-    for clause, holds in contract(rig, plain["seed"]):
+    show_rig(rig, settings.rig.config, console)
+    for clause, holds in contract(rig, settings.seed):
         try:
             holds()
             console.print(f"  [green]holds[/]   {clause}")

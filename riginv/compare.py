@@ -1,12 +1,16 @@
 """python -m riginv.compare: every way of inverting a rig side by side, judged by the true rig on the same meshes."""
 
 import time
+from dataclasses import dataclass
 
 import torch
 from omegaconf import DictConfig
 
 from riginv.clips.description_text import show_clip
-from riginv.config.validation import validate
+from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.config.building import ClassSpec
+from riginv.config.typed import MeshSpaceConfig, to_typed
+from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_sets
 from riginv.evaluation.optimum import find_optima
@@ -14,10 +18,26 @@ from riginv.launch.command import command, run_directory
 from riginv.methods.base import Method, suited_methods
 from riginv.methods.comparison import ComparisonProgress, keep_rows, kept_rows, show, write_tables
 from riginv.methods.evaluation import evaluated_row
+from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.rig.recorded import RecordedRig
 from riginv.runs.run_folder import find_run_folder, plain_config
 from riginv.training.assembly import build_clip, build_rig, build_true_rig
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """The config of `riginv.compare`; conf/compare.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend]
+    true_rig: ClassSpec[RigBackend] | None
+    methods: dict[str, ClassSpec[Method]] | None
+    reading: ReadingOptions
+    frames: FrameOptions
+    seed: NonNegativeInt
+    capture: str | None
+    poses: PositiveInt
+    mesh_space: MeshSpaceConfig
+    resume: bool = False
 
 
 def compare(config: DictConfig) -> None:
@@ -26,30 +46,30 @@ def compare(config: DictConfig) -> None:
     Each finished method is kept in the folder at once: a comparison that was stopped, or is given further methods, goes on
     from there with `resume=true`.
     """
-    plain = plain_config(config)
-    validate(plain)
-    configs = plain.pop("methods", None) or {}
-    folder = find_run_folder(run_directory(), plain, config.resume)
-    rig = build_rig(plain)
-    true_rig = build_true_rig(plain, rig)
-    if isinstance(true_rig, RecordedRig):
+    settings = to_typed(config, CompareConfig)
+    record = {key: value for key, value in plain_config(config).items() if key != "methods"}  # others may join in later
+    folder = find_run_folder(run_directory(), record, settings.resume)
+    rig = build_rig(settings.rig, settings.mesh_space)
+    true_rig = build_true_rig(settings.true_rig, rig)
+    if true_rig.held_out is not None:
         raise InputError(
             f"rig '{true_rig.name}' is a table of recorded poses, and compare needs a rig that can be posed to judge"
         )
-    methods, left_out = suited_methods(configs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
-    clip = build_clip(plain, rig, true_rig)
+    specs = settings.methods or {}
+    methods, left_out = suited_methods(specs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
+    clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig)
     show_clip(clip)
-    sets = [*random_sets(true_rig, plain["poses"]), *([clip] if clip else [])]
+    sets = [*random_sets(true_rig, settings.poses), *([clip] if clip else [])]
     folder.begin()
     with ComparisonProgress(len(methods)) as progress:
         progress.at("the optimum", "many starts on a few meshes of each set")
         optima = find_optima(true_rig, sets)
         for name, method in methods.items():
-            facts = {"config": configs[name], "fingerprint": method.fingerprint}
+            facts = {"config": specs[name].config, "fingerprint": method.fingerprint}
             rows = kept_rows(folder.path, name, facts)
             if rows is None:
                 progress.at(name, "preparing")
-                seconds, rows = prepare(method, plain["seed"]), []
+                seconds, rows = prepare(method, settings.seed), []
                 for meshes in sets:
                     progress.at(name, meshes.name.replace("_", " "))
                     row = evaluated_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name))

@@ -1,5 +1,6 @@
 """python -m riginv.contact_sheet: what a rig looks like, as one picture."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -8,8 +9,9 @@ from PIL import Image
 from rich.console import Console
 from torch import Tensor
 
-from riginv.config.building import build
-from riginv.config.validation import validate
+from riginv.config.building import ClassSpec
+from riginv.config.typed import to_typed
+from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
 from riginv.launch.command import command
 from riginv.meshes.rendering import Camera, grid
@@ -18,22 +20,33 @@ from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
 from riginv.rig.size import show_rig
 from riginv.runs.files import atomic_write
-from riginv.runs.run_folder import plain_config
+
+
+@dataclass(frozen=True)
+class ContactSheetConfig:
+    """The config of `riginv.contact_sheet`; conf/contact_sheet.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend]
+    out: str
+    expressions: NonNegativeInt | None
+    random_poses: NonNegativeInt
+    columns: PositiveInt
+    turn_degrees: float
+    seed: NonNegativeInt
 
 
 def contact_sheet(config: DictConfig) -> None:
     """Draw neutral, every named expression and random poses of a rig."""
-    plain = plain_config(config)
-    validate(plain)
-    out = Path(plain["out"])
+    settings = to_typed(config, ContactSheetConfig)
+    out = Path(settings.out)
     if out.suffix.lower() != ".png":
         raise InputError(f"out={out}: expected the name of a picture that ends in .png")
-    rig = build(plain["rig"], kind=RigBackend)
-    show_rig(rig, plain["rig"])
+    rig = settings.rig.build()
+    show_rig(rig, settings.rig.config)
     named = named_poses(rig)
-    shown = dict(list(named.items())[: plain["expressions"]])
-    poses = {"neutral": rig.neutral_controls, **shown, **random_poses(rig, plain["random_poses"], plain["seed"])}
-    sheet = draw(rig, poses, plain["columns"], plain["turn_degrees"])
+    shown = dict(list(named.items())[: settings.expressions])
+    poses = {"neutral": rig.neutral_controls, **shown, **random_poses(rig, settings.random_poses, settings.seed)}
+    sheet = draw(rig, poses, settings.columns, settings.turn_degrees)
     with atomic_write(out) as beside:
         sheet.save(beside, format="PNG", optimize=True)
     more = len(named) - len(shown)

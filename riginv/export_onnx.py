@@ -19,8 +19,9 @@ from rich.markup import escape
 from rich.table import Table
 from torch import Tensor, nn
 
-from riginv.config.building import build
-from riginv.config.validation import validate
+from riginv.config.building import ClassSpec
+from riginv.config.typed import to_typed
+from riginv.config.values import PositiveInt
 from riginv.errors import InputError
 from riginv.geometry.curves import fixed_iterations
 from riginv.inference.inverse import Inverse, load_inverse
@@ -30,11 +31,20 @@ from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
 from riginv.runs.files import atomic_write, discard
 from riginv.runs.locks import exclusive_lock
-from riginv.runs.run_folder import plain_config
 
 OPSET = 18
 TRACED = 11  # meshes: a number that nothing else in a rig is likely to have, which would be taken for it
 LARGEST_DIFFERENCE = 1e-4  # of the mesh's size, of any vertex, between what the rig makes of both answers
+
+
+@dataclass(frozen=True)
+class ExportConfig:
+    """The config of `riginv.export_onnx`; conf/export_onnx.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend] | None
+    bundle: str
+    out: str
+    poses: PositiveInt
 
 
 @dataclass(frozen=True)
@@ -55,25 +65,24 @@ class Parity:
 
 def export_onnx(config: DictConfig) -> None:
     """Write `config.out` from `config.bundle`, and show how it compares."""
-    plain = plain_config(config)
-    validate(plain)
-    out = Path(str(plain["out"]))
+    settings = to_typed(config, ExportConfig)
+    out = Path(settings.out)
     if out.suffix.lower() != ".onnx":
         raise InputError(f"out={out}: expected the name of a file that ends in .onnx")
     check_packages()
-    inverse = load_inverse(plain["bundle"], build(plain["rig"], kind=RigBackend) if plain["rig"].get("_target_") else None)
+    inverse = load_inverse(settings.bundle, settings.rig.build() if settings.rig else None)
     console = Console()
     with (
         exclusive_lock(out),
         console.status("tracing the network, through the rig's own derivative where it has one; up to minutes"),
     ):
-        parity = write_onnx(out, inverse, plain["poses"])
+        parity = write_onnx(out, inverse, settings.poses)
     table = Table(title=f"{escape(str(out))}: {out.stat().st_size / 1e6:.1f} MB", box=box.SIMPLE, title_justify="left")
     table.add_column("")
     for column in ("largest difference\nof a vertex", "of a control,\nof its range", "a mesh in\nPyTorch", "in onnx-\nruntime"):
         table.add_column(column, justify="right")
     times = [f"{ms:.2f} ms" for ms in (parity.torch_ms, parity.onnx_ms)]
-    table.add_row(f"{plain['poses']} random poses", f"{parity.vertex_mm:.5f} mm", f"{parity.control_share:.1e}", *times)
+    table.add_row(f"{settings.poses} random poses", f"{parity.vertex_mm:.5f} mm", f"{parity.control_share:.1e}", *times)
     console.print(table)
     console.print(
         "vertices (mesh, vertex, 3) in mm -> controls (mesh, control); names and limits are in its metadata", style="dim"

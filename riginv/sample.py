@@ -7,12 +7,11 @@ from typing import Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from riginv.config.validation import validate
+from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.launch.command import command
-from riginv.runs.run_folder import plain_config
 from riginv.store.checking import examine
-from riginv.store.filling import Filled, fill
+from riginv.store.filling import Filled, SampleConfig, fill
 from riginv.store.place import Place
 from riginv.store.store import PoseStore
 from riginv.store.summary import findings, finish, show
@@ -23,18 +22,17 @@ NAMED = 8  # chunks by name, at most, where many are missing
 
 def sample(config: DictConfig) -> None:
     """Fill the holes of a shard of `config.out`, or look a store through."""
-    plain = plain_config(config)
-    validate(plain)
-    if plain["verify"]:
-        verify(str(plain["verify"]))
+    settings = to_typed(config, SampleConfig)
+    if settings.verify:
+        verify(settings.verify)
         return
-    if not plain["out"]:
+    if not settings.out:
         raise InputError("out must be given: add out=NAME.zarr")
     began = time.perf_counter()
     try:
-        filled = fill(plain)
+        filled = fill(settings)
     except KeyboardInterrupt:
-        raise InputError(f"stopped; the same command goes on with {plain['out']} where this one was") from None
+        raise InputError(f"stopped; the same command goes on with {settings.out} where this one was") from None
     if not filled.absent:
         finish(filled.store)
     show(filled.store, said(filled, time.perf_counter() - began))

@@ -1,13 +1,14 @@
-"""python -m riginv.train: from a config to a judged, bundled model."""
+"""python -m riginv.train: from a config to an evaluated, bundled model."""
 
+from dataclasses import replace
 from typing import Any
 
 import lightning as L
 from omegaconf import DictConfig
 
 from riginv.clips.description_text import show_clip
-from riginv.config.building import class_of
-from riginv.config.validation import validate
+from riginv.config.building import ClassSpec
+from riginv.config.typed import to_typed
 from riginv.evaluation.models import evaluate_model, load_model, surrogate_config, write_results
 from riginv.inference.bundle import is_damaged, write_bundle
 from riginv.launch.command import command, run_directory
@@ -18,7 +19,6 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig.size import show_rig
 from riginv.runs.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
 from riginv.training.assembly import (
-    Config,
     as_surrogate,
     build_clip,
     build_data,
@@ -30,86 +30,91 @@ from riginv.training.assembly import (
     needs_surrogate,
     speed_up,
 )
+from riginv.training.config import TrainConfig
 from riginv.training.devices import part, this_process
-from riginv.training.module import RigModule
 from riginv.training.pictures import log_choices, log_results
 from riginv.training.summary import show
 
 
 def train(config: DictConfig) -> None:
-    """Train a network on a rig, judge it by the true rig, and leave a bundle, metrics and a table behind."""
-    plain = plain_config(config)
-    validate(plain)
-    process = this_process(plain)
-    folder = find_run_folder(run_directory(), plain, config.resume, process.rank == 0)
+    """Train a network on a rig, evaluate it by the true rig, and leave a bundle, metrics and a table behind."""
+    settings = to_typed(config, TrainConfig)
+    process = this_process(settings.trainer, settings.data.batch_size)
+    folder = find_run_folder(run_directory(), plain_config(config), settings.resume, process.rank == 0)
     done = folder.finished and not is_damaged(folder.path / BUNDLE)
     if process.must_start_others and not done:
         run_in_processes(process.count, folder.path)
     elif not done:
-        rig = build_rig(plain)
-        true_rig = build_true_rig(plain, rig)
-        if needs_surrogate(plain, rig):
-            plain, rig = train_surrogate_first(config, folder, rig, true_rig)
-        fit(plain, folder, rig, true_rig)
+        rig = build_rig(settings.rig, settings.mesh_space, settings.data.store)
+        true_rig = build_true_rig(settings.true_rig, rig)
+        if needs_surrogate(settings.model, rig):
+            surrogate = train_surrogate_first(config, folder, rig, true_rig)
+            rig = build_rig(surrogate, settings.mesh_space)
+            fit(replace(settings, rig=surrogate), folder, rig, true_rig)
+        else:
+            fit(settings, folder, rig, true_rig)
     if process.shows:
-        show(folder)
+        show(folder, settings.rig.target)
 
 
-def fit(plain: Config, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, last: bool = True) -> None:
-    """From a rig to a judged, bundled model in a run's folder; `last`: nothing is trained after it, by several processes."""
-    is_inverse = class_of(plain["model"]["_target_"], kind=RigModule).kind == "inverse"
-    clip = build_clip(plain, rig, true_rig) if is_inverse else None
+def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, last: bool = True) -> None:
+    """From a rig to an evaluated, bundled model in a run's folder.
+
+    Args:
+        last: whether no other model is trained after it by the same processes.
+    """
+    is_inverse = settings.model.module.target_class.kind == "inverse"
+    clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig) if is_inverse else None
     if folder.written_here:
         show_clip(clip)
-        show_rig(rig, plain["rig"])
-    trainer, training = fit_network(plain, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
+        show_rig(rig, settings.rig.config)
+    trainer, training = fit_network(settings, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
     if last:
         part()
     if not folder.written_here:
         return
     model = load_model(folder.path / BUNDLE, rig)
-    results = evaluate_model(model, true_rig, plain["judging"]["test_poses"], clip)
-    facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": plain["seed"]}
+    results = evaluate_model(model, true_rig, settings.judging.test_poses, clip)
+    facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": settings.seed}
     log_results(trainer.logger, write_results(folder.path, results, true_rig, facts), trainer.global_step)
 
 
 def fit_network(
-    plain: Config, folder: RunFolder, rig: RigInMeshSpace, true_rig: RigBackend, clip: MeshSet | None
+    settings: TrainConfig, folder: RunFolder, rig: RigInMeshSpace, true_rig: RigBackend, clip: MeshSet | None
 ) -> tuple[L.Trainer, dict[str, Any]]:
     """Train a network and write its bundle into a run's folder; the trainer, and the facts of training in the bundle."""
-    L.seed_everything(plain["seed"], verbose=False)
-    module = build_module(plain, rig, true_rig)
-    data = build_data(plain, module, true_rig, clip)
-    calibrate(plain, module, data.sampler)
-    trainer, clock = build_trainer(plain, folder)
+    L.seed_everything(settings.seed, verbose=False)
+    module = build_module(settings, rig, true_rig)
+    data = build_data(settings, module, true_rig, clip)
+    calibrate(settings.seed, module, data.sampler)
+    trainer, clock = build_trainer(settings, folder)
 
     folder.begin()
-    log_choices(trainer.logger, plain)
-    speed_up(plain, module, trainer.strategy.root_device)
+    log_choices(trainer.logger, folder.config)
+    speed_up(settings.trainer, module, trainer.strategy.root_device)
     trainer.fit(module, data, ckpt_path=folder.checkpoint, weights_only=True)
 
-    training = {"steps": trainer.global_step, "seconds": round(clock.seconds, 1), "seed": plain["seed"]}
+    training = {"steps": trainer.global_step, "seconds": round(clock.seconds, 1), "seed": settings.seed}
     if folder.written_here:
-        write_bundle(folder.path / BUNDLE, module.kind, module.network, module.rig, plain, training)
+        configs = settings.model.network.config, settings.rig.config
+        write_bundle(folder.path / BUNDLE, module.kind, module.network, module.rig, *configs, training)
     return trainer, training
 
 
-def train_surrogate_first(
-    config: DictConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend
-) -> tuple[Config, LinearRig]:
-    """Train a surrogate of a rig that gives no gradients, in the run's own folder; the config and the rig to go on with."""
-    first = plain_config(as_surrogate(config))
-    inner = find_run_folder(folder.path / SURROGATE, first, True, folder.written_here)
+def train_surrogate_first(config: DictConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> ClassSpec[RigBackend]:
+    """Train a surrogate of a rig that gives no gradients, in the run's own folder; the class of that surrogate as a rig."""
+    first = as_surrogate(config)
+    inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.written_here)
     folder.begin()
     if not inner.finished:
+        settings = to_typed(first, TrainConfig)
         if folder.written_here:
             print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
-        fit(first, inner, rig, true_rig, last=False)
+        fit(settings, inner, rig, true_rig, last=False)
         inner.wait_until_finished()
         if folder.written_here:
-            show(inner)
-    through = {**folder.config, "rig": surrogate_config(inner.path)}
-    return through, build_rig(through)
+            show(inner, settings.rig.target)
+    return ClassSpec.read(surrogate_config(inner.path), RigBackend)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """A rig that exists only as sampled pairs of controls and vertices: `rig=pairs rig.file=TABLE`."""
 
+from riginv.config.values import PositiveFloat
 from riginv.rig.pairs import read_pairs
 from riginv.rig.recorded import RecordedRig
 
@@ -16,5 +17,5 @@ class PairsRig(RecordedRig):
         InputError: the table is missing or wrong, or too small to hold anything out.
     """
 
-    def __init__(self, file: str, held_out: float = 0.1, residual_mm: float = 0.01) -> None:
+    def __init__(self, file: str, held_out: float = 0.1, residual_mm: PositiveFloat = 0.01) -> None:
         super().__init__(f"pairs of {file}", read_pairs(file), held_out, residual_mm)

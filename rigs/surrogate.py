@@ -5,7 +5,7 @@ from torch import Tensor
 from riginv.config.building import OURS, build
 from riginv.inference.bundle import read_bundle
 from riginv.networks.base import RigNetwork
-from riginv.rig.interface import LinearRig
+from riginv.rig.interface import LinearRig, RigBackend
 
 
 class SurrogateRig(LinearRig):
@@ -20,6 +20,8 @@ class SurrogateRig(LinearRig):
     Raises:
         InputError: the bundle is missing, damaged, or not a surrogate's.
     """
+
+    is_surrogate = True
 
     def __init__(self, bundle: str) -> None:
         read = read_bundle(bundle, kind="forward")
@@ -39,6 +41,9 @@ class SurrogateRig(LinearRig):
         self.network = build(read.description["network"], self, kind=RigNetwork, only=OURS)
         self.network.load_own_weights(read.weights)
         self.requires_grad_(False)
+
+    def true_rig(self) -> RigBackend:
+        return build(self.true_rig_config, kind=RigBackend, only=OURS)
 
     def coefficients(self, controls: Tensor) -> Tensor:
         return self.network(controls.to(self.dtype)).to(controls.dtype)  # a network computes in the dtype of its weights

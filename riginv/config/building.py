@@ -9,15 +9,82 @@ plain values, and what a class keeps to users (`only_by_hand`, such as the path 
 import importlib
 import inspect
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 
-from riginv.config.arguments import check_arguments
+from torch import nn
+
+from riginv.config.values import check_value, did_you_mean
 from riginv.errors import InputError, in_short
 
+T = TypeVar("T")
 OURS = ("riginv", "rigs")
 KNOWN = (*OURS, "torch")  # what the classes that a user names may be given, beside those of their own package
 DOES_NOT_FIT = (TypeError, ValueError, AttributeError, LookupError, RuntimeError, OverflowError)
+
+
+@dataclass(frozen=True)
+class ClassSpec(Generic[T]):
+    """A class that a user's config names, and its arguments: built once, in the command, and handed on as an object.
+
+    `ClassSpec[RigBackend]` as the type of a config's field names the kind of class that is expected there.
+
+    Attributes:
+        target_class: the class itself.
+        config: as the config says it: `_target_` and the arguments, plain values.
+        key: where it stands in the config, for messages: `model.network`.
+    """
+
+    target_class: type[T]
+    config: Mapping[str, Any]
+    key: str = ""
+
+    @classmethod
+    def read(cls, config: Any, kind: type[T] | None = None, key: str = "") -> "ClassSpec[T]":
+        """The class that a config names; its arguments are compared with the annotations of the class.
+
+        Raises:
+            InputError: it does not exist, is of another kind, has no such argument, or an argument is not what it must be.
+        """
+        if not isinstance(config, Mapping):
+            raise InputError(f"{key} is {config!r:.80}, expected values with names, the class among them as _target_")
+        found = class_of(config.get("_target_"), kind=kind)
+        check_arguments(found, config, f"{key}." if key else "", _may_name(found))
+        return cls(found, config, key)
+
+    @property
+    def target(self) -> str:
+        """The name of the class, as the config says it."""
+        return self.config["_target_"]
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """The arguments as plain values, without `_target_`."""
+        return {str(key): value for key, value in self.config.items() if key != "_target_"}
+
+    def build(self, *given: Any, **more: Any) -> T:
+        """Build the object.
+
+        Args:
+            given: objects that the class, and every class named within its arguments, takes first, such as the rig.
+            more: further arguments.
+        """
+        return build({**self.config, **more}, *given)
+
+    def factory(self) -> "partial[T]":
+        """The class with its arguments, still to be called with what it acts on: an optimiser, a schedule."""
+        return partial(self.target_class, **_arguments(self.config, (), _may_name(self.target_class)))
+
+    def check(self, **hints: Any) -> None:
+        """Check arguments by annotations beyond those of the class, which may be another library's: `lr=PositiveFloat`.
+
+        Raises:
+            InputError: an argument does not fit.
+        """
+        for name, hint in hints.items():
+            if name in self.config:
+                check_value(self.config[name], hint, f"{self.key}.{name}")
 
 
 def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, ...] | None = None) -> Any:
@@ -35,7 +102,7 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
     if not isinstance(config, Mapping):
         raise InputError(f"a config must name a class as _target_: package.module.Class, found {config!r:.80}")
     found = class_of(config.get("_target_"), only, kind)
-    arguments = _arguments(config, given, None if only else (*KNOWN, found.__module__.partition(".")[0]))
+    arguments = _arguments(config, given, None if only else _may_name(found))
     if only is not None:
         arguments = {key: value for key, value in arguments.items() if key not in getattr(found, "only_by_hand", ())}
     target = config["_target_"]
@@ -48,7 +115,7 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
     except InputError:
         raise
     except DOES_NOT_FIT as error:
-        check_arguments(found, arguments)  # the reason, where it is one
+        check_arguments(found, config, f"{target}: ", None if only else _may_name(found))  # the reason, where it is one
         if only is None:
             raise
         raise InputError(
@@ -57,21 +124,13 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
 
 
 def factory(config: Any, kind: type | None = None) -> partial:
-    """A class with its arguments, still to be called with what it acts on: an optimiser, a schedule.
+    """As `ClassSpec.factory`, of a plain config."""
+    return ClassSpec.read(config, kind).factory()
 
-    Raises:
-        InputError: the class does not exist, or is of another kind.
-    """
-    if not isinstance(config, Mapping):
-        raise InputError(f"a config must name a class as _target_: package.module.Class, found {config!r:.80}")
-    found = class_of(config.get("_target_"), kind=kind)
-    arguments = _arguments(config, (), (*KNOWN, found.__module__.partition(".")[0]))
-    try:
-        inspect.signature(found).bind_partial(**arguments)
-    except TypeError as error:
-        raise InputError(f"{config['_target_']}: {error}; its arguments are {inspect.signature(found)}") from None
-    check_arguments(found, arguments)
-    return partial(found, **arguments)
+
+def _may_name(found: type) -> tuple[str, ...]:
+    """The packages whose classes may be named within the arguments of a class that a user names."""
+    return (*KNOWN, found.__module__.partition(".")[0])
 
 
 def _arguments(config: Mapping[str, Any], given: tuple, may_name: tuple[str, ...] | None) -> dict[str, Any]:
@@ -119,5 +178,69 @@ def class_of(target: Any, only: tuple[str, ...] | None = None, kind: type | None
     if only is not None and found.__module__.partition(".")[0] not in only:
         raise InputError(f"{target} is defined in {found.__module__}, which is not allowed here")
     if kind is not None and not issubclass(found, kind):
-        raise InputError(f"{target} is not allowed here: it is no {kind.__module__}.{kind.__name__}")
+        raise InputError(
+            f"{target} is not allowed here: it names {found.__name__}, which is no {kind.__module__}.{kind.__name__}"
+        )
     return found
+
+
+def check_arguments(found: type, config: Mapping[str, Any], prefix: str, may_name: tuple[str, ...] | None) -> None:
+    """Compare the arguments that a config gives a class with the names and annotations of its constructor.
+
+    Args:
+        prefix: what stands before an argument's name in messages.
+        may_name: as in `_arguments`; the arguments of classes named within are compared, too.
+
+    Raises:
+        InputError: there is no such argument, or it is of another type or out of its range.
+    """
+    hints, names = _hints(found), _names(found)
+    for name, value in config.items():
+        if name == "_target_":
+            continue
+        if names is not None and name not in names:
+            raise InputError(f"{prefix}{name}: {config['_target_']} has no such argument{did_you_mean(str(name), names)}")
+        if name in hints:
+            _check_argument(value, hints[name], f"{prefix}{name}", may_name)
+
+
+def _check_argument(value: Any, hint: Any, key: str, may_name: tuple[str, ...] | None) -> None:
+    inner = get_args(hint)
+    if isinstance(value, Mapping) and "_target_" in value and may_name is not None:
+        named = class_of(value["_target_"], may_name, hint if inspect.isclass(hint) and issubclass(hint, nn.Module) else None)
+        check_arguments(named, value, f"{key}.", may_name)
+    elif isinstance(value, Mapping) and get_origin(hint) is Mapping:
+        for name, one in value.items():
+            _check_argument(one, inner[1], f"{key}.{name}", may_name)
+    elif inspect.isclass(hint) and issubclass(hint, nn.Module) and not isinstance(value, hint):
+        raise InputError(f"{key} is {value!r:.80}, expected a class as _target_: a {hint.__module__}.{hint.__name__}")
+    else:
+        check_value(value, hint, key)
+
+
+def _names(found: type) -> set[str] | None:
+    """The arguments that a class takes by name; None where it takes any, or does not tell."""
+    names: set[str] = set()
+    for ancestor in found.__mro__:
+        if "__init__" not in vars(ancestor):
+            continue
+        try:
+            parameters = inspect.signature(vars(ancestor)["__init__"]).parameters.values()
+        except (TypeError, ValueError):
+            return None
+        names |= {one.name for one in parameters if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)} - {"self"}
+        if not any(one.kind is one.VAR_KEYWORD for one in parameters):
+            return names
+    return None
+
+
+def _hints(found: type) -> dict[str, Any]:
+    """The annotations of a constructor's arguments, those that it passes on to the classes above it included."""
+    hints: dict[str, Any] = {}
+    for ancestor in reversed(found.__mro__):
+        if "__init__" in vars(ancestor):
+            try:
+                hints |= get_type_hints(vars(ancestor)["__init__"], include_extras=True)
+            except (NameError, TypeError, AttributeError):
+                continue
+    return hints

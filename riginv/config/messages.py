@@ -1,6 +1,5 @@
 """From an error to the one sentence that a user needs."""
 
-import difflib
 import errno
 import os
 import re
@@ -17,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from riginv.config.path_values import quoted
+from riginv.config.values import did_you_mean
 from riginv.errors import InputError, NonFiniteLossError
 
 PACKAGE = Path(__file__).parent.parent
@@ -39,7 +39,7 @@ def explain(error: BaseException, config_name: str) -> str | None:
                 f"cannot read the argument '{cause.override}': expected KEY=VALUE or GROUP=CHOICE{_in_quotes(cause.override)}"
             )
         if isinstance(cause, ConfigCompositionException) and (key := re.match(r"Could not override '([^']+)'", str(cause))):
-            return f"{key[1]}: there is no such key{_near(key[1], _known_keys(config_name))} --cfg job shows them all"
+            return f"{key[1]}: there is no such key{did_you_mean(key[1], _known_keys(config_name))} --cfg job shows them all"
     if any(_says_full(cause) for cause in causes):
         return (
             "the disk is full: free some of it, then type the same command again; resume=true goes on with a run that had begun"
@@ -83,18 +83,13 @@ def _unknown_choice(error: MissingConfigException) -> str:
     files = files or list(folder.rglob("*.yaml"))
     known = {file.relative_to(folder).with_suffix("").as_posix() for file in files}
     known |= {option for option in error.options or [] if not (folder / option).is_dir()}
-    return f"{group}={choice}: there is no such {group}{_near(choice, known)} Known: {', '.join(sorted(known))}"
+    return f"{group}={choice}: there is no such {group}{did_you_mean(choice, known)} Known: {', '.join(sorted(known))}"
 
 
 def _in_quotes(argument: str | None) -> str:
     """How to type an argument whose value is text that Hydra reads something else into."""
     key, equals, value = (argument or "").partition("=")
     return f"; a value with brackets, quotes or the like: {shlex.quote(f'{key}={quoted(value)}')}" if equals and value else ""
-
-
-def _near(word: str, words: set[str]) -> str:
-    near = difflib.get_close_matches(word, sorted(words), n=3, cutoff=0.5)
-    return f"; did you mean {' or '.join(near)}?" if near else "."
 
 
 def _known_keys(config_name: str) -> set[str]:

@@ -13,7 +13,6 @@ from riginv.inference.inverse import Inverse, load_inverse
 from riginv.meshes.rendering import comparison
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet
-from riginv.rig.recorded import RecordedRig
 from riginv.runs.files import atomic_write, write_json
 from riginv.runs.run_folder import METRICS, POSES
 from riginv.runs.tables import NO_RIG
@@ -59,8 +58,7 @@ def evaluate_model(
     """
     rig = model.rig if isinstance(model, Inverse) else model
     check_same_controls(rig, true_rig)
-    if isinstance(true_rig, RecordedRig):
-        held_out = true_rig.held_out
+    if (held_out := true_rig.held_out) is not None:
         if not isinstance(model, Inverse):
             return [evaluate_rig(rig, held_out)]
         sets = [held_out, *([clip] if clip else [])]
@@ -88,6 +86,6 @@ def write_results(
     with atomic_write(folder / POSES) as beside:
         comparison(true_rig, pairs).save(beside, format="PNG")
     metrics = {key: value for result in results for key, value in result.metrics.items()}
-    metrics |= {**more, "true_rig": NO_RIG if isinstance(true_rig, RecordedRig) else true_rig.name}
+    metrics |= {**more, "true_rig": true_rig.name if true_rig.held_out is None else NO_RIG}
     write_json(folder / METRICS, metrics)
     return metrics

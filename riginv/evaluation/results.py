@@ -1,15 +1,14 @@
 """Judging by the true rig: errors are measured on what it makes of the controls, never on a network's own surrogate."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from inspect import signature
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from riginv.config.building import OURS, build, class_of
+from riginv.config.building import ClassSpec
 from riginv.errors import InputError
 from riginv.meshes.metrics import VertexError, mean_distance, roughness
 from riginv.meshes.rendering import Pair
@@ -88,18 +87,16 @@ def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor]
     return EvaluationResult(metrics, torch.cat(errors), meshes, rig, controls)
 
 
-def make_true_rig(config: Mapping[str, Any], rig: RigBackend) -> RigBackend:
-    """The rig of a config that is to judge `rig`; a class that can stand for another rig (`twin_of`) is told which.
+def make_true_rig(spec: ClassSpec[RigBackend], rig: RigBackend) -> RigBackend:
+    """The rig that evaluates `rig`; a class that can stand for another rig (`twin_of`) is told which.
 
     Raises:
         InputError: it cannot be built, or has other controls or vertices than the rig.
     """
-    given = {}
-    if "twin_of" in signature(class_of(config.get("_target_"), kind=RigBackend)).parameters:
-        given["twin_of"] = build(rig.true_rig_config, kind=RigBackend, only=OURS) if hasattr(rig, "true_rig_config") else rig
-    judge = build({**config, **given}, kind=RigBackend)
-    check_same_controls(rig, judge)
-    return judge
+    takes_twin = "twin_of" in signature(spec.target_class).parameters
+    true_rig = spec.build(**({"twin_of": rig.true_rig()} if takes_twin else {}))
+    check_same_controls(rig, true_rig)
+    return true_rig
 
 
 def check_same_controls(rig: RigBackend, true_rig: RigBackend) -> None:

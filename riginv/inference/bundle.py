@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from riginv.config.arguments import fits, in_words
+from riginv.config.values import fits, in_words
 from riginv.errors import InputError, in_short
 from riginv.networks.base import RigNetwork
 from riginv.rig.interface import Control, RigBackend
@@ -88,26 +88,32 @@ class Bundle:
 
 
 def write_bundle(
-    folder: Path, kind: str, network: RigNetwork, rig: RigInMeshSpace, config: dict[str, Any], training: dict[str, Any]
+    folder: Path,
+    kind: str,
+    network: RigNetwork,
+    rig: RigInMeshSpace,
+    network_config: Mapping[str, Any],
+    rig_config: Mapping[str, Any],
+    training: Mapping[str, Any],
 ) -> None:
     """Write a bundle whole or not at all.
 
     Args:
         kind: `inverse` or `forward`.
-        config: the plain config of the run; its `rig` says what builds the rig. Where that is a surrogate of a bundle, the
-            bundle is copied along.
+        network_config: the class of the network, and its arguments.
+        rig_config: the class of the rig, and its arguments. Where it is a surrogate of a bundle, that bundle is copied along.
         training: facts worth keeping: steps, seconds, seed.
     """
     with atomic_write(folder) as beside:
         beside.mkdir()
-        rig_config = dict(config["rig"])
+        rig_config = dict(rig_config)
         if "bundle" in rig_config:
             copy_bundle(read_bundle(rig_config["bundle"]).folder, beside / RIG)
             rig_config["bundle"] = RIG
         description = {
             "format": FORMAT,
             "kind": kind,
-            "network": config["model"]["network"],
+            "network": dict(network_config),
             "rig": {
                 "name": rig.rig.name,
                 "config": rig_config,
@@ -115,7 +121,7 @@ def write_bundle(
                 "coefficient_names": list(rig.rig.coefficient_names),
                 "controls": [vars(control) for control in rig.rig.controls],
             },
-            "training": training,
+            "training": dict(training),
         }
         (beside / DESCRIPTION).write_text(yaml.safe_dump(description, sort_keys=False), encoding="utf-8")
         space = {

@@ -18,11 +18,9 @@ from rich.console import Console
 from rich.markup import escape
 
 from riginv.config.building import OURS
-from riginv.config.diagnosis import diagnose
 from riginv.config.folders import check_config_folders
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.path_values import quoted, with_quoted_paths
-from riginv.errors import InputError
 from riginv.launch.apart import end_with_starter
 from riginv.launch.closed_output import ends_with_its_reader, filter_warnings
 from riginv.launch.help import register_help_resolvers
@@ -137,10 +135,7 @@ class _Job:
             self._work(config)
         except Exception as error:
             discard_if_empty(run_directory())
-            diagnosis = (
-                None if explain(error, self.config_name) else diagnose(error, config, self.config_name, HydraConfig.get())
-            )
-            self.error = InputError(diagnosis) if diagnosis else error
+            self.error = error
 
     def run_in_sweep(self, config: DictConfig) -> None:
         """Run a job of a sweep within this process; one that finished already is left alone, one that started goes on."""
@@ -158,9 +153,7 @@ class _Job:
         try:
             self._work(config)
         except Exception as error:
-            why = (
-                explain(error, self.config_name) or diagnose(error, config, self.config_name, chosen) or traceback.format_exc()
-            )
+            why = explain(error, self.config_name) or traceback.format_exc()
             Console(stderr=True).print(f"[bold red]this job failed:[/] {escape(why)}", highlight=False)
         record.ended(sweep, time.perf_counter() - began, why)
 

@@ -131,6 +131,17 @@ def grid(pictures: list[Image.Image], labels: list[str], columns: int) -> Image.
 
 def wrapped(text: str, width: float) -> list[str]:
     """A text in lines of so many pixels; a word that is too long for one is broken, and what no line is left for is cut."""
+    lines = [line for part in text.split("\n") for line in _broken(part, width)] or [""]
+    if len(lines) <= MOST_LINES:
+        return lines
+    last = f"{lines[MOST_LINES - 1]}..."
+    while _pixels(last) > width:
+        last = f"{last[:-4]}..."
+    return [*lines[: MOST_LINES - 1], last]
+
+
+def _broken(text: str, width: float) -> list[str]:
+    """One line of text in lines of so many pixels; none for an empty one."""
     lines = [""]
     for word in BREAKS.findall(text):
         if lines[-1] and _pixels(f"{lines[-1]}{word}".rstrip()) > width:
@@ -140,13 +151,7 @@ def wrapped(text: str, width: float) -> list[str]:
             lines[-1:] = [word[:fits], ""]
             word = word[fits:]
         lines[-1] += word
-    lines = [line.rstrip() for line in lines if line.strip()] or [""]
-    if len(lines) <= MOST_LINES:
-        return lines
-    last = f"{lines[MOST_LINES - 1]}..."
-    while _pixels(last) > width:
-        last = f"{last[:-4]}..."
-    return [*lines[: MOST_LINES - 1], last]
+    return [line.rstrip() for line in lines if line.strip()]
 
 
 def _pixels(text: str) -> float:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from riginv.config.arguments import fits
+from riginv.config.values import fits
 from riginv.errors import InputError
 from riginv.runs.console import Bar
 from riginv.runs.files import atomic_write, read_json, write_json, write_text

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from riginv.config.values import PositiveFloat, PositiveInt
 from riginv.methods.base import Method
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_sets import MeshSet
@@ -29,7 +30,9 @@ class Direct(Method):
         "mesh more: at neutral itself rigs have a kink that a descent may never leave."
     )
 
-    def __init__(self, rig: RigInMeshSpace, steps: int = 30, first_steps: int = 300, lr: float = 0.02) -> None:
+    def __init__(
+        self, rig: RigInMeshSpace, steps: PositiveInt = 30, first_steps: PositiveInt = 300, lr: PositiveFloat = 0.02
+    ) -> None:
         super().__init__(rig)
         self.steps, self.first_steps, self.lr = steps, first_steps, lr
 

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from riginv.config.values import NonNegativeFloat, NonNegativeInt, PositiveInt
 from riginv.methods.base import Method
 from riginv.methods.network import Network
 from riginv.rig.mesh_sets import MeshSet
@@ -34,13 +35,13 @@ class LevenbergMarquardt(Method):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        starts: int = 3,
-        key_starts: int = 2,
-        steps: int = 30,
-        more_steps: int = 3,
-        descent_steps: int = 60,
-        prior: float = PRIOR,
-        sparsity: float = 0.0,
+        starts: PositiveInt = 3,
+        key_starts: PositiveInt = 2,
+        steps: PositiveInt = 30,
+        more_steps: NonNegativeInt = 3,
+        descent_steps: NonNegativeInt = 60,
+        prior: NonNegativeFloat = PRIOR,
+        sparsity: NonNegativeFloat = 0.0,
     ) -> None:
         super().__init__(rig)
         self.starts, self.key_starts, self.steps, self.more_steps = starts, key_starts, steps, more_steps
@@ -85,10 +86,10 @@ class Clip(LevenbergMarquardt):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        smoothness: float = 1.5,
-        clip_steps: int = 4,
-        blur: float = 3.0,
-        mean_steps: int = 0,
+        smoothness: NonNegativeFloat = 1.5,
+        clip_steps: PositiveInt = 4,
+        blur: NonNegativeFloat = 3.0,
+        mean_steps: NonNegativeInt = 0,
         bundle: str | None = None,
         **solver: float,
     ) -> None:
@@ -128,7 +129,7 @@ class Refined(Network):
 
     source = "riginv: a trained network as the start of Levenberg-Marquardt"
 
-    def __init__(self, rig: RigInMeshSpace, bundle: str, steps: int = 5, prior: float = PRIOR) -> None:
+    def __init__(self, rig: RigInMeshSpace, bundle: str, steps: PositiveInt = 5, prior: NonNegativeFloat = PRIOR) -> None:
         super().__init__(rig, bundle)
         self.steps, self.objective = steps, Objective(rig, prior)
 

@@ -1,9 +1,8 @@
 """The paper's networks with one thing changed, to test what the paper says of that thing (`riginv.reproduce`)."""
 
-from collections.abc import Sequence
-
 from torch import Tensor, nn
 
+from riginv.config.values import Widths
 from riginv.errors import InputError
 from riginv.networks.control_maps import ControlMap
 from riginv.networks.inverse import DirectInverse
@@ -28,7 +27,7 @@ class NormalisedInverse(DirectInverse):
         self,
         rig: RigInMeshSpace,
         normalisation: str,
-        hidden: Sequence[int] = (2048, 1024, 512, 256),
+        hidden: Widths = (2048, 1024, 512, 256),
         activation: str = "leaky_relu",
         control_map: str = "neutral_start",
     ) -> None:
@@ -50,9 +49,7 @@ class UnboundedInverse(DirectInverse):
     Once trained, its answers are cut off to the limits: no rig takes others.
     """
 
-    def __init__(
-        self, rig: RigInMeshSpace, hidden: Sequence[int] = (2048, 1024, 512, 256), activation: str = "leaky_relu"
-    ) -> None:
+    def __init__(self, rig: RigInMeshSpace, hidden: Widths = (2048, 1024, 512, 256), activation: str = "leaky_relu") -> None:
         super().__init__(rig, hidden, activation, "neutral_start")
         self.control_map = _Linear(rig.rig)
 

@@ -11,12 +11,12 @@ own; the components are those of the rig's deltas, not of posed examples; the gr
 their number and their weight are our choices.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from riginv.config.values import PositiveInt, Widths
 from riginv.errors import InputError
 from riginv.geometry.neighbours import differential_coordinates, spread_points
 from riginv.networks.mlp import mlp
@@ -92,9 +92,9 @@ class DifferentialSubspace(SurrogateNetwork):
     def __init__(
         self,
         rig: LinearRig,
-        hidden: Sequence[int] = (1024, 1024),
-        subspace_hidden: Sequence[int] = (256, 256),
-        anchors: int = 64,
+        hidden: Widths = (1024, 1024),
+        subspace_hidden: Widths = (256, 256),
+        anchors: PositiveInt = 64,
         anchor_weight: float = 1.0,
         components: int | None = None,
         activation: str = "leaky_relu",

@@ -2,11 +2,11 @@
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
+from riginv.config.values import NonNegativeInt, PositiveInt, Widths
 from riginv.errors import InputError
 from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
@@ -116,7 +116,7 @@ class DirectInverse(InverseNetwork):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        hidden: Sequence[int] = (2048, 1024, 512, 256),
+        hidden: Widths = (2048, 1024, 512, 256),
         activation: str = "leaky_relu",
         control_map: str = "range_tanh",
     ) -> None:
@@ -158,11 +158,11 @@ class StagedInverse(InverseNetwork):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        stages: int = 1,
-        hidden: Sequence[int] = (1024, 512),
-        corrections: int = 6,
-        width: int = 384,
-        gate: int = 256,
+        stages: PositiveInt = 1,
+        hidden: Widths = (1024, 512),
+        corrections: NonNegativeInt = 6,
+        width: PositiveInt = 384,
+        gate: PositiveInt = 256,
         activation: str = "gelu",
         control_map: str = "neutral_start",
     ) -> None:

@@ -1,11 +1,11 @@
 """A surrogate that knows who follows whom: many small MLPs, each seeing a few numbers only."""
 
 import math
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
+from riginv.config.values import PositiveInt, Widths
 from riginv.networks.dependencies import find_dependencies
 from riginv.networks.mlp import mlp
 from riginv.networks.surrogate import SurrogateNetwork
@@ -67,12 +67,12 @@ class LocalSurrogate(SurrogateNetwork):
     def __init__(
         self,
         rig: LinearRig,
-        drivers: int = 4,
-        parents: int = 3,
-        width: int = 32,
-        corrective_width: int = 16,
-        context: Sequence[int] = (256,),
-        hidden: Sequence[int] = (1024, 1024),
+        drivers: PositiveInt = 4,
+        parents: PositiveInt = 3,
+        width: PositiveInt = 32,
+        corrective_width: PositiveInt = 16,
+        context: Widths = (256,),
+        hidden: Widths = (1024, 1024),
     ) -> None:
         super().__init__(rig)
         controls, primaries = len(rig.controls), rig.primary_count

@@ -1,11 +1,11 @@
 """Networks from controls to a rig's coefficients."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
+from riginv.config.values import Widths
 from riginv.networks.base import RigNetwork
 from riginv.networks.mlp import mlp
 from riginv.rig.interface import LinearRig
@@ -51,7 +51,7 @@ class SurrogateNetwork(RigNetwork, ABC):
 class ControlMLP(SurrogateNetwork):
     """The paper's: a MLP on the controls as they are (paper: hidden 1024, 1024, leaky ReLU)."""
 
-    def __init__(self, rig: LinearRig, hidden: Sequence[int] = (1024, 1024), activation: str = "leaky_relu") -> None:
+    def __init__(self, rig: LinearRig, hidden: Widths = (1024, 1024), activation: str = "leaky_relu") -> None:
         super().__init__(rig)
         self.network = mlp(len(rig.controls), hidden, len(rig.basis), activation)
 

@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from riginv.config.building import build
+from riginv.config.building import ClassSpec, build
 from riginv.errors import InputError
 from riginv.evaluation.models import surrogate_config
 from riginv.evaluation.results import make_true_rig
@@ -55,4 +55,4 @@ def _rig_in_space(config: str) -> RigInMeshSpace:
 
 @functools.lru_cache(maxsize=4)
 def _judge(config: str, rig: LinearRig) -> RigBackend:
-    return make_true_rig(json.loads(config), rig)
+    return make_true_rig(ClassSpec.read(json.loads(config), RigBackend, "true_rig"), rig)

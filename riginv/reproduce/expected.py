@@ -2,12 +2,15 @@
 
 import statistics
 import time
+from dataclasses import replace
 from typing import Any
 
 import lightning as L
 
+from riginv.config.typed import to_typed
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.training.assembly import Config, build_module, build_sampler, calibrate, trainer_arguments
+from riginv.training.assembly import build_module, build_sampler, calibrate, lightning_arguments
+from riginv.training.config import TrainConfig
 from riginv.training.data import PoseDataModule
 
 WARM, TIMED = 3, 8  # steps
@@ -29,15 +32,15 @@ class StepClock(L.Callback):
         return statistics.median(gaps[WARM:])
 
 
-def measured_step_s(config: Config, rig: RigInMeshSpace) -> float:
+def measured_step_s(settings: TrainConfig, rig: RigInMeshSpace) -> float:
     """What a training step takes here, s: the median of a few, after some to warm up."""
-    config = {**config, "data": {**config["data"], "stored_poses": None}}
-    module = build_module(config, rig, rig.rig)
-    sampler = build_sampler(config, rig)
-    calibrate(config, module, sampler)
+    settings = replace(settings, data=replace(settings.data, stored_poses=None))
+    module = build_module(settings, rig, rig.rig)
+    sampler = build_sampler(settings, rig)
+    calibrate(settings.seed, module, sampler)
     clock, steps = StepClock(), WARM + TIMED + 1
     trainer = L.Trainer(
-        **{**trainer_arguments(config), "max_steps": steps},
+        **{**lightning_arguments(settings.trainer), "max_steps": steps},
         max_epochs=-1,
         callbacks=[clock],
         logger=False,
@@ -47,11 +50,11 @@ def measured_step_s(config: Config, rig: RigInMeshSpace) -> float:
         num_sanity_val_steps=0,
         limit_val_batches=0,
     )
-    trainer.fit(module, PoseDataModule(sampler, {}, config["data"]["batch_size"], steps + 1, config["seed"]))
+    trainer.fit(module, PoseDataModule(sampler, {}, settings.data.batch_size, steps + 1, settings.seed))
     return clock.step_s
 
 
-def measured(trainings: dict[str, Config], rig: RigInMeshSpace) -> dict[str, float]:
+def measured(trainings: dict[str, dict[str, Any]], rig: RigInMeshSpace) -> dict[str, float]:
     """What a training step of each network takes, s, by name; through a trained rig it is reckoned."""
-    step_s = {name: measured_step_s(config, rig) for name, config in trainings.items()}
+    step_s = {name: measured_step_s(to_typed(config, TrainConfig), rig) for name, config in trainings.items()}
     return {**step_s, "trained": step_s["inverse"] + THROUGH * step_s["surrogate"]}

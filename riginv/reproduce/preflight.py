@@ -7,7 +7,7 @@ import os
 import shutil
 from pathlib import Path
 
-from riginv.config.building import build, class_of
+from riginv.config.building import ClassSpec, build, class_of
 from riginv.errors import InputError
 from riginv.evaluation.optimum import fingerprint
 from riginv.evaluation.results import make_true_rig
@@ -70,7 +70,9 @@ def choose_true_rig(config: Config, rig: LinearRig) -> tuple[Config, str, str]:
     if not given.get("_target_"):
         return ITSELF, rig.name, "true_rig=same was asked for"
     try:
-        judge = make_true_rig({**given, **({"workers": 1} if "workers" in given else {})}, rig)
+        judge = make_true_rig(
+            ClassSpec.read(given | ({"workers": 1} if "workers" in given else {}), RigBackend, "true_rig"), rig
+        )
     except InputError as error:
         if not optional:
             raise

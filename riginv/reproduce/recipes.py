@@ -7,10 +7,11 @@ from typing import Any
 
 from hydra import compose
 
-from riginv.config.validation import validate
+from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.evaluation.models import surrogate_config
 from riginv.runs.run_folder import plain_config
+from riginv.training.config import TrainConfig
 
 Config = dict[str, Any]
 TEST_SHARE = 10  # one sample in so many judges
@@ -26,8 +27,7 @@ def training_config(settings: Sequence[str], rig: Mapping[str, Any], seed: int) 
     """
     last = {setting.partition("=")[0]: setting for setting in settings}
     plain = copy.deepcopy(_composed(*last.values())) | {"rig": dict(rig), "true_rig": ITSELF, "seed": seed, "capture": None}
-    validate(plain)
-    if (devices := plain["trainer"]["devices"] * plain["trainer"]["num_nodes"]) > 1:
+    if (devices := to_typed(plain, TrainConfig).trainer.processes) > 1:
         raise InputError(f"a budget asks for {devices} devices: riginv.reproduce trains on one (trainer.devices=1)")
     return plain
 

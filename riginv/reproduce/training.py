@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.reproduce.cast import rig_in_space, trained_rig
 from riginv.reproduce.sets import captured
@@ -11,6 +12,7 @@ from riginv.runs.files import discard
 from riginv.runs.locks import unlock_folder
 from riginv.runs.run_folder import BUNDLE, RunFolder, find_run_folder
 from riginv.train import fit_network
+from riginv.training.config import TrainConfig
 
 RUN = "run"
 
@@ -28,7 +30,7 @@ def train(task: Task) -> dict[str, Any]:
     folder = _folder(task.folder / RUN, config)
     watched = captured(programmatic.rig, task.places, config["judging"]["validation_poses"])
     try:
-        _, facts = fit_network(config, folder, rig, programmatic.rig, watched)
+        _, facts = fit_network(to_typed(config, TrainConfig), folder, rig, programmatic.rig, watched)
     finally:
         unlock_folder(folder.path)
     discard(folder.path / "checkpoints")

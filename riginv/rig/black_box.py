@@ -54,6 +54,8 @@ class BlackBoxRig(LinearRig):
         posed: the rig itself.
     """
 
+    is_fitted = True
+
     def __init__(self, rig: RigBackend, basis: Tensor) -> None:
         super().__init__(rig.name, rig.controls, rig.rest_vertices, rig.faces, basis)
         self.posed, self.differentiable = rig, rig.differentiable
@@ -104,6 +106,12 @@ class BlackBoxRig(LinearRig):
             f"{self.name}: a basis of {len(self.basis)} coefficients, fitted to poses to {residual_mm:.2g} mm on average; "
             f"on {CHECKED} others {float(away.mean()):.2g} mm, at most {float(away.max()):.2g} mm (mesh_space in the config)"
         )
+
+    def posing_rig(self) -> RigBackend:
+        return self.posed
+
+    def true_rig(self) -> RigBackend:
+        return self.posed.true_rig()
 
     def coefficients(self, controls: Tensor) -> Tensor:
         if self.some is None:

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig.batches import generator_at
-from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig
 from riginv.rig.random_controls import sparse_controls
 
@@ -30,7 +29,7 @@ def describe(rig: LinearRig, config: dict[str, Any]) -> dict[str, Any]:
         "config": config,
         "controls": [vars(control) for control in rig.controls],
         "vertex_count": len(rig.rest_vertices),
-        "linear": not isinstance(rig, BlackBoxRig),
+        "linear": not rig.is_fitted,
         "coefficient_names": list(rig.coefficient_names),
         "hash": rig_hash(rig),
         "fingerprint_mm": fingerprint(rig).tolist(),
@@ -39,7 +38,7 @@ def describe(rig: LinearRig, config: dict[str, Any]) -> dict[str, Any]:
 
 def rig_hash(rig: LinearRig) -> str:
     """SHA-256 of a rig's controls, faces and number of vertices, and of the coefficients of one that ends in a linear map."""
-    names = [] if isinstance(rig, BlackBoxRig) else list(rig.coefficient_names)
+    names = [] if rig.is_fitted else list(rig.coefficient_names)
     exact = json.dumps([[vars(control) for control in rig.controls], len(rig.rest_vertices), names])
     return hashlib.sha256(exact.encode() + rig.faces.cpu().numpy().astype("<i8").tobytes()).hexdigest()
 
@@ -49,8 +48,7 @@ def fingerprint(rig: LinearRig) -> Tensor:
     """What a rig does to eight poses, `(probe, field)`: its change of the mesh, weighted by fields of random signs, mm."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     controls = sparse_controls(*limits, len(rig.controls), PROBES, generator_at(SEED, "probes"))
-    posed = rig.posed if isinstance(rig, BlackBoxRig) else rig
-    change = (posed(controls) - rig.rest_vertices).flatten(1).double().nan_to_num(0.0, 0.0, 0.0)
+    change = (rig.posing_rig()(controls) - rig.rest_vertices).flatten(1).double().nan_to_num(0.0, 0.0, 0.0)
     signs = torch.randint(0, 2, (change.shape[1], FIELDS), generator=generator_at(SEED, "signs")).double() * 2 - 1
     return change @ signs / math.sqrt(len(rig.rest_vertices))
 
@@ -69,7 +67,7 @@ def check_rig(where: str, described: dict[str, Any], rig: LinearRig) -> None:
         raise InputError(f"{begin} has {len(rig.rest_vertices)} vertices instead of {described['vertex_count']}: {end}")
     if described["linear"] and described["coefficient_names"] != list(rig.coefficient_names):
         raise InputError(f"{begin} has other coefficients or faces: {end}")
-    if hasattr(rig, "true_rig_config"):
+    if rig.is_surrogate:
         return
     apart = float((fingerprint(rig) - torch.tensor(described["fingerprint_mm"], dtype=torch.float64)).abs().max())
     if described["hash"] != rig_hash(rig) or not apart <= TOLERANCE_MM:

@@ -15,6 +15,7 @@ from torch.autograd import forward_ad
 from riginv.geometry.blendshapes import add_to_columns
 from riginv.geometry.kernels.library import Kernels, kernels_for
 
+STEP = 1e-3  # of a control's range, between the two ends of a finite difference
 FORWARD = 1024  # rows of a batch in forward mode, one for each control of each pose
 BATCH_SIZE = 16  # Jacobians at a time: what a processor's cache holds
 
@@ -188,6 +189,18 @@ def forward_jacobian(function: Callable[[Tensor], Tensor], controls: Tensor) -> 
         tangents = torch.zeros_like(values) if tangents is None else tangents
         derivatives.append(tangents.unflatten(0, (len(batch), count)).transpose(1, 2))
     return torch.cat(found), Jacobian(inner=torch.cat(derivatives))
+
+
+@torch.no_grad()
+def finite_differences(
+    function: Callable[[Tensor], Tensor], controls: Tensor, lower: Tensor, upper: Tensor
+) -> tuple[Tensor, Jacobian]:
+    """A function of controls `(batch, control)`, and its Jacobian by one-sided differences within the limits `(control,)`."""
+    step = STEP * (upper - lower).to(controls)
+    step = torch.where(controls + step <= upper.to(controls), step, -step)
+    found = function(controls)
+    moved = [function(controls + step * column) for column in torch.eye(controls.shape[1]).to(controls)]
+    return found, Jacobian(inner=(torch.stack(moved, dim=2) - found[:, :, None]) / step[:, None])
 
 
 def _times(metric: Tensor, columns: Tensor) -> Tensor:

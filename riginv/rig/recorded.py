@@ -33,6 +33,8 @@ class RecordedRig(LinearRig):
     """
 
     differentiable = False
+    is_fitted = True
+    held_out: StoredMeshes
 
     def __init__(self, name: str, table: PairTable, held_out: float, residual_mm: float) -> None:
         poses = len(table.controls)

@@ -135,18 +135,24 @@ def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool, writ
     return RunFolder(path, config, resumed=True)
 
 
+def resolved(config: DictConfig) -> dict[str, Any]:
+    """A config as plain values, its interpolations resolved.
+
+    Raises:
+        InputError: a value that must be given is not.
+    """
+    for key in sorted(OmegaConf.missing_keys(config)):
+        raise InputError(f"{key} must be given: add {key}=...")
+    return OmegaConf.to_container(config, resolve=True)
+
+
 def plain_config(config: DictConfig) -> dict[str, Any]:
     """The resolved config as plain values, without what may differ between two starts of one run.
 
     Raises:
-        InputError: a value that must be given is not, or `verbose` is neither true nor false.
+        InputError: a value that must be given is not.
     """
-    for key in sorted(OmegaConf.missing_keys(config)):
-        raise InputError(f"{key} must be given: add {key}=...")
-    plain = OmegaConf.to_container(config, resolve=True)
-    if not isinstance(plain.get("verbose", False), bool):
-        raise InputError(f"verbose is {plain['verbose']!r:.80}, expected true or false")
-    return {key: value for key, value in plain.items() if key not in NOT_PART_OF_A_RUN}
+    return {key: value for key, value in resolved(config).items() if key not in NOT_PART_OF_A_RUN}
 
 
 def discard_if_empty(path: Path) -> None:

@@ -5,6 +5,7 @@ import math
 import torch
 from torch import Tensor
 
+from riginv.config.values import PositiveFloat
 from riginv.errors import InputError
 from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig
@@ -29,7 +30,7 @@ class LoosePoses(MeshSampler):
         InputError: the rig has no loose parts, or the strength is not above 0.
     """
 
-    def __init__(self, rig: RigInMeshSpace, controls: ControlSampler, strength: float = 1.0) -> None:
+    def __init__(self, rig: RigInMeshSpace, controls: ControlSampler, strength: PositiveFloat = 1.0) -> None:
         super().__init__()
         if not strength > 0:
             raise InputError(f"sampler: strength is {strength}, expected a number above 0")

@@ -10,6 +10,7 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from riginv.config.building import class_of
+from riginv.config.values import NonNegativeFloat, PositiveInt
 from riginv.errors import InputError
 from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig
@@ -120,7 +121,7 @@ class PlausibleCombinations(OfBlendshapes):
         InputError: the rig has no blendshapes, or a number is out of range.
     """
 
-    def __init__(self, rig: RigInMeshSpace, most: int = 60, faint: float = 0.5) -> None:
+    def __init__(self, rig: RigInMeshSpace, most: PositiveInt = 60, faint: NonNegativeFloat = 0.5) -> None:
         super().__init__()
         check_plausible(most, faint)
         _need_blendshapes(rig)

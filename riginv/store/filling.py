@@ -5,15 +5,18 @@ import importlib.metadata
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
-from riginv.config.building import build
+from riginv.config.building import ClassSpec
+from riginv.config.typed import MeshSpaceConfig
+from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.identity import check_rig, describe
 from riginv.rig.interface import LinearRig, RigBackend
+from riginv.sampling.meshes import MeshSampler
 from riginv.store.checking import Condition, examine
 from riginv.store.layout import Layout, default_chunk
 from riginv.store.making import ChunkMaker, build_sampler
@@ -23,7 +26,26 @@ from riginv.store.training import SamplingProgress
 from riginv.store.workers import ChunkWorkers
 
 UNITS = {"controls": "as each control says", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}
-Config = dict[str, Any]
+Facts = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class SampleConfig:
+    """The config of `riginv.sample`; conf/sample.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend]
+    sampler: ClassSpec[MeshSampler]
+    samples: PositiveInt
+    seed: NonNegativeInt
+    shard: str
+    dtype: Literal["float32", "float16"]
+    vertices: bool
+    chunk: PositiveInt | None
+    jobs: PositiveInt | None
+    recheck: bool
+    mesh_space: MeshSpaceConfig
+    out: str | None = None
+    verify: str | None = None
 
 
 @dataclass(frozen=True)
@@ -70,45 +92,44 @@ class Filled:
     absent: int
 
 
-def fill(config: Config) -> Filled:
+def fill(settings: SampleConfig) -> Filled:
     """Sample what is missing of a shard.
-
-    Args:
-        config: the plain config of `riginv.sample`.
 
     Raises:
         InputError: the store is of another rig or config, another process is at the shard, the rig gives what is no number, or
             the disk does not take it.
     """
-    place, shard = Place(str(config["out"])), Shard.parse(config["shard"])
+    place, shard = Place(str(settings.out)), Shard.parse(settings.shard)
     store = PoseStore.find(place)
     with one_thread(), contextlib.ExitStack() as stack, SamplingProgress() as progress:
-        rig = build(config["rig"])
-        jobs = config["jobs"] or (cores() if rig.differentiable else 1)
+        rig = settings.rig.build()
+        jobs = settings.jobs or (cores() if rig.differentiable else 1)
         workers = None
         if jobs > 1 and (store is None or absent_of(store, shard)):  # they build their rig while this process builds its own
-            workers = stack.enter_context(ChunkWorkers(config, jobs))
-        store, rig = begun(config, place, shard, store, rig)
+            workers = stack.enter_context(ChunkWorkers(settings.out, settings.rig, settings.sampler, jobs))
+        store, rig = begun(settings, place, shard, store, rig)
         chunks = shard.chunks(store.layout)
         progress.begin("looking through", sum(map(store.layout.count, chunks)))
-        found = examine(store, chunks, config["recheck"], progress.advance)
+        found = examine(store, chunks, settings.recheck, progress.advance)
         made = 0
         if found.holes:
             refusal = f"another process is sampling shard {shard} of it: wait for it, or give another out"
             stack.enter_context(place.exclusive_lock(f"shard-{shard.number}-of-{shard.of}", refusal))
             progress.begin(f"sampling {rig.name}", sum(map(store.layout.count, found.holes)))
             if jobs > 1:
-                workers = workers or stack.enter_context(ChunkWorkers(config, jobs))
+                workers = workers or stack.enter_context(ChunkWorkers(settings.out, settings.rig, settings.sampler, jobs))
                 done = workers.make(found.holes)
             else:
-                done = in_this_process(config, place, rig, found.holes)
+                done = in_this_process(settings.sampler, place, rig, found.holes)
             for chunk in done:
                 made += store.layout.count(chunk)
                 progress.advance(store.layout.count(chunk))
         return Filled(store, shard, found, made, len(absent_of(store)))
 
 
-def begun(config: Config, place: Place, shard: Shard, store: PoseStore | None, rig: RigBackend) -> tuple[PoseStore, LinearRig]:
+def begun(
+    settings: SampleConfig, place: Place, shard: Shard, store: PoseStore | None, rig: RigBackend
+) -> tuple[PoseStore, LinearRig]:
     """The store, begun where there is none, and the rig as it is stored.
 
     Raises:
@@ -116,15 +137,19 @@ def begun(config: Config, place: Place, shard: Shard, store: PoseStore | None, r
     """
     if not isinstance(rig, LinearRig):
         known = store is not None and store.layout.fitted == len(rig.rest_vertices)
-        rig = store.fitted_rig(rig) if known else BlackBoxRig.sampled(rig, **config["mesh_space"])
-    layout, facts = planned(config, rig)
+        rig = (
+            store.fitted_rig(rig)
+            if known
+            else BlackBoxRig.sampled(rig, settings.mesh_space.samples, settings.mesh_space.residual_mm)
+        )
+    layout, facts = planned(settings, rig)
     if store is None:
-        build_sampler(config["sampler"], rig)  # it may refuse, and nothing has been written yet
-        if place.path is None and isinstance(rig, BlackBoxRig) and shard.number:
+        build_sampler(settings.sampler.config, rig)  # it may refuse, and nothing has been written yet
+        if place.path is None and rig.is_fitted and shard.number:
             raise InputError(f"{place}: start shard=0/{shard.of} first: it fits the basis that all shards share")
         store = PoseStore.begin(place, layout, facts, rig)
-        if isinstance(rig, BlackBoxRig):
-            rig = store.fitted_rig(rig.posed)  # of the process that was quicker, if one was
+        if rig.is_fitted:
+            rig = store.fitted_rig(rig.posing_rig())  # of the process that was quicker, if one was
     check_same(store, replace(layout, coefficients=store.layout.coefficients), facts, rig)
     return store, rig
 
@@ -135,38 +160,38 @@ def absent_of(store: PoseStore, shard: Shard | None = None) -> list[int]:
     return [chunk for chunk in (shard or Shard(0, 1)).chunks(store.layout) if not counts[chunk]]
 
 
-def in_this_process(config: Config, place: Place, rig: LinearRig, chunks: list[int]) -> Iterator[int]:
+def in_this_process(sampler: ClassSpec[MeshSampler], place: Place, rig: LinearRig, chunks: list[int]) -> Iterator[int]:
     """Make chunks one after the other."""
-    maker = ChunkMaker(PoseStore.find(place, read_only=False), rig, build_sampler(config["sampler"], rig))
+    maker = ChunkMaker(PoseStore.find(place, read_only=False), rig, build_sampler(sampler.config, rig))
     for chunk in chunks:
         maker.make(chunk)
         yield chunk
 
 
-def planned(config: Config, rig: LinearRig) -> tuple[Layout, Config]:
+def planned(settings: SampleConfig, rig: LinearRig) -> tuple[Layout, Facts]:
     """The sizes of the store that a config asks for, and what it says of itself."""
     vertices = len(rig.rest_vertices)
     layout = Layout(
-        config["samples"],
+        settings.samples,
         1,
-        config["dtype"],
+        settings.dtype,
         len(rig.controls),
         len(rig.coefficient_names),
-        vertices if config["vertices"] else 0,
-        vertices if isinstance(rig, BlackBoxRig) else 0,
+        vertices if settings.vertices else 0,
+        vertices if rig.is_fitted else 0,
     )
-    layout = replace(layout, chunk=config["chunk"] or default_chunk(layout, slow=not rig.differentiable))
+    layout = replace(layout, chunk=settings.chunk or default_chunk(layout, slow=not rig.differentiable))
     facts = {
         "version": importlib.metadata.version("riginv"),
-        "seed": config["seed"],
-        "sampler": config["sampler"],
+        "seed": settings.seed,
+        "sampler": settings.sampler.config,
         "units": UNITS,
-        "rig": describe(rig, config["rig"]),
+        "rig": describe(rig, settings.rig.config),
     }
     return layout, facts
 
 
-def check_same(store: PoseStore, layout: Layout, facts: Config, rig: LinearRig) -> None:
+def check_same(store: PoseStore, layout: Layout, facts: Facts, rig: LinearRig) -> None:
     """Raises InputError where a store was begun with another rig or another config."""
     check_rig(str(store), store.facts["rig"], rig)
     before = {**store.layout.as_dict(), "seed": store.facts["seed"], **_flat(store.facts["sampler"], "sampler.")}
@@ -179,8 +204,8 @@ def check_same(store: PoseStore, layout: Layout, facts: Config, rig: LinearRig) 
             )
 
 
-def _flat(config: Config, prefix: str) -> Config:
-    found: Config = {}
+def _flat(config: Facts, prefix: str) -> Facts:
+    found: Facts = {}
     for key, value in config.items():
         found.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
     return found

@@ -1,7 +1,5 @@
 """Stored poses as what networks train on."""
 
-from typing import Any
-
 import torch
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from torch import Tensor
@@ -84,19 +82,20 @@ class StoreSampler(MeshSampler):
         return PoseBatch(coordinates=coordinates, **found)
 
 
-def reading_store(sampler: MeshSampler, rig: RigInMeshSpace, config: dict[str, Any]) -> MeshSampler:
-    """A sampler whose poses of the rig come from `data.store`; what needs no posing is still drawn as training goes.
+def reading_store(sampler: MeshSampler, rig: RigInMeshSpace, store: str, seed: int) -> MeshSampler:
+    """A sampler whose poses of the rig come from a store; what needs no posing is still drawn as training goes.
+
+    Args:
+        store: its path.
+        seed: of the order.
 
     Raises:
         InputError: the sampler holds no poses of the rig, or as `StoreSampler`.
     """
-    stored = StoreSampler(rig, config["data"]["store"], config["seed"])
+    stored = StoreSampler(rig, store, seed)
     found = sampler.reading(stored)
     if not any(part is stored for part in found.modules()):
-        raise InputError(
-            f"data.store={config['data']['store']} is given, and the sampler draws no poses of the rig: "
-            f"choose sampler=rig_poses"
-        )
+        raise InputError(f"data.store={store} is given, and the sampler draws no poses of the rig: choose sampler=rig_poses")
     return found
 
 

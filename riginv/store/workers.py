@@ -7,9 +7,11 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from typing import Any
 
+from riginv.config.building import ClassSpec
 from riginv.errors import InputError
+from riginv.rig.interface import RigBackend
+from riginv.sampling.meshes import MeshSampler
 
 ATTEMPTS = 3  # after so many lost workers in a row the chunk is the cause
 
@@ -18,12 +20,13 @@ class ChunkWorkers:
     """Processes that make chunks; they start, and build their rig, at once.
 
     Args:
-        config: the plain config of `riginv.sample`.
+        out: the store's path.
+        rig, sampler: what builds them in each process.
         jobs: how many.
     """
 
-    def __init__(self, config: dict[str, Any], jobs: int) -> None:
-        self.task = json.dumps({"place": str(config["out"]), "rig": config["rig"], "sampler": config["sampler"]})
+    def __init__(self, out: str, rig: ClassSpec[RigBackend], sampler: ClassSpec[MeshSampler], jobs: int) -> None:
+        self.task = json.dumps({"place": out, "rig": rig.config, "sampler": sampler.config})
         self.closed = False
         self.processes = [self._start() for _ in range(jobs)]
 

@@ -1,4 +1,4 @@
-"""Complete, still meshes to controls: by a network, by a solver, or by a network and then a solver."""
+"""Estimators of controls from filled meshes without rigid motion: a network, a solver, or a network and then a solver."""
 
 from abc import ABC, abstractmethod
 
@@ -13,90 +13,97 @@ from riginv.solvers.objective import Objective
 from riginv.tracking.constraints import ControlConstraints
 from riginv.tracking.fixed_controls import FixedControlsRig
 
-BATCH_SIZE = 512  # meshes that a network sees at a time
-MORE_STEPS = 3  # of a solver, where its start is nearly there
-UNSETTLED_MM = 0.02  # root mean square distance that one step more would still gain: the solver was not done
+BATCH_SIZE = 512  # meshes per network call
+REFINE_STEPS = 3  # solver steps from controls of a slightly different mesh
+UNCONVERGED_MM = 0.02  # root mean square distance that a further solver step would gain
 
 
 class ControlEstimator(ABC):
-    """A way from complete meshes `(frame, vertex, 3)`, mm, without rigid motion, to controls `(frame, control)`."""
+    """Maps filled meshes `(frame, vertex, 3)`, mm, without rigid motion, to controls `(frame, control)`."""
 
     @abstractmethod
-    def first(self, vertices: Tensor) -> Tensor:
-        """The controls of the frames of a clip."""
+    def estimate(self, vertices: Tensor) -> Tensor:
+        """The controls of consecutive frames."""
 
     @abstractmethod
-    def again(self, vertices: Tensor, controls: Tensor) -> Tensor:
-        """The controls, where the meshes have changed a little since `controls` were found."""
+    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        """The controls of meshes that changed a little since `controls` were estimated."""
 
     @abstractmethod
-    def settled(self, vertices: Tensor, controls: Tensor) -> Tensor:
-        """Whether nothing more is to be gained, `(frame,)`."""
+    def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        """Whether further steps would not lower the error, `(frame,)`."""
 
 
 class NetworkEstimator(ControlEstimator):
-    """The network alone; controls that are held, are held after it."""
+    """The network alone; fixed controls replace its answers."""
 
     def __init__(self, inverse: Inverse, constraints: ControlConstraints) -> None:
         self.inverse, self.constraints = inverse, constraints
 
     @torch.no_grad()
-    def first(self, vertices: Tensor) -> Tensor:
+    def estimate(self, vertices: Tensor) -> Tensor:
         network = self.inverse.network
-        batches = [network(network.rig.space.encode(batch)) for batch in vertices.split(BATCH_SIZE)]
-        return torch.where(self.constraints.free, torch.cat(batches), self.constraints.held)
+        controls = torch.cat([network(network.rig.space.encode(batch)) for batch in vertices.split(BATCH_SIZE)])
+        return torch.where(self.constraints.free, controls, self.constraints.values)
 
-    def again(self, vertices: Tensor, controls: Tensor) -> Tensor:
-        return self.first(vertices)
+    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        return self.estimate(vertices)
 
-    def settled(self, vertices: Tensor, controls: Tensor) -> Tensor:
+    def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         return torch.ones(len(vertices), dtype=torch.bool)
 
 
 class SolverEstimator(ControlEstimator):
-    """Levenberg-Marquardt, from the answers of a network or of neighbouring frames.
+    """Levenberg-Marquardt, started from the answers of a network or of neighbouring frames.
 
     Args:
         objective: over the free controls of a `FixedControlsRig`.
-        start: whose answers it starts from; None: each frame is solved from scratch, and learns from its neighbours.
+        start: estimates the start; None: frames are solved from scratch and from their neighbours.
         steps: linearisations, at most.
         key_starts, descent_steps: as in `solve_frames`.
     """
 
     def __init__(
-        self, objective: Objective, start: NetworkEstimator | None, steps: int, key_starts: int = 2, descent_steps: int = 60
+        self,
+        objective: Objective,
+        start: NetworkEstimator | None,
+        steps: int,
+        key_starts: int = 2,
+        descent_steps: int = 60,
     ) -> None:
         self.objective, self.start, self.steps, self.key_starts = objective, start, steps, key_starts
-        self.held: FixedControlsRig = objective.rig.rig
-        self.descent_steps = descent_steps if self.held.differentiable else 0
+        rig = objective.rig.rig
+        assert isinstance(rig, FixedControlsRig)
+        self.rig = rig
+        self.descent_steps = descent_steps if self.rig.differentiable else 0
 
     @property
     def space(self) -> MeshSpace:
         return self.objective.rig.space
 
     def units(self, controls: Tensor) -> Tensor:
-        """The free ones of controls `(frame, control)` in shares of their ranges."""
-        return self.objective.units(controls[:, self.held.free])
+        """The free ones of controls `(frame, control)`, as fractions of their ranges."""
+        return self.objective.units(controls[:, self.rig.free])
 
     def controls(self, units: Tensor) -> Tensor:
-        """The reverse, with the held controls where they are held."""
-        return self.held.all_controls(self.objective.own_units(units))
+        """All controls of free controls as fractions of their ranges, the inverse of `units`."""
+        return self.rig.all_controls(self.objective.own_units(units))
 
-    def first(self, vertices: Tensor) -> Tensor:
+    def estimate(self, vertices: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)
         if self.start is not None:
-            start = self.units(self.start.first(vertices))
+            start = self.units(self.start.estimate(vertices))
             found = refine_meshes(self.objective, coordinates, start, self.steps)
         else:
             found = solve_frames(self.objective, coordinates, self.key_starts, self.steps, descent_steps=self.descent_steps)
         return self.controls(found.units)
 
-    def again(self, vertices: Tensor, controls: Tensor) -> Tensor:
+    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)
-        return self.controls(refine_meshes(self.objective, coordinates, self.units(controls), MORE_STEPS).units)
+        return self.controls(refine_meshes(self.objective, coordinates, self.units(controls), REFINE_STEPS).units)
 
-    def settled(self, vertices: Tensor, controls: Tensor) -> Tensor:
+    def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates, units = self.space.encode(vertices), self.units(controls)
         more = levenberg_marquardt(self.objective, coordinates, units, 1)
         gained = self.objective.cost(units, coordinates) - more.cost
-        return ~(gained > 0.5 * UNSETTLED_MM**2 * self.objective.vertex_count)
+        return ~(gained > 0.5 * UNCONVERGED_MM**2 * self.objective.vertex_count)

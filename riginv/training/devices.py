@@ -5,7 +5,7 @@ torchrun and srun start them; where nothing has, `riginv.launch.starter` does. T
 
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import torch
 from hydra.core.hydra_config import HydraConfig
@@ -21,8 +21,42 @@ from lightning.fabric.plugins.environments import (
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from riginv.config.values import PositiveInt
 from riginv.errors import InputError
 from riginv.launch.watched import is_watched
+
+
+@dataclass(frozen=True)
+class TrainerConfig:
+    """Where a network is trained, and how long.
+
+    Attributes:
+        accelerator: of Lightning: cpu, gpu, auto.
+        devices: processes on each machine, one for each device.
+        num_nodes: machines.
+        max_steps: None: until `stop_below_lr`.
+        precision: bf16-mixed: the network computes in bfloat16; the rig and the losses do not.
+        threads: that compute a step on a CPU; auto: one or two, as other processes leave cores free.
+        compile: whether the network is compiled (torch.compile).
+        deterministic: of Lightning.
+        starts_processes: whether the command starts a process for each device; False: they were started from outside.
+    """
+
+    accelerator: str
+    devices: PositiveInt
+    num_nodes: PositiveInt
+    max_steps: PositiveInt | None
+    precision: Literal["32-true", "bf16-mixed"]
+    threads: PositiveInt | Literal["auto"]
+    compile: bool
+    deterministic: bool | Literal["warn"]
+    log_every_n_steps: PositiveInt
+    starts_processes: bool
+
+    @property
+    def processes(self) -> int:
+        """Of the whole run."""
+        return self.devices * self.num_nodes
 
 
 @dataclass(frozen=True)
@@ -49,23 +83,25 @@ class Process:
         return self.rank == 0 and not is_watched()
 
 
-def this_process(config: dict[str, Any]) -> Process:
-    """Which process of a run this one is, from its plain config and from what has started it.
+def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
+    """Which process of a run this one is, from its config and from what has started it.
+
+    Args:
+        batch_size: meshes in a training batch, those of all processes together.
 
     Raises:
         InputError: the processes that are there are not those that the config asks for, or cannot be started here.
     """
-    trainer = config["trainer"]
-    count = trainer["devices"] * trainer["num_nodes"]
-    if config["data"]["batch_size"] < count:
+    count = trainer.processes
+    if batch_size < count:
         raise InputError(
-            f"data.batch_size is {config['data']['batch_size']}, the meshes of all devices together, expected at least one for "
+            f"data.batch_size is {batch_size}, the meshes of all devices together, expected at least one for "
             f"each of the {count} (trainer.devices x trainer.num_nodes)"
         )
     environment = _environment(trainer, count)
     if count > 1 and _is_swept_over(environment):
         raise InputError(
-            f"trainer.devices={trainer['devices']} cannot be part of a sweep (-m): every job would start processes of its own, "
+            f"trainer.devices={trainer.devices} cannot be part of a sweep (-m): every job would start processes of its own, "
             f"beside those of the sweep, or each of these the whole sweep; sweep with trainer.devices=1, or with trainer=slurm "
             f"through a launcher that starts all processes of a job (hydra/launcher=submitit_slurm)"
         )
@@ -73,8 +109,8 @@ def this_process(config: dict[str, Any]) -> Process:
         return Process(0, count)
     if environment.world_size() != count and not is_watched():
         raise InputError(
-            f"{environment.world_size()} processes were started, trainer.devices={trainer['devices']} x "
-            f"trainer.num_nodes={trainer['num_nodes']} asks for {count}: give both as they were started"
+            f"{environment.world_size()} processes were started, trainer.devices={trainer.devices} x "
+            f"trainer.num_nodes={trainer.num_nodes} asks for {count}: give both as they were started"
         )
     rank = int(os.environ["RANK"]) if is_watched() else environment.global_rank()
     if count > 1 and not is_watched() and not _folder_is_named():
@@ -84,19 +120,19 @@ def this_process(config: dict[str, Any]) -> Process:
     return Process(rank, count, environment if count > 1 else None)
 
 
-def _environment(trainer: dict[str, Any], count: int) -> ClusterEnvironment | None:
+def _environment(trainer: TrainerConfig, count: int) -> ClusterEnvironment | None:
     """What has started the processes of a run, if anything has."""
     if is_watched():
         return LightningEnvironment()
     if TorchElasticEnvironment.detect():
         return TorchElasticEnvironment()
-    if not trainer["starts_processes"]:
+    if not trainer.starts_processes:
         return _started_from_outside()
     if count == 1:
         return None
-    if trainer["num_nodes"] > 1:
+    if trainer.num_nodes > 1:
         raise InputError(
-            f"trainer.num_nodes is {trainer['num_nodes']}: processes on other machines cannot be started from here; "
+            f"trainer.num_nodes is {trainer.num_nodes}: processes on other machines cannot be started from here; "
             f"use trainer=slurm under srun, or torchrun"
         )
     return None

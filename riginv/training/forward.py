@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor, nn
 
+from riginv.config.values import NonNegativeFloat
 from riginv.networks.surrogate import SurrogateNetwork
 from riginv.rig.batches import PoseBatch
 from riginv.rig.mesh_space import RigInMeshSpace
@@ -26,7 +27,7 @@ class ForwardModule(RigModule):
         loss: nn.Module,
         make_optimizer: OptimizerFactory,
         make_schedule: ScheduleFactory,
-        coefficient_share: float = 0.0,
+        coefficient_share: NonNegativeFloat = 0.0,
     ) -> None:
         super().__init__(rig, network, make_optimizer, make_schedule)
         self.loss, self.coefficient_share = loss, coefficient_share

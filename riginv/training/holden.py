@@ -5,11 +5,16 @@ from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
 from riginv.rig.batches import PoseBatch
+from riginv.rig.interface import LinearRig
 from riginv.training.module import RigModule
 
 
 class HoldenModule(RigModule):
     """Trains an inverse by regression onto the controls that made each mesh; needs no gradient through the rig."""
+
+    @classmethod
+    def can_train_on(cls, rig: LinearRig) -> bool:
+        return rig.held_out is None  # its results are posed by the rig
 
     @property
     def losses(self) -> list[nn.Module]:

@@ -3,9 +3,11 @@
 import torch
 from torch import Tensor, nn
 
+from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
 from riginv.networks.inverse import Answer, InverseNetwork
 from riginv.rig.batches import PoseBatch
+from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.training.losses import LengthLoss, MeanDistanceLoss
 from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
@@ -29,7 +31,7 @@ class InverseModule(RigModule):
         loss: nn.Module,
         make_optimizer: OptimizerFactory,
         make_schedule: ScheduleFactory,
-        sampled_vertices: int = 0,
+        sampled_vertices: NonNegativeInt = 0,
     ) -> None:
         super().__init__(rig, network, make_optimizer, make_schedule)
         if not rig.rig.differentiable:
@@ -39,6 +41,10 @@ class InverseModule(RigModule):
             )
         self.loss = loss
         self.last_loss = MeanDistanceLoss(rig.space.frame, sampled_vertices) if sampled_vertices else loss
+
+    @classmethod
+    def can_train_on(cls, rig: LinearRig) -> bool:
+        return rig.differentiable
 
     @property
     def losses(self) -> list[nn.Module]:

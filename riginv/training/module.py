@@ -16,7 +16,7 @@ from riginv.errors import InputError, NonFiniteLossError
 from riginv.geometry.kernels.library import why_not
 from riginv.meshes.metrics import VertexError
 from riginv.rig.batches import PoseBatch
-from riginv.rig.interface import RigBackend
+from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import Workers
 from riginv.training.devices import check_normalisation, over_processes, share_a_batch
@@ -58,6 +58,11 @@ class RigModule(L.LightningModule, ABC):
         self.epoch_loss = MeanMetric(nan_strategy="ignore", sync_on_compute=False)  # it is given the means of all processes
         self.epoch_loss.persistent(True)  # so that a run stopped within an epoch still sees the whole of it
         self.errors: list[VertexError] = []
+
+    @classmethod
+    def can_train_on(cls, rig: LinearRig) -> bool:
+        """Whether the module can be trained on a rig itself, and needs no surrogate of it."""
+        return True
 
     @abstractmethod
     def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:

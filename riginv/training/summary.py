@@ -3,20 +3,24 @@
 from pathlib import Path
 from typing import Any
 
-from riginv.config.arguments import fits
 from riginv.config.building import OURS
+from riginv.config.values import fits
 from riginv.errors import InputError
 from riginv.runs.files import read_json
 from riginv.runs.run_folder import BUNDLE, METRICS, POSES, RunFolder
 from riginv.runs.tables import COLUMNS, print_results, sets_of
 
 
-def show(folder: RunFolder) -> None:
-    """Show what a finished run reached, and what to do with it."""
+def show(folder: RunFolder, rig: str) -> None:
+    """Show what a finished run reached, and what to do with it.
+
+    Args:
+        rig: the name of the rig's class.
+    """
     metrics = checked(folder.path / METRICS, read_json(folder.path / METRICS))
     steps, seconds = metrics["train/steps"], metrics["train/seconds"]
     more = " capture=CLIP" if {"capture", "simulated_performance"} & set(sets_of(metrics)) else ""
-    if folder.config["rig"]["_target_"].partition(".")[0] not in OURS:
+    if rig.partition(".")[0] not in OURS:
         more += " rig=NAME --config-dir DIR"  # a bundle names no code of others: the user does
     print_results(
         metrics,

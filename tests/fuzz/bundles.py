@@ -12,6 +12,7 @@ from riginv.training.checkpoints import AtomicCheckpoints
 from tests.support.toys import ToyRig
 
 NETWORK = {"_target_": "riginv.networks.inverse.DirectInverse", "hidden": [8], "control_map": "neutral_start"}
+TRAINING = {"steps": 1, "seconds": 0.5, "seed": 0}
 
 
 def write_tiny_bundle(folder: Path) -> Path:
@@ -20,8 +21,8 @@ def write_tiny_bundle(folder: Path) -> Path:
     space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     torch.manual_seed(0)
     network = DirectInverse(space, hidden=[8], control_map="neutral_start")
-    config = {"rig": {"_target_": "tests.support.toys.ToyRig", "detail": 1, "arkit": True}, "model": {"network": NETWORK}}
-    write_bundle(folder, "inverse", network, space, config, {"steps": 1, "seconds": 0.5, "seed": 0})
+    config = {"_target_": "tests.support.toys.ToyRig", "detail": 1, "arkit": True}
+    write_bundle(folder, "inverse", network, space, NETWORK, config, TRAINING)
     return folder
 
 
@@ -44,7 +45,7 @@ def write_tiny_surrogate(folder: Path) -> Path:
     rig = ToyRig(detail=1, arkit=True)
     space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     network = {"_target_": "riginv.networks.surrogate.ControlMLP", "hidden": [8]}
-    config = {"rig": {"_target_": "tests.support.toys.ToyRig", "detail": 1, "arkit": True}, "model": {"network": network}}
+    config = {"_target_": "tests.support.toys.ToyRig", "detail": 1, "arkit": True}
     torch.manual_seed(0)
-    write_bundle(folder, "forward", ControlMLP(rig, hidden=[8]), space, config, {"steps": 1, "seconds": 0.5, "seed": 0})
+    write_bundle(folder, "forward", ControlMLP(rig, hidden=[8]), space, network, config, TRAINING)
     return folder

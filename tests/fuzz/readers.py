@@ -212,7 +212,7 @@ def _results(folder: Path) -> Target:
     for key in ("neutral_mean_vertex_error_mm", "mean_of_max_vertex_error_mm", "max_vertex_error_mm"):
         metrics[f"rig_poses/{key}"] = 1.0
     (folder / "metrics.json").write_text(json.dumps(metrics, indent=1))
-    return Target([folder / "metrics.json"], lambda: show(RunFolder(folder, {"rig": {"_target_": "rigs.face.FaceRig"}}, True)))
+    return Target([folder / "metrics.json"], lambda: show(RunFolder(folder, {}, True), "rigs.face.FaceRig"))
 
 
 def _kept_methods(folder: Path) -> Target:

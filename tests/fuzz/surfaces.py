@@ -8,7 +8,7 @@ import torch
 from riginv.clips.options import ReadingOptions
 from riginv.tracking.priors.files import load_prior, save_prior
 from riginv.tracking.priors.prior import ControlPrior, learn_prior
-from riginv.tracking.surfaces.scans import RaggedArrays
+from riginv.tracking.surfaces.scan_files import RaggedArrays
 from riginv.tracking.surfaces.triangles import Surface
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.fuzz.tally import Target

@@ -12,25 +12,28 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
+from riginv.check import CheckConfig
 from riginv.clips.open import open_clip
-from riginv.clips.options import clip_options
-from riginv.config.building import DOES_NOT_FIT, build
+from riginv.compare import CompareConfig
+from riginv.config.building import DOES_NOT_FIT
 from riginv.config.diagnosis import wrong_kind
 from riginv.config.messages import CONFIGS, explain
+from riginv.config.typed import to_typed
 from riginv.config.validation import validate
+from riginv.contact_sheet import ContactSheetConfig
 from riginv.errors import InputError
-from riginv.inspect import show_clip_file
+from riginv.evaluate import EvaluateConfig
+from riginv.inspect import InspectConfig, show_clip_file
+from riginv.invert import InvertConfig, build_rigs
 from riginv.launch.command import options_first
 from riginv.methods.base import suited_methods
 from riginv.reproduce.cast import rig_in_space
 from riginv.reproduce.preflight import check_budget, check_capture, check_rig, choose_true_rig
-from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import RunFolder, plain_config, register_folder_resolvers
-from riginv.tracking.assembly import build_parts, resolve_method
-from riginv.tracking.results import check_after
+from riginv.tracking.assembly import build_parts
 from riginv.training.assembly import (
     build_clip,
     build_module,
@@ -40,6 +43,7 @@ from riginv.training.assembly import (
     build_true_rig,
     needs_surrogate,
 )
+from riginv.training.config import TrainConfig
 from tests.support.clips import performance, write_npz
 from tests.support.toys import ToyRig
 
@@ -48,47 +52,58 @@ QUICK, MANY = 15, 2500
 TOY = ["rig=toy", f"hydra.searchpath=[file://{ROOT / 'tests/conf'}]"]
 
 
-def before_training(plain: dict[str, Any], folder: Path) -> None:
+def before_training(config: DictConfig, folder: Path) -> None:
     """What riginv.train does before its first step."""
-    rig = build_rig(plain)
-    true_rig = build_true_rig(plain, rig)
-    if needs_surrogate(plain, rig):
+    settings = to_typed(config, TrainConfig)
+    rig = build_rig(settings.rig, settings.mesh_space, settings.data.store)
+    true_rig = build_true_rig(settings.true_rig, rig)
+    if needs_surrogate(settings.model, rig):
         return
-    build_clip(plain, rig, true_rig)
-    module = build_module(plain, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig)
-    build_sampler(plain, module.rig).sample(2, torch.Generator().manual_seed(0))
-    build_trainer(plain, RunFolder(folder, plain, False))
+    build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig)
+    module = build_module(settings, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig)
+    build_sampler(settings, module.rig).sample(2, torch.Generator().manual_seed(0))
+    build_trainer(settings, RunFolder(folder, plain_config(config), False))
 
 
-def before_inverting(plain: dict[str, Any], folder: Path) -> None:
+def before_inverting(config: DictConfig, folder: Path) -> None:
     """What riginv.invert does before its first frame."""
-    resolve_method(plain)
-    if plain["bundle"]:
+    settings = to_typed(config, InvertConfig)
+    if settings.bundle:
         raise InputError("a bundle is read by what reads bundles")
-    rig = build_rig(plain)
-    true_rig = build_true_rig(plain, rig)
-    check_after(plain["after"], plain["look"])
-    clip, _ = open_clip(str(plain["clip"]), true_rig, *clip_options(plain))
-    build_parts(plain, clip, rig, true_rig, None)
+    inverse, rig, true_rig = build_rigs(settings)
+    clip, _ = open_clip(settings.clip, true_rig, settings.reading, settings.frames)
+    build_parts(settings, clip, rig, true_rig, inverse)
 
 
-def before_judging(plain: dict[str, Any], folder: Path) -> None:
-    rig = build(plain["rig"], kind=RigBackend)
-    if "true_rig" in plain:
-        build_true_rig(plain, rig)
-    if "reading" in plain:
-        clip_options(plain)
+def before_evaluating(config: DictConfig, folder: Path) -> None:
+    settings = to_typed(config, EvaluateConfig)
+    if settings.rig is not None:
+        build_true_rig(settings.true_rig, settings.rig.build())
 
 
-def before_comparing(plain: dict[str, Any], folder: Path) -> None:
-    configs = plain.pop("methods", None) or {}
-    rig = build_rig(plain)
-    build_true_rig(plain, rig)
-    suited_methods(configs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
-    build_clip(plain, rig, rig)
+def before_checking(config: DictConfig, folder: Path) -> None:
+    to_typed(config, CheckConfig).rig.build()
 
 
-def before_reproducing(plain: dict[str, Any], folder: Path) -> None:
+def before_drawing(config: DictConfig, folder: Path) -> None:
+    to_typed(config, ContactSheetConfig).rig.build()
+
+
+def before_comparing(config: DictConfig, folder: Path) -> None:
+    settings = to_typed(config, CompareConfig)
+    rig = build_rig(settings.rig, settings.mesh_space)
+    build_true_rig(settings.true_rig, rig)
+    suited_methods(settings.methods or {}, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
+    build_clip(settings.capture, settings.reading, settings.frames, rig, rig)
+
+
+def before_inspecting(config: DictConfig, folder: Path) -> None:
+    show_clip_file(to_typed(config, InspectConfig), None)
+
+
+def before_reproducing(config: DictConfig, folder: Path) -> None:
+    plain = plain_config(config)
+    validate(plain)
     check_budget(plain["budget"])
     rig = rig_in_space(plain["rig"])
     check_capture(plain, rig.rig)
@@ -99,13 +114,15 @@ def before_reproducing(plain: dict[str, Any], folder: Path) -> None:
 COMMANDS: dict[str, tuple[list[str], Callable]] = {
     "train": ([*TOY, "model.network.hidden=[8]", "surrogate.network.hidden=[8]", "trainer.accelerator=cpu"], before_training),
     "invert": ([*TOY, "clip=CLIP", "out=OUT"], before_inverting),
-    "evaluate": (TOY, before_judging),
+    "evaluate": (TOY, before_evaluating),
     "compare": ([*TOY, "methods=[neutral,direct,levenberg_marquardt,clip]"], before_comparing),
     "reproduce": ([*TOY, "rig@body=toy", "rig@true_rig=same"], before_reproducing),
-    "check": (TOY, before_judging),
-    "contact_sheet": (TOY, before_judging),
-    "inspect": ([*TOY, "clip=CLIP"], lambda plain, folder: show_clip_file(plain, None)),
+    "check": (TOY, before_checking),
+    "contact_sheet": (TOY, before_drawing),
+    "inspect": ([*TOY, "clip=CLIP"], before_inspecting),
 }
+
+UNTYPED = ("invert", "inspect", "reproduce")  # not yet typed
 
 WORDS = [
     "",
@@ -167,11 +184,11 @@ def replaced(config: dict, path: tuple, value: Any) -> dict:
 def goes_on(name: str, config: dict, usual: dict, folder: Path) -> str | None:
     """None where the command would begin its work, else its one sentence; anything else is raised."""
     try:
-        plain = plain_config(OmegaConf.create(config))
-        validate(plain)
-        COMMANDS[name][1](plain, folder)
+        COMMANDS[name][1](OmegaConf.create(config), folder)
     except Exception as error:
-        sentence = explain(error, name) or (wrong_kind(config, usual) if isinstance(error, DOES_NOT_FIT) else None)
+        sentence = explain(error, name)
+        if name in UNTYPED and isinstance(error, DOES_NOT_FIT):
+            sentence = sentence or wrong_kind(config, usual)
         if sentence is None:
             raise
         assert sentence and "\n" not in sentence and len(sentence) < 2000, sentence

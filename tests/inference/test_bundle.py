@@ -54,7 +54,7 @@ def test_an_inverse_comes_back_and_answers_the_same(bundle):
 
 
 def test_a_rig_that_is_not_ours_is_not_built_from_a_bundle(bundle):
-    with pytest.raises(InputError, match=r"tests\.toys\.ToyRig is not allowed"):
+    with pytest.raises(InputError, match=r"tests\.support\.toys\.ToyRig is not allowed"):
         load_inverse(bundle)
 
 

@@ -72,7 +72,7 @@ def bundle(toy, tmp_path):
     network = {"_target_": "riginv.networks.inverse.DirectInverse", "hidden": [8]}
     inverse = inverse_of(DirectInverse(toy, hidden=(8,)))
     config = {"model": {"network": network}, "rig": {"_target_": "tests.support.toys.ToyRig"}}
-    write_bundle(tmp_path / "bundle", "inverse", inverse.network, toy, config, {})
+    write_bundle(tmp_path / "bundle", "inverse", inverse.network, toy, config["model"]["network"], config["rig"], {})
     return tmp_path / "bundle"
 
 

@@ -5,9 +5,10 @@ import functools
 import pytest
 import torch
 
+from riginv.config.building import ClassSpec
 from riginv.errors import InputError
 from riginv.evaluation.results import evaluate_controls
-from riginv.methods.base import suited_methods
+from riginv.methods.base import Method, suited_methods
 from riginv.methods.baselines.blendshape_weights import BlendshapeWeights
 from riginv.methods.baselines.clustered_gaussian_processes import ClusteredGaussianProcesses
 from riginv.methods.baselines.coordinate_descent import CoordinateDescent
@@ -169,7 +170,7 @@ def test_what_cannot_be_is_refused(toy):
     bones = Bones()
     config = {"_target_": "riginv.methods.baselines.blendshape_weights.BlendshapeWeights"}
     with pytest.raises(InputError, match="rig 'dull' .nnls: it has no blendshapes"):
-        suited_methods({"nnls": config}, RigInMeshSpace(bones, MeshSpace.from_rig(bones)))
+        suited_methods({"nnls": ClassSpec.read(config, Method)}, RigInMeshSpace(bones, MeshSpace.from_rig(bones)))
     with pytest.raises(InputError, match="ridge is 0"):
         BlendshapeWeights(toy, ridge=0)
     with pytest.raises(InputError, match="steps is 0"):

@@ -160,7 +160,7 @@ time.sleep(0.5)
 print(*pool.process_ids(), flush=True)
 {"" if ending == "exit" else "time.sleep(600)"}
 """
-    started = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True, cwd=Path(TOY).parents[1])
+    started = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True, cwd=Path(TOY).parents[2])
     workers = [int(pid) for pid in started.stdout.readline().split()]
     assert len(workers) == 2
     {"kill": started.kill, "terminate": started.terminate, "exit": lambda: None}[ending]()

@@ -7,6 +7,7 @@ import pytest
 import roma
 import torch
 
+from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.errors import InputError
 from riginv.geometry.skinning import skin
 from riginv.networks.inverse import StagedInverse
@@ -183,7 +184,7 @@ def test_a_motion_that_is_broken_is_refused(body):
             return walk
 
     with pytest.raises(InputError, match="frame 7 of its motion 'walk' holds NaN"):
-        build_clip({"capture": None, "reading": {}, "frames": {}}, body, Broken())
+        build_clip(None, ReadingOptions(), FrameOptions(), body, Broken())
 
 
 def test_every_pose_that_has_a_name_is_within_the_limits(body):

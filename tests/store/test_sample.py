@@ -20,7 +20,7 @@ from riginv.store.place import Place
 from riginv.store.store import PoseStore
 from riginv.store.workers import ChunkWorkers
 from tests.conftest import ROOT
-from tests.store.test_store import PLAN, arrays, flip, same
+from tests.store.test_store import PLAN, arrays, flip, plan, same
 from tests.training.test_resume import heed_interrupts, kill_after, same_weights, saved_step
 from tests.training.test_resume import start as start_training
 
@@ -98,8 +98,8 @@ def ended(pids: list[str]) -> bool:
 @pytest.mark.slow
 def test_a_worker_that_dies_is_replaced(tmp_path):
     config = {**PLAN, "out": str(tmp_path / "s.zarr")}
-    fill({**config, "shard": "12/13"})  # one chunk, to begin it
-    with ChunkWorkers(config, 1) as workers:
+    fill(plan({**config, "shard": "12/13"}))  # one chunk, to begin it
+    with ChunkWorkers(config["out"], plan(config).rig, plan(config).sampler, 1) as workers:
         chunks = workers.make(range(12))
         assert next(chunks) == 0
         first = workers.processes[0]
@@ -179,7 +179,7 @@ def test_a_sweep_over_shards_fills_one_store(tmp_path, run):
 @pytest.fixture(scope="module")
 def store(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("stores") / "poses.zarr"
-    fill({**PLAN, "samples": 4000, "chunk": 50, "out": str(out)})
+    fill(plan({**PLAN, "samples": 4000, "chunk": 50, "out": str(out)}))
     return out
 
 

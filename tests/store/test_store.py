@@ -13,13 +13,14 @@ import torch
 import zarr
 from filelock import FileLock
 
+from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig.random_controls import PlausibleControls, SparseControls
 from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
 from riginv.store.checking import examine
-from riginv.store.filling import Shard, fill
+from riginv.store.filling import SampleConfig, Shard, fill
 from riginv.store.layout import Layout
 from riginv.store.place import Place
 from riginv.store.store import PoseStore
@@ -55,8 +56,12 @@ class NotANumber(ToyRig):
         return torch.where(controls[:, :1] > 0.5, torch.nan, found) if len(controls) > 1 else found
 
 
+def plan(values: dict) -> SampleConfig:
+    return to_typed(values, SampleConfig)
+
+
 def filled(out: Path | str, **changes) -> PoseStore:
-    return fill({**PLAN, "out": str(out), **changes}).store
+    return fill(plan({**PLAN, "out": str(out), **changes})).store
 
 
 def arrays(path: Path) -> dict[str, np.ndarray]:
@@ -99,7 +104,9 @@ def test_a_stranger_reads_what_the_rig_says(whole):
 @pytest.mark.parametrize("shards", [["0/2", "1/2"], ["2/3", "0/3", "1/3"]])
 def test_the_result_does_not_depend_on_shards(whole, tmp_path, shards):
     for number, shard in enumerate(shards):
-        assert (fill({**PLAN, "out": str(tmp_path / "s.zarr"), "shard": shard}).absent == 0) == (number == len(shards) - 1)
+        assert (fill(plan({**PLAN, "out": str(tmp_path / "s.zarr"), "shard": shard})).absent == 0) == (
+            number == len(shards) - 1
+        )
     assert same(whole, tmp_path / "s.zarr")
 
 
@@ -136,7 +143,7 @@ def test_damage_is_named_and_made_good(whole, copy, damage, name):
     found = examine(PoseStore.find(Place(str(copy))))
     assert found.holes == [3]
     assert (name, damage) == ("ledger", Path.unlink) or f"chunk 3 of '{name}'" in found.damaged[3]
-    assert fill({**PLAN, "out": str(copy)}).made == 20
+    assert fill(plan({**PLAN, "out": str(copy)})).made == 20
     assert same(whole, copy) and examine(PoseStore.find(Place(str(copy)))).whole
 
 
@@ -214,7 +221,7 @@ def test_of_two_that_write_one_shard_one_refuses(tmp_path):
     with FileLock(tmp_path / ".s.zarr.shard-0-of-2.lock"):
         with pytest.raises(InputError, match="another process is sampling shard 0/2"):
             filled(tmp_path / "s.zarr", shard="0/2")
-    assert fill({**PLAN, "out": str(tmp_path / "s.zarr"), "shard": "0/2"}).absent == 0
+    assert fill(plan({**PLAN, "out": str(tmp_path / "s.zarr"), "shard": "0/2"})).absent == 0
     assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
 
 
@@ -268,8 +275,8 @@ def test_float16_says_what_it_costs(whole, tmp_path):
 def test_a_black_box_is_stored_in_a_basis_of_its_own(tmp_path):
     black = {"rig": {"_target_": "tests.support.toys.BlackBox"}, "samples": 60}
     store = filled(tmp_path / "b.zarr", **black)
-    half = fill({**PLAN, **black, "out": str(tmp_path / "c.zarr"), "shard": "1/2"})
-    assert half.absent == 2 and fill({**PLAN, **black, "out": str(tmp_path / "c.zarr"), "shard": "0/2"}).absent == 0
+    half = fill(plan({**PLAN, **black, "out": str(tmp_path / "c.zarr"), "shard": "1/2"}))
+    assert half.absent == 2 and fill(plan({**PLAN, **black, "out": str(tmp_path / "c.zarr"), "shard": "0/2"})).absent == 0
     assert same(tmp_path / "b.zarr", tmp_path / "c.zarr")
     read, rig = arrays(tmp_path / "b.zarr"), BlackBox()
     meshes = rig.rest_vertices.numpy() + np.tensordot(read["coefficients"], read["basis"], 1)

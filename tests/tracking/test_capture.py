@@ -239,7 +239,7 @@ def test_invert_says_what_neutral_and_the_best_would_be(run, rig, meshes, tmp_pa
     written(tmp_path / "take.npz", meshes, rig)
     outcome = run("invert", *TOY, "look.sheet=false", "clip=take.npz", "out=o", "motion=keep")
     assert outcome.code == 0, outcome.text
-    assert "neutral in its place" in outcome.text and "Least possible, from many starts, on 8 frames" in outcome.text
+    assert "of the neutral pose" in outcome.text and "Lowest possible mean error on 8 frames" in outcome.text
     rows = list(csv.DictReader((tmp_path / "o/frames.csv").open()))
     neutral = (rig.rest_vertices - meshes).norm(dim=2).mean(dim=1)
     np.testing.assert_allclose([float(row["neutral_error_mm"]) for row in rows], neutral, rtol=1e-4)
@@ -264,4 +264,4 @@ def test_a_rig_that_no_gradient_passes_has_no_least_error(run, rig, meshes, tmp_
     )
     outcome = run("invert", *options, "clip=take.npz", "out=o", "method=levenberg_marquardt")
     assert outcome.code == 0, outcome.text
-    assert "neutral in its place" in outcome.text and "Least possible" not in outcome.text
+    assert "of the neutral pose" in outcome.text and "Lowest possible" not in outcome.text

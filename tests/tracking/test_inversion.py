@@ -1,39 +1,37 @@
 """From meshes to controls: rigid motion, missing vertices and what users want of controls, against what is known to be true."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import roma
 import torch
-from omegaconf import OmegaConf
 
 from riginv.clips.clip import Clip
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons
 from riginv.clips.units import resolve_units
+from riginv.config.typed import convert
 from riginv.errors import InputError
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.tracking.alternation import WindowInverter, interpolate_controls, interpolate_motion
 from riginv.tracking.anchors import Anchors
-from riginv.tracking.assembly import EACH_FRAME, WHOLE_CLIP, build_parts, build_solver
+from riginv.tracking.assembly import build_parts, build_solver
 from riginv.tracking.constraints import resolve_constraints
 from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
+from riginv.tracking.options import ControlOptions, SolverOptions, TrackingOptions, VertexOptions
 from riginv.tracking.penalties import PenalisedObjective
 from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
 from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
-from riginv.tracking.run import Inversion, Smoothness, invert_clip, invert_smoothly
+from riginv.tracking.run import Inversion, invert_clip, invert_smoothly
 from riginv.tracking.stability import has_root_controls, stability_weights
 from tests.support.clips import performance
 from tests.support.toys import ToyRig
 
-CONF = Path(__file__).parents[2] / "conf"
-CONFIG = OmegaConf.to_container(OmegaConf.load(CONF / "invert.yaml"))
-CONFIG["frames"] = OmegaConf.to_container(OmegaConf.load(CONF / "frames/all.yaml"))
+GROUPS = {"controls": ControlOptions, "solver": SolverOptions, "vertices": VertexOptions}
 
 
 class Given(MeshSequence):
@@ -48,20 +46,19 @@ class Given(MeshSequence):
         return self.meshes[start:stop]
 
 
-def config(**changes: Any) -> dict:
-    made = {**CONFIG, "method": "levenberg_marquardt", "motion": "keep"}
-    for key, value in changes.items():
-        made[key] = {**made[key], **value} if isinstance(value, dict) else value
-    return made
+def options(**changes: Any) -> TrackingOptions:
+    groups = {name: convert(value, GROUPS[name], name) for name, value in changes.items() if name in GROUPS}
+    return TrackingOptions(**{"method": "levenberg_marquardt", "motion": "keep", **changes, **groups})
 
 
 def inverted(rig: LinearRig, meshes: torch.Tensor, numbers: np.ndarray | None = None, **changes: Any) -> Inversion:
-    settings, sequence = config(**changes), Given(meshes, rig.faces, numbers)
-    clip = Clip(sequence, resolve_units(sequence, rig, ReadingOptions(unit="mm", up="y")), **settings["frames"])
+    frames = changes.pop("frames", {})
+    settings, sequence = options(**changes), Given(meshes, rig.faces, numbers)
+    clip = Clip(sequence, resolve_units(sequence, rig, ReadingOptions(unit="mm", up="y")), **frames)
     parts = build_parts(settings, clip, rig, rig, None)
-    arguments = (clip, parts.inverter, parts.judge, settings["window"], lambda what, frames: None)
-    if parts.method == WHOLE_CLIP:
-        return invert_smoothly(*arguments, Smoothness(1.5, 4, 3.0))
+    arguments = (clip, parts.inverter, parts.evaluator, settings.window, lambda what, frames: None)
+    if parts.method == "clip":
+        return invert_smoothly(*arguments, settings.solver)
     return invert_clip(*arguments)
 
 
@@ -112,8 +109,8 @@ def test_rigid_motion_is_found_whatever_a_third_of_the_vertices_does(rig):
 
 @pytest.fixture(scope="module")
 def face_solver(face, face_in_space) -> SolverEstimator:
-    settings = config(solver={"descent_steps": 0, "key_starts": 1, "steps": 15})
-    return build_solver(settings, face_in_space, resolve_constraints(face, settings["controls"]), None, None, EACH_FRAME)
+    settings = options(solver={"descent_steps": 0, "key_starts": 1, "steps": 15})
+    return build_solver(settings, face_in_space, resolve_constraints(face, settings.controls), None, None, settings.method)
 
 
 @torch.no_grad()
@@ -127,7 +124,7 @@ def test_a_moved_clip_gives_the_controls_of_the_unmoved_one(face, face_solver, a
     )
     errors = [float((face(one.controls) - acted).norm(dim=2).mean()) for one in (kept, still, found)]
     assert max(errors) - min(errors) < 0.05
-    judged = [float((one.results - one.still).norm(dim=2).mean()) for one in (still, found)]
+    judged = [float((one.recovered - one.stabilised).norm(dim=2).mean()) for one in (still, found)]
     assert abs(judged[0] - judged[1]) < 0.01
     assert (apply_motion(found.motion, found.results) - meshes).norm(dim=2).mean() < errors[0] + 0.05
     assert (found.motion[:, :3, :3] - motion[:, :3, :3]).abs().max() < 0.01
@@ -239,15 +236,15 @@ def test_a_region_that_is_none_is_refused(content, name, message, rig, tmp_path)
     if content is not None:
         (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message):
-        vertex_weights(rig, {"mine": 0}, {"mine": str(tmp_path / name)}, 1.0)
+        vertex_weights(rig, VertexOptions({"mine": 0}, regions={"mine": str(tmp_path / name)}))
     with pytest.raises(InputError, match="has no such region"):
-        vertex_weights(rig, {"elbow": 0}, {}, 1.0)
+        vertex_weights(rig, VertexOptions({"elbow": 0}))
     with pytest.raises(InputError, match="fewer than three"):
-        vertex_weights(rig, {}, {}, 0.0)
+        vertex_weights(rig, VertexOptions(default=0.0))
 
 
-def constraints(rig, **options):
-    return resolve_constraints(rig, {**CONFIG["controls"], **options})
+def constraints(rig, **changes):
+    return resolve_constraints(rig, convert(changes, ControlOptions, "controls"))
 
 
 def test_held_controls_stay_and_the_others_make_up_for_them(rig, meshes):
@@ -277,7 +274,7 @@ def test_the_gradient_of_preferences_is_that_of_their_cost(rig):
         rig, weights={"bump*": 50.0}, symmetric=[["bump0", "bump1"]], exclusive=[["bump2", "side"], ["bump3", "all"]]
     ).penalties
     objective = PenalisedObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, penalties)
-    objective.apart, objective.together = 20.0, 30.0
+    objective.exclusive_penalty, objective.symmetric_penalty = 20.0, 30.0
     units = 0.2 + 0.6 * torch.rand(3, 7, generator=generator_at(0, "units"), dtype=torch.float64)
     _, gradient, _ = objective._preference(units)
     step = 1e-6

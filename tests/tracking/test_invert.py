@@ -46,7 +46,7 @@ def test_a_clip_becomes_curves_and_judged_frames(run, clip, tmp_path):
     for said in (
         "20 frames at 24 a second",
         "units of mm guessed",
-        "Judged by the true rig, toy",
+        "Evaluated by the true rig, toy",
         "Worst frames",
         "curves.anim",
     ):
@@ -156,4 +156,4 @@ def test_a_rig_without_gradients_goes_through_its_surrogate_and_judges_itself(ru
     assert trained.code == 0, trained.text
     outcome = run("invert", f"bundle={tmp_path / 'run'}", "rig=black_box", TOY[1], f"clip={clip}", "out=o", *PLAIN, "refine=5")
     assert outcome.code == 0, outcome.text
-    assert "Judged by the true rig, black box" in outcome.text and len(rows(tmp_path / "o/frames.csv")) == 20
+    assert "Evaluated by the true rig, black box" in outcome.text and len(rows(tmp_path / "o/frames.csv")) == 20

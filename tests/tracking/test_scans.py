@@ -9,7 +9,8 @@ import torch
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import Polygons
 from riginv.errors import InputError
-from riginv.tracking.surfaces.scans import FileScans, RaggedArrays, Scan, triangulated
+from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, triangulated
+from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.conftest import ROOT
 from tests.support.scans import posed_mesh, resampled, write_ply, write_ragged

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from riginv.config.values import PositiveFloat, PositiveInt
 from riginv.geometry.neighbours import spread_points
 from riginv.methods.base import Method
 from riginv.methods.baselines.clusters import Cluster, control_reach, find_clusters
@@ -38,10 +39,10 @@ class ClusteredGaussianProcesses(Method):
         self,
         rig: RigInMeshSpace,
         sampler: MeshSampler,
-        clusters: int = 12,
-        drawn: int = 10_000,
-        poses: int = 800,
-        variance: float = 0.999,
+        clusters: PositiveInt = 12,
+        drawn: PositiveInt = 10_000,
+        poses: PositiveInt = 800,
+        variance: PositiveFloat = 0.999,
     ) -> None:
         super().__init__(rig)
         self.sampler, self.clusters, self.drawn, self.poses, self.variance = sampler, clusters, drawn, poses, variance

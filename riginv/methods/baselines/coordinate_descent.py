@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from riginv.config.values import NonNegativeFloat, NonNegativeInt, PositiveInt
 from riginv.methods.base import Method
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.product_model import ProductModel
@@ -114,11 +115,11 @@ class CoordinateDescent(Method):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        pairs: int = 1000,
-        triples: int = 300,
-        quadruples: int = 50,
-        iterations: int = 50,
-        sparsity: float = 1e-4,
+        pairs: NonNegativeInt = 1000,
+        triples: NonNegativeInt = 300,
+        quadruples: NonNegativeInt = 50,
+        iterations: PositiveInt = 50,
+        sparsity: NonNegativeFloat = 1e-4,
     ) -> None:
         super().__init__(rig)
         self.products, self.iterations = [pairs, triples, quadruples], iterations

@@ -2,6 +2,7 @@
 
 from torch import Tensor
 
+from riginv.config.values import PositiveFloat, PositiveInt
 from riginv.geometry.neighbours import spread_points
 from riginv.methods.base import Method
 from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents
@@ -32,7 +33,12 @@ class HoldenGaussianProcess(Method):
     )
 
     def __init__(
-        self, rig: RigInMeshSpace, sampler: MeshSampler, drawn: int = 10_000, poses: int = 2000, variance: float = 0.999
+        self,
+        rig: RigInMeshSpace,
+        sampler: MeshSampler,
+        drawn: PositiveInt = 10_000,
+        poses: PositiveInt = 2000,
+        variance: PositiveFloat = 0.999,
     ) -> None:
         super().__init__(rig)
         self.sampler, self.drawn, self.poses, self.variance = sampler, drawn, poses, variance

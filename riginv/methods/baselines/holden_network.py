@@ -4,6 +4,7 @@ import lightning as L
 import torch
 from torch import Tensor
 
+from riginv.config.values import PositiveFloat, PositiveInt, Widths
 from riginv.errors import InputError
 from riginv.methods.base import Method
 from riginv.methods.baselines.training_poses import in_batches
@@ -46,10 +47,10 @@ class HoldenNetwork(Method):
         self,
         rig: RigInMeshSpace,
         sampler: MeshSampler,
-        steps: int = 4000,
-        batch_size: int = 64,
-        lr: float = 1e-3,
-        hidden: tuple[int, ...] = (2048, 1024, 512, 256),
+        steps: PositiveInt = 4000,
+        batch_size: PositiveInt = 64,
+        lr: PositiveFloat = 1e-3,
+        hidden: Widths = (2048, 1024, 512, 256),
         activation: str = "leaky_relu",
         control_map: str = "neutral_start",
         bundle: str | None = None,

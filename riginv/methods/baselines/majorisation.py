@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from riginv.config.values import NonNegativeFloat, NonNegativeInt, PositiveInt
 from riginv.methods.base import Method
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.product_model import NONE, ProductModel
@@ -111,9 +112,9 @@ class MajorisationMinimisation(Method):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        pairs: int = 1000,
-        iterations: int = 150,
-        sparsity: float = 1e-4,
+        pairs: NonNegativeInt = 1000,
+        iterations: PositiveInt = 150,
+        sparsity: NonNegativeFloat = 1e-4,
         tolerance: float = 1e-4,
     ) -> None:
         super().__init__(rig)

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from riginv.config.values import NonNegativeFloat, NonNegativeInt, PositiveInt
 from riginv.methods.base import Method
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.model_objective import ModelObjective
@@ -33,7 +34,9 @@ class QuadraticLevenbergMarquardt(Method):
         "theirs is majorised (that is `majorisation`); each way out of neutral has a weight of its own."
     )
 
-    def __init__(self, rig: RigInMeshSpace, pairs: int = 1000, steps: int = 30, sparsity: float = 1e-4) -> None:
+    def __init__(
+        self, rig: RigInMeshSpace, pairs: NonNegativeInt = 1000, steps: PositiveInt = 30, sparsity: NonNegativeFloat = 1e-4
+    ) -> None:
         super().__init__(rig)
         self.pairs, self.steps = pairs, steps
         self.sparsity = 0.5 * sparsity  # of half the squared distance

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from riginv.config.values import AtLeast2, NonNegativeFloat, NonNegativeInt, PositiveInt
 from riginv.methods.base import Method
 from riginv.methods.baselines.measured import tables, with_products
 from riginv.methods.baselines.model_objective import ModelObjective
@@ -42,11 +43,11 @@ class TabulatedGaussNewton(Method):
     def __init__(
         self,
         rig: RigInMeshSpace,
-        knots: int = 8,
-        pairs: int = 1000,
-        triples: int = 200,
-        steps: int = 12,
-        prior: float = PRIOR,
+        knots: AtLeast2 = 8,
+        pairs: NonNegativeInt = 1000,
+        triples: NonNegativeInt = 200,
+        steps: PositiveInt = 12,
+        prior: NonNegativeFloat = PRIOR,
     ) -> None:
         super().__init__(rig)
         self.knots, self.products, self.steps = knots, [pairs, triples], steps

@@ -1,0 +1,134 @@
+"""Typed configs: a command turns what Hydra composed into dataclasses, once, and hands these on.
+
+    @dataclass(frozen=True)
+    class SampleConfig:
+        rig: ClassSpec[RigBackend]          # a class that the config names as _target_, with its arguments
+        samples: PositiveInt                # a range is part of the annotation (riginv.config.values)
+        dtype: Literal["float32", "float16"]
+        mesh_space: MeshSpaceConfig         # another dataclass
+        chunk: PositiveInt | None
+
+    settings = to_typed(config, SampleConfig)
+
+Why no schema of OmegaConf (`OmegaConf.structured`): it knows neither ranges, nor choices, nor the classes of others, and would
+take 1 for true. So there is one comparison with annotations for the fields of a config and for the arguments of a class.
+"""
+
+import dataclasses
+import types
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from omegaconf import DictConfig
+
+from riginv.config.building import ClassSpec
+from riginv.config.values import PositiveFloat, PositiveInt, check_value, did_you_mean, fits, in_words
+from riginv.errors import InputError
+from riginv.runs.run_folder import resolved
+
+T = TypeVar("T")
+OTHERS = ("hydra", "verbose")  # keys of every command that are no part of what it does
+REST = {"rest": True}  # metadata of the field that takes the keys that no other field of its dataclass takes
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshSpaceConfig:
+    """The mesh space of a rig that does not end in a linear map: principal components of random poses.
+
+    Attributes:
+        samples: how many poses.
+        residual_mm: the mean vertex distance that may remain between them and the space.
+    """
+
+    samples: PositiveInt
+    residual_mm: PositiveFloat
+
+
+def to_typed(config: DictConfig | Mapping[str, Any], kind: type[T]) -> T:
+    """The config of a command as an object of its dataclass.
+
+    Args:
+        config: as Hydra composed it, or resolved and plain.
+        kind: a dataclass. Its fields are annotated with plain types, ranges of `riginv.config.values`, `ClassSpec`, or
+            other dataclasses. A field with `metadata=REST` takes all keys that no other field takes.
+
+    Raises:
+        InputError: a key is unknown or missing, or a value is of another type, out of its range, or none of its choices. The
+            message names the key, what was found and what is expected.
+    """
+    values = resolved(config) if isinstance(config, DictConfig) else config
+    check_value(values.get("verbose", False), bool, "verbose")
+    return convert({key: value for key, value in values.items() if key not in OTHERS}, kind, "")
+
+
+def convert(value: Any, hint: Any, key: str) -> Any:
+    """A plain value as what an annotation says.
+
+    Args:
+        key: of the value, for messages.
+
+    Raises:
+        InputError: as `to_typed`.
+    """
+    origin, inner = get_origin(hint), get_args(hint)
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return _object(value, hint, key)
+    if origin is ClassSpec:
+        return ClassSpec.read(value, inner[0], key)
+    if origin in (Union, types.UnionType):
+        return _one_of(value, hint, key)
+    if origin in (dict, Mapping) and isinstance(value, Mapping):
+        return {name: convert(one, inner[1], _joined(key, name)) for name, one in value.items()}
+    if origin in (list, tuple, Sequence) and isinstance(value, list | tuple) and (origin is not tuple or inner[-1] is Ellipsis):
+        found = [convert(one, inner[0], f"{key}[{number}]") for number, one in enumerate(value)]
+        return tuple(found) if origin is tuple else found
+    if type(value) is int and not fits(value, hint) and fits(str(value), hint):
+        value = str(value)  # a name or a path that consists of digits
+    check_value(value, hint, key)
+    if type(value) is int and (inner[0] if origin is Annotated else hint) is float:
+        return float(value)
+    return value
+
+
+def _one_of(value: Any, hint: Any, key: str) -> Any:
+    """A value as one of the members of a union."""
+    members = get_args(hint)
+    nothing = value is None or (isinstance(value, Mapping) and value.get("_target_", "") is None)
+    if nothing and type(None) in members:
+        return None
+    if isinstance(value, Mapping):
+        for member in members:
+            if get_origin(member) in (ClassSpec, dict, Mapping) or dataclasses.is_dataclass(member):
+                return convert(value, member, key)
+    for member in members:
+        if fits(value, member) and get_origin(member) is not ClassSpec and not dataclasses.is_dataclass(member):
+            return convert(value, member, key)
+    for member in members:
+        if isinstance(value, list) and get_origin(member) in (list, tuple, Sequence):
+            return convert(value, member, key)
+    if type(value) is int and str in members:
+        return str(value)
+    raise InputError(f"{key} is {value!r:.80}, expected {in_words(hint)}")
+
+
+def _object(values: Any, kind: type, key: str) -> Any:
+    if not isinstance(values, Mapping):
+        raise InputError(f"{key} is {values!r:.80}, expected values with names")
+    hints = get_type_hints(kind, include_extras=True)
+    fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
+    rest = next((name for name, field in fields.items() if field.metadata.get("rest")), None)
+    more = {name: value for name, value in values.items() if name not in fields or name == rest}
+    found = {rest: convert(more, hints[rest], key)} if rest else {}
+    for name in () if rest else more:
+        known = {_joined(key, one) for one in fields}
+        raise InputError(f"{_joined(key, name)}: there is no such key{did_you_mean(_joined(key, name), known)}")
+    for name, field in fields.items():
+        if name in values and name != rest:
+            found[name] = convert(values[name], hints[name], _joined(key, name))
+        elif name != rest and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            raise InputError(f"{_joined(key, name)} is missing, expected {in_words(hints[name])}: leave it as it was")
+    return kind(**found)
+
+
+def _joined(key: str, name: Any) -> str:
+    return f"{key}.{name}" if key else str(name)
