@@ -3,8 +3,9 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
+from riginv.config.values import Bound
 from riginv.errors import InputError
 
 UNITS = {"mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "inch": 25.4, "foot": 304.8}  # millimetres per unit
@@ -100,7 +101,7 @@ class FrameOptions:
 
     first: int | None = None
     last: int | None = None
-    exclude: Sequence[int | str] = ()
+    exclude: Annotated[Sequence[int | str], Bound("a list of frames: frames.exclude=[17,120-135]", lambda value: True)] = ()
 
 
 def _is_positive(value: Any) -> bool:

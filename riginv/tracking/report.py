@@ -80,7 +80,7 @@ def show(
     for name, values in zip(rows, (errors.mean_mm, errors.max_mm)):
         table.add_row(name, *_figures(values[known]))
     if errors.neutral_mm is not None:
-        table.add_row("mean vertex error of the neutral pose", *_figures(errors.neutral_mm[known]))
+        table.add_row("neutral pose", *_figures(errors.neutral_mm[known]))
     console.print(table)
     worst = ", ".join(_frame(animation, errors, row) for row in _worst(animation, errors, known))
     console.print(

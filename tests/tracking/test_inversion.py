@@ -126,7 +126,7 @@ def test_a_moved_clip_gives_the_controls_of_the_unmoved_one(face, face_solver, a
     assert max(errors) - min(errors) < 0.05
     judged = [float((one.recovered - one.stabilised).norm(dim=2).mean()) for one in (still, found)]
     assert abs(judged[0] - judged[1]) < 0.01
-    assert (apply_motion(found.motion, found.results) - meshes).norm(dim=2).mean() < errors[0] + 0.05
+    assert (apply_motion(found.motion, found.recovered) - meshes).norm(dim=2).mean() < errors[0] + 0.05
     assert (found.motion[:, :3, :3] - motion[:, :3, :3]).abs().max() < 0.01
 
 
@@ -160,7 +160,7 @@ def test_the_still_vertices_are_those_that_no_pose_moves(face):
     anchors = Anchors(face, weights)
     controls = torch.rand(3, len(face.controls), generator=generator_at(0, "poses")) * 0.2
     with torch.no_grad():
-        assert (anchors.mesh(controls) - face(controls)[:, anchors.some]).abs().max() < 1e-3
+        assert (anchors.mesh(controls) - face(controls)[:, anchors.vertices]).abs().max() < 1e-3
     assert anchors.for_window(torch.zeros(2, len(weights), dtype=torch.bool)).stride == 1
 
 

@@ -138,7 +138,7 @@ def test_the_rigs_own_mesh_is_taken_by_its_vertices(run, tmp_path):
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["correspondence=nearest"], "expected one of auto, vertices, surface"),
+        (["correspondence=nearest"], "expected auto or vertices or surface"),
         (["correspondence=surface", "method=network", "bundle=null"], "method=network"),
         (["prior=nowhere"], "nowhere"),
         (["controls.freeze=[bump0]"], "controls.freeze is not for correspondence=surface"),
