@@ -16,12 +16,13 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, convert
 from riginv.config.validation import validate
 from riginv.errors import InputError
-from riginv.inference.bundle import SUMS, read_bundle
+from riginv.inference.bundle import read_bundle
 from riginv.inference.inverse import load_inverse
 from riginv.launch.command import command
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.size import show_rig
-from riginv.runs.files import atomic_write, sha256
+from riginv.runs.checksums import SUMS, sha256
+from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
 from riginv.runs.run_folder import plain_config
 from riginv.tracking.assembly import WHOLE_CLIP, build_parts, chosen_method
