@@ -19,13 +19,14 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import Bound, NonNegativeInt
 from riginv.errors import InputError
-from riginv.inference.bundle import SUMS, read_bundle
+from riginv.inference.bundle import read_bundle
 from riginv.inference.inverse import Inverse, load_inverse
 from riginv.launch.command import command
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.size import show_rig
+from riginv.runs.checksums import SUMS, sha256
 from riginv.runs.console import show_lines
-from riginv.runs.files import atomic_write, sha256
+from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
 from riginv.tracking.assembly import build_parts
 from riginv.tracking.clip_optimum import with_optimum

@@ -7,6 +7,7 @@ import lightning as L
 from omegaconf import DictConfig
 
 from riginv.clips.description_text import show_clip
+from riginv.config.aliases import upgraded
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.evaluation.models import evaluate_model, load_model, surrogate_config, write_results
@@ -31,8 +32,8 @@ from riginv.training.assembly import (
     speed_up,
 )
 from riginv.training.config import TrainConfig
+from riginv.training.dashboard import log_choices, log_results
 from riginv.training.devices import part, this_process
-from riginv.training.pictures import log_choices, log_results
 from riginv.training.summary import show
 
 
@@ -40,7 +41,7 @@ def train(config: DictConfig) -> None:
     """Train a network on a rig, evaluate it by the true rig, and leave a bundle, metrics and a table behind."""
     settings = to_typed(config, TrainConfig)
     process = this_process(settings.trainer, settings.data.batch_size)
-    folder = find_run_folder(run_directory(), plain_config(config), settings.resume, process.rank == 0)
+    folder = find_run_folder(run_directory(), plain_config(config), settings.resume, process.rank == 0, upgraded)
     done = folder.finished and not is_damaged(folder.path / BUNDLE)
     if process.must_start_others and not done:
         run_in_processes(process.count, folder.path)
@@ -104,10 +105,10 @@ def fit_network(
 def train_surrogate_first(config: DictConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> ClassSpec[RigBackend]:
     """Train a surrogate of a rig that gives no gradients, in the run's own folder; the class of that surrogate as a rig."""
     first = as_surrogate(config)
-    inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.written_here)
+    settings = to_typed(first, TrainConfig)
+    inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.written_here, upgraded)
     folder.begin()
     if not inner.finished:
-        settings = to_typed(first, TrainConfig)
         if folder.written_here:
             print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
         fit(settings, inner, rig, true_rig, last=False)

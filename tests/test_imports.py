@@ -30,6 +30,7 @@ FLOORS = [
     {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx", "sample", "inspect"},
     {"learn_prior", "wrap"},
     {"reproduce"},
+    {"__main__"},
 ]
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 SOURCES = [path for folder in ("riginv", "rigs", "hydra_plugins") for path in sorted((ROOT / folder).rglob("*.py"))]

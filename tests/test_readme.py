@@ -6,20 +6,24 @@ from pathlib import Path
 
 import pytest
 
+from riginv.__main__ import COMMANDS
 from riginv.launch.command import true_rig_choice
 from tests.conftest import ROOT
 from tests.training.test_experiments import composed
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SETUP = "python3 -m venv .venv && . .venv/bin/activate"
 MAIN = f"{SETUP} && pip install . && python -m riginv.train rig=face model=inverse"
 TESTS = f"{SETUP} && pip install -e '.[test]' && python -m pytest"
 
 
 def commands(page: Path) -> list[str]:
-    """The command lines of riginv in a page."""
-    text = page.read_text(encoding="utf-8")
-    return sorted({line.strip("`").strip() for line in re.findall(r"python -m riginv\.[a-z_]+[^\n`|#]*", text)})
+    """The command lines of riginv in a page, `python -m riginv.NAME ...` and `riginv NAME ...`, both in the first form."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = re.findall(
+        rf"(?:python -m riginv\.|(?:^|(?<=`)|(?<=&& ))riginv )((?:{'|'.join(COMMANDS)})\b[^\n`|#&]*)", text, re.MULTILINE
+    )
+    return sorted({f"python -m riginv.{line.strip()}" for line in lines})
 
 
 def test_the_two_commands_are_there_each_with_its_setup():
@@ -47,12 +51,23 @@ def test_every_link_leads_somewhere(page):
             assert (page.parent / link).exists(), f"{page.name}: {link}"
 
 
-def test_the_map_names_every_room():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_map_of_the_architecture_names_every_package():
+    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
     for path in (*(ROOT / "riginv").iterdir(), *(ROOT / "rigs").iterdir()):
         name = path.name.removesuffix(".py")
-        if not name.startswith("__"):
-            assert re.search(rf"\b{name}\b", text), f"README's map does not name {path.name}"
+        if not name.startswith("__") and name != "py.typed":
+            assert re.search(rf"`{name}`", text), f"docs/architecture.md does not name {path.name}"
+
+
+def test_every_page_of_the_site_is_in_its_navigation():
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in PAGES[1:]}
+    assert pages == set(re.findall(r"\S+\.md$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
+
+
+def test_docs_name_files_that_are_there():
+    for page in PAGES:
+        for path in re.findall(r"`((?:riginv|rigs|conf|tests|benchmarks|examples|hydra_plugins)/[\w/.]+)`", page.read_text()):
+            assert (ROOT / path).exists(), f"{page.name}: {path}"
 
 
 @pytest.mark.slow

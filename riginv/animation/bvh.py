@@ -11,7 +11,7 @@ from riginv.animation.resampling import fill_gaps
 from riginv.animation.skeletons import LocalPoses, local_poses
 from riginv.animation.text import unwrap_angles
 from riginv.errors import InputError
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 from riginv.rig.interface import RigBackend
 from riginv.runs.files import write_text
 
@@ -33,6 +33,7 @@ def write(path: Path, animation: Animation) -> None:
     A BVH cannot leave frames out: gaps between them are filled.
     """
     skeleton = animation.rig.skeleton()
+    assert skeleton is not None
     poses = local_poses(skeleton, fill_gaps(animation))
     turns = Rotation.from_matrix(poses.rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True)
     turns = unwrap_angles(turns.reshape(*poses.rotations.shape[:2], 3))

@@ -11,7 +11,7 @@ from riginv.animation.animation import Animation
 from riginv.animation.glb_document import GlbDocument
 from riginv.animation.shapes import check_drawable, moved_vertices, moving_shapes
 from riginv.animation.skeletons import local_poses
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 from riginv.rig.interface import RigBackend
 
 FILE = "animation.glb"
@@ -45,8 +45,8 @@ def _add_shapes(document: GlbDocument, animation: Animation, times: int) -> None
         rows = moved_vertices(deltas)
         target = document.sparse(len(deltas), rows.cpu().numpy(), (deltas[rows] * METRES).cpu().numpy())
         primitive["targets"].append({"POSITION": target})
-    mesh = {"name": animation.rig.name, "primitives": [primitive], "weights": [0.0] * len(shapes.names)}
-    mesh["extras"] = {"targetNames": shapes.names}
+    extras = {"targetNames": shapes.names}
+    mesh = {"name": animation.rig.name, "primitives": [primitive], "weights": [0.0] * len(shapes.names), "extras": extras}
     node = document.node({"name": animation.rig.name, "mesh": document.add("meshes", mesh)}, in_scene=True)
     document.channel(node, "weights", times, shapes.weights.cpu().numpy().reshape(-1, 1))
     if animation.motion is not None:

@@ -15,7 +15,7 @@ from riginv.rig.interface import RigBackend
 from riginv.runs.files import write_text
 
 FILE = "curves.anim"
-TIME_UNITS = {15: "game", 24: "film", 25: "pal", 30: "ntsc", 48: "show", 50: "palf", 60: "ntscf"}
+TIME_UNITS: dict[float, str] = {15: "game", 24: "film", 25: "pal", 30: "ntsc", 48: "show", 50: "palf", 60: "ntscf"}
 OUTPUTS = {"": "unitless", "deg": "angular", "mm": "linear"}
 MOTION = ("translateX", "translateY", "translateZ", "rotateX", "rotateY", "rotateZ")
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from riginv.animation.animation import Animation
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 
 BATCH_SIZE = 256  # frames at a time
 

@@ -12,7 +12,7 @@ from riginv.animation.glb import quaternions
 from riginv.animation.shapes import check_drawable, moved_vertices, moving_shapes
 from riginv.animation.skeletons import local_poses
 from riginv.errors import InputError
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 from riginv.rig.interface import RigBackend
 from riginv.runs.files import atomic_write, discard
 

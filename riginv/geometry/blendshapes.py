@@ -1,4 +1,6 @@
-"""Blendshape logic: what the weights of shapes do to each other, and to the mesh."""
+"""Blendshape logic: combinations of weights, and weighted deltas on a mesh."""
+
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,13 +21,13 @@ def add_to_columns(sums: Tensor, columns: Tensor, entries: Tensor, scales: Tenso
 
 
 def screen(activations: Tensor, sources: Tensor) -> Tensor:
-    """Several drivers of one shape, combined as 1 - (1 - a)(1 - b)...: one alone passes through, none exceeds 1.
+    """Combine several drivers of each shape as 1 - (1 - a)(1 - b)...: a single driver passes through, and 1 is never exceeded.
 
-    Unlike a sum that is clamped, this never loses its gradient.
+    Unlike a clamped sum, this keeps its gradient.
 
     Args:
         activations: `(batch, driver)` in [0, 1].
-        sources: `(shape, slot)` the drivers of each shape, -1 where a slot is empty.
+        sources: `(shape, slot)`, the drivers of each shape, -1 where a slot is empty.
 
     Returns:
         `(batch, shape)` in [0, 1].
@@ -41,7 +43,7 @@ def screen(activations: Tensor, sources: Tensor) -> Tensor:
 
 
 def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
-    """The weight of each combination: the product of the weights of the shapes that it repairs.
+    """The weight of each combination: the product of the weights of its members.
 
     Args:
         weights: `(batch, shape)`.
@@ -61,7 +63,7 @@ def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
 
 
 def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
-    """The other rule for combinations: the least of the weights of its shapes; as `combination_weights` otherwise."""
+    """As `combination_weights`, with the minimum of the members' weights in place of their product."""
     padded = torch.cat([weights, weights.new_full((weights.shape[0], 1), torch.inf)], dim=1)
     smallest = _pick(padded, members[:, 0])
     for slot in members.T[1:]:
@@ -69,13 +71,13 @@ def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
     return smallest
 
 
-def screen_pull(activations: Tensor, sources: Tensor, gradient: Tensor) -> Tensor:
-    """A gradient `(batch, shape)` of what `screen` gives, as one `(batch, driver)` of the activations."""
+def screen_vjp(activations: Tensor, sources: Tensor, gradient: Tensor) -> Tensor:
+    """The vector-Jacobian product of `screen`: a gradient `(batch, shape)` to one `(batch, driver)`."""
     return _pull(activations, sources, gradient, True)
 
 
-def combination_pull(weights: Tensor, members: Tensor, gradient: Tensor) -> Tensor:
-    """A gradient `(batch, combination)` of what `combination_weights` gives, as one `(batch, shape)` of the weights."""
+def combination_vjp(weights: Tensor, members: Tensor, gradient: Tensor) -> Tensor:
+    """The vector-Jacobian product of `combination_weights`: a gradient `(batch, combination)` to one `(batch, shape)`."""
     return _pull(weights, members, gradient, False)
 
 
@@ -103,7 +105,7 @@ def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tens
     Args:
         rest_vertices: `(vertex, 3)`, mm.
         deltas: `(shape, vertex, 3)`, mm at weight 1.
-        weights: `(batch, shape)`; not clamped, so extrapolation is the caller's choice.
+        weights: `(batch, shape)`; not clamped.
 
     Returns:
         `(batch, vertex, 3)`, mm.
@@ -111,13 +113,13 @@ def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tens
     return rest_vertices + (weights @ deltas.flatten(1)).unflatten(1, rest_vertices.shape)
 
 
-def _pick(padded: Tensor, places: Tensor) -> Tensor:
-    """As `padded[:, places]`, whose gradient takes far longer; -1 is the last column."""
-    return padded.index_select(1, places % padded.shape[1])
+def _pick(padded: Tensor, columns: Tensor) -> Tensor:
+    """`padded[:, columns]` with a faster gradient; -1 is the last column."""
+    return padded.index_select(1, columns % padded.shape[1])
 
 
 def _products_of_others(factors: Tensor) -> Tensor:
-    """For each factor `(batch, product, slot)` the product of the others of its product."""
+    """For each factor `(batch, product, slot)` the product of the other factors of its product."""
     slots = range(factors.shape[2])
     others = [factors[:, :, [other for other in slots if other != slot]].prod(dim=2) for slot in slots]
     return torch.stack(others, dim=2)
@@ -127,7 +129,7 @@ def _pull(factors: Tensor, members: Tensor, gradient: Tensor, complement: bool) 
     compiled = kernels_for(factors, members, gradient)
     if compiled is None:
         derivatives = (screen_derivatives if complement else combination_derivatives)(factors, members)
-        entries = (derivatives * gradient[:, :, None]).flatten(1)  # 0 in empty slots, which may then stand for any column
+        entries = (derivatives * gradient[:, :, None]).flatten(1)  # 0 in empty slots, so that any column will do
         return add_to_columns(torch.zeros_like(factors), members.flatten().clamp_min(0), entries)
     factors, gradient = plain_rows(factors), plain_rows(gradient)
     pulled = factors.new_empty(factors.shape)
@@ -161,18 +163,16 @@ def _multiplied(compiled: Kernels, factors: Tensor, members: Tensor, complement:
 
 
 class _CompiledProducts(torch.autograd.Function):
-    """`combination_weights`, and as the complement `screen`, by a kernel."""
+    """`combination_weights` by a kernel; `screen` where `complement` is set."""
 
     @staticmethod
-    def forward(
-        ctx: torch.autograd.function.FunctionCtx, factors: Tensor, members: Tensor, complement: bool, compiled: Kernels
-    ) -> Tensor:
+    def forward(ctx: Any, factors: Tensor, members: Tensor, complement: bool, compiled: Kernels) -> Tensor:
         ctx.save_for_backward(factors, members)
         ctx.complement = complement
         return _multiplied(compiled, factors, members, complement)
 
     @staticmethod
-    def backward(ctx: torch.autograd.function.FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None, None]:
         factors, members = ctx.saved_tensors
         if torch.is_grad_enabled() or is_transformed([gradient]):
             combine = screen if ctx.complement else combination_weights

@@ -1,15 +1,15 @@
 """Driven-key curves as animation software evaluates them: cubic Bezier segments, solved exactly and differentiably.
 
-A curve is a list of keys; between two keys stands a cubic Bezier whose inner points are the right handle of the first and
-the left handle of the second. Finding the value at x means solving X(t) = x and returning Y(t). Outside its keys a curve
-keeps its end values. Handles that overlap are shortened first, as Blender and Maya do, so that X is monotone.
+A curve is a list of keys; between two lies a cubic Bezier whose inner points are the right handle of the first and the left
+handle of the second. Its value at x is Y(t) where X(t) = x. Outside its keys a curve is constant. Overlapping handles are
+shortened first, as Blender and Maya do, so that X is monotone.
 """
 
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,13 +17,13 @@ from torch import Tensor
 from riginv.geometry.kernels.library import Kernels, is_transformed, kernels_for, plain_rows, pure_gradients, pure_torch
 
 ITERATIONS = 24  # of bracketed Newton, at most; typical curves need 4, vertical tangents more
-PLAIN = 3  # steps of Newton's without bracketing, before it is seen what they leave
-FIXED = 12  # of them where they cannot be counted
+PLAIN = 3  # Newton steps without bracketing that come first
+FIXED = 12  # iterations within `fixed_iterations`
 _fixed: ContextVar[int | None] = ContextVar("fixed_iterations", default=None)
 
 
 class Key(NamedTuple):
-    """One key of a curve: its place, and its handles as offsets from it."""
+    """One key of a curve: its position, and its handles as offsets from it."""
 
     x: float
     y: float
@@ -35,12 +35,12 @@ Curve = list[Key]
 
 
 def pack_curves(curves: list[Curve]) -> Tensor:
-    """Lay curves out as one table for `evaluate_curves`.
+    """Pack curves into one table for `evaluate_curves`.
 
     Returns:
-        `(curve, segment, 9)` float64: for each Bezier segment where it starts and its width, then the coefficients of
+        `(curve, segment, 9)` float64: for each Bezier segment its start and width, then the coefficients of
         X(t) = ((a t + b) t + c) t, from 0 to 1, and of Y(t) = ((d t + e) t + f) t + g. Curves with fewer segments than the
-        longest are filled up with segments that start at infinity.
+        longest are padded with segments that start at infinity.
 
     Raises:
         ValueError: a curve has fewer than two keys, or keys that do not ascend.
@@ -63,7 +63,7 @@ def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
 
     Returns:
         `(batch, curve)`; differentiable in `inputs`. At a key the derivative is that of the segment to its right, at the ends
-        that of the end segments, so that a control at its limit still has a gradient.
+        that of the end segments, so that a control at its limit has a gradient.
     """
     compiled = kernels_for(table, inputs)
     if compiled is not None:
@@ -90,7 +90,7 @@ def curves_and_derivatives(table: Tensor, inputs: Tensor) -> tuple[Tensor, Tenso
 
 @contextmanager
 def fixed_iterations(count: int = FIXED) -> Iterator[None]:
-    """Within it every curve is solved in `count` steps, without a look at how far it is: for tracing, which has no values."""
+    """A context in which curves are solved in a fixed number of iterations, for tracing: no control flow depends on values."""
     token = _fixed.set(count)
     try:
         with pure_torch():
@@ -100,16 +100,16 @@ def fixed_iterations(count: int = FIXED) -> Iterator[None]:
 
 
 class _CompiledCurves(torch.autograd.Function):
-    """`evaluate_curves` by a kernel, which gives the derivatives along with the values."""
+    """`evaluate_curves` by a kernel, which returns the derivatives along with the values."""
 
     @staticmethod
-    def forward(ctx: torch.autograd.function.FunctionCtx, inputs: Tensor, table: Tensor, compiled: Kernels) -> Tensor:
+    def forward(ctx: Any, inputs: Tensor, table: Tensor, compiled: Kernels) -> Tensor:
         values, derivatives = _solved(compiled, table, inputs)
         ctx.save_for_backward(inputs, table, derivatives)
         return values
 
     @staticmethod
-    def backward(ctx: torch.autograd.function.FunctionCtx, gradient: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         inputs, table, derivatives = ctx.saved_tensors
         if torch.is_grad_enabled() or is_transformed([gradient]):
             return pure_gradients(lambda given: evaluate_curves(table, given), inputs, gradient), None, None
@@ -127,7 +127,7 @@ def _solved(compiled: Kernels, table: Tensor, inputs: Tensor) -> tuple[Tensor, T
 
 
 def _segments(table: Tensor, inputs: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """The inputs within the curves' ends, and the nine numbers of the segments that they fall into."""
+    """The inputs clamped to the curves' ends, and the nine numbers of the segments that they fall into."""
     starts = table[:, :, 0]
     ends = torch.where(starts.isinf(), -torch.inf, starts + table[:, :, 1]).amax(dim=1)
     x = inputs.clamp(starts[:, 0], ends)
@@ -135,7 +135,7 @@ def _segments(table: Tensor, inputs: Tensor) -> tuple[Tensor, tuple[Tensor, ...]
         return x, table[:, 0].T.contiguous().unbind(0)
     index = (x.detach()[..., None] >= starts[:, 1:]).sum(dim=-1)
     row = torch.arange(len(table), device=table.device) * table.shape[1] + index
-    columns = table.flatten(0, 1).T.contiguous()  # number by number: arithmetic on what lies together is far quicker
+    columns = table.flatten(0, 1).T.contiguous()  # contiguous by number: faster arithmetic
     return x, columns.index_select(1, row.flatten()).unflatten(1, row.shape).unbind(0)
 
 
@@ -148,7 +148,7 @@ def _solve(a: Tensor, b: Tensor, c: Tensor, target: Tensor) -> Tensor:
         tolerance = 4 * torch.finfo(t.dtype).eps
         fixed = _fixed.get()
         if fixed is None and bool(((((a * t + b) * t + c) * t - target).abs() > tolerance).any()):
-            for _ in range(PLAIN):  # nearly always enough, at half the price of a guarded step
+            for _ in range(PLAIN):  # nearly always enough, at half the cost of a bracketed step
                 error = ((a * t + b) * t + c) * t - target
                 t = (t - error / ((a3 * t + b2) * t + c).clamp_min(torch.finfo(t.dtype).eps)).clamp(0, 1)
         for _ in range(ITERATIONS if fixed is None else fixed):
@@ -165,8 +165,8 @@ def _solve(a: Tensor, b: Tensor, c: Tensor, target: Tensor) -> Tensor:
 
 def _segment(start: Key, end: Key) -> list[float]:
     width = end.x - start.x
-    reach = abs(start.right[0]) + abs(end.left[0])
-    scale = width / reach if reach > width else 1.0
+    handles = abs(start.right[0]) + abs(end.left[0])
+    scale = width / handles if handles > width else 1.0
     first, second = scale * start.right[0] / width, 1 + scale * end.left[0] / width
     y0, y1, y2, y3 = start.y, start.y + scale * start.right[1], end.y + scale * end.left[1], end.y
     in_x = [1 + 3 * (first - second), 3 * (second - 2 * first), 3 * first]

@@ -1,7 +1,6 @@
-"""The few vertices of a mesh that tell its coefficients in a basis.
+"""Discrete empirical interpolation: the few vertices of a mesh that determine its coefficients in a basis.
 
-A mesh in the span of a basis is known from as many of its coordinates as the basis has rows, where these are well chosen. A
-QR decomposition with pivoting chooses them greedily, each the one that those before tell least about.
+A QR decomposition with pivoting selects them greedily, each the one that those before determine least.
 
 Source: Drmac and Gugercin, "A New Selection Operator for the Discrete Empirical Interpolation Method", 2016.
 """
@@ -13,12 +12,12 @@ from torch import Tensor
 
 from riginv.geometry.neighbours import evenly
 
-CANDIDATES = 4000  # vertices that are chosen from
-MORE = 1.0  # so many others for each that was chosen, evenly spread: they average out what lies outside the span
+CANDIDATES = 4000  # vertices to select from, at most
+MORE = 1.0  # further vertices for each selected one, evenly spread: they average out components outside the span
 
 
-def telling_vertices(frame: Tensor) -> Tensor:
-    """Vertices `(row,)`, in ascending order, that tell the coefficients of meshes.
+def informative_vertices(frame: Tensor) -> Tensor:
+    """Vertices `(row,)`, in ascending order, that determine the coefficients of meshes.
 
     Args:
         frame: the basis, `(coefficient, vertex, 3)`, rows orthonormal.
@@ -32,10 +31,10 @@ def telling_vertices(frame: Tensor) -> Tensor:
 
 
 def coefficients_from(frame: Tensor, rows: Tensor) -> Tensor:
-    """The matrix `(3 * row, coefficient)` that makes coefficients, by least squares, of the coordinates of some vertices.
+    """The matrix `(3 * row, coefficient)` from the coordinates of some vertices to coefficients, by least squares.
 
     Args:
-        frame: as for `telling_vertices`.
+        frame: as for `informative_vertices`.
         rows: vertices, `(row,)`.
     """
     return torch.linalg.pinv(frame[:, rows].flatten(1).double()).to(frame)

@@ -1,7 +1,7 @@
-"""How joints move as controls turn the joints above them: the derivative of forward kinematics, as a person would write it.
+"""The geometric Jacobian of forward kinematics: the derivative of joint transforms by controls that rotate joints.
 
-A control that turns a joint about an axis through its place moves whatever hangs from it as one rigid piece; turns of several
-joints add up. So the derivative is known from the axes alone, and only for the joints below those that a control turns.
+A control that rotates a joint about an axis moves all of its descendants as one rigid body; rotations of several joints add up.
+So the derivative follows from the axes, and is zero for joints that are not below one that the control rotates.
 """
 
 from collections.abc import Sequence
@@ -10,28 +10,36 @@ import torch
 from torch import Tensor, nn
 
 
-class JointSlopes(nn.Module):
-    """The derivative of the world transforms of some joints by controls that turn joints.
+class JointJacobian(nn.Module):
+    """The derivative of the world transforms of some joints by controls that rotate joints.
 
     Args:
         parents: of each joint, -1 for a root.
         angles: radians for each unit of a control, `(control, 3 * joint)`: about the three axes of each joint.
-        wanted: the joints whose transforms matter, `(wanted,)`.
+        joints: those whose transforms are returned, `(wanted,)`.
     """
 
-    def __init__(self, parents: Sequence[int], angles: Tensor, wanted: Tensor) -> None:
+    axis: Tensor
+    angle: Tensor
+    of_entry: Tensor
+    pair_control: Tensor
+    pair_joint: Tensor
+    joints: Tensor
+    parents: Tensor
+
+    def __init__(self, parents: Sequence[int], angles: Tensor, joints: Tensor) -> None:
         super().__init__()
-        control, turn = angles.nonzero(as_tuple=True)
-        carried = _ancestry(parents)[turn // 3][:, wanted]
-        entry, place = carried.nonzero(as_tuple=True)
-        pairs, of_entry = torch.unique(control[entry] * len(wanted) + place, return_inverse=True)
+        control, axis = angles.nonzero(as_tuple=True)
+        carried = _ancestry(parents)[axis // 3][:, joints]
+        entry, wanted = carried.nonzero(as_tuple=True)
+        pairs, of_entry = torch.unique(control[entry] * len(joints) + wanted, return_inverse=True)
         buffers = {
-            "turn": turn[entry],
-            "share": angles[control[entry], turn[entry]],
+            "axis": axis[entry],
+            "angle": angles[control[entry], axis[entry]],
             "of_entry": of_entry,
-            "pair_control": pairs // len(wanted),
-            "pair_place": pairs % len(wanted),
-            "wanted": wanted,
+            "pair_control": pairs // len(joints),
+            "pair_joint": pairs % len(joints),
+            "joints": joints,
             "parents": torch.tensor(parents),
         }
         for name, tensor in buffers.items():
@@ -39,33 +47,33 @@ class JointSlopes(nn.Module):
         self.controls = len(angles)
 
     def forward(self, worlds: Tensor, axes: Tensor) -> Tensor:
-        """The derivative of the wanted transforms, `(batch, control, wanted, 3, 4)`.
+        """The derivative of the transforms, `(batch, control, wanted, 3, 4)`.
 
         Args:
             worlds: all joints' transforms, `(batch, joint, 3, 4)`.
-            axes: of each joint's three turns, as columns, in the frame of its parent's rotation: `(batch, joint, 3, 3)`.
+            axes: the three rotation axes of each joint, as columns, in its parent's frame: `(batch, joint, 3, 3)`.
         """
-        rotations, places = worlds[..., :3], worlds[..., 3]
+        rotations, positions = worlds[..., :3], worlds[..., 3]
         above = rotations[:, self.parents.clamp_min(0)]
         above = torch.where((self.parents < 0)[:, None, None], torch.eye(3).to(worlds), above)
-        spins = (above @ axes).mT  # (batch, joint, turn, 3)
-        moments = torch.linalg.cross(places[:, :, None].expand_as(spins), spins)
+        spins = (above @ axes).mT  # (batch, joint, axis, 3)
+        moments = torch.linalg.cross(positions[:, :, None].expand_as(spins), spins)
         spin, moment = (self._summed(values.flatten(1, 2)) for values in (spins, moments))
-        wanted = worlds[:, self.wanted][:, self.pair_place]
+        wanted = worlds[:, self.joints][:, self.pair_joint]
         derivatives = torch.linalg.cross(spin[..., None].expand_as(wanted), wanted, dim=2)
         derivatives[..., 3] += moment
-        result = worlds.new_zeros(len(worlds), self.controls, len(self.wanted), 3, 4)
-        result[:, self.pair_control, self.pair_place] = derivatives
+        result = worlds.new_zeros(len(worlds), self.controls, len(self.joints), 3, 4)
+        result[:, self.pair_control, self.pair_joint] = derivatives
         return result
 
-    def _summed(self, turns: Tensor) -> Tensor:
-        """Of turns `(batch, 3 * joint, 3)` the sum that each control makes of them for each joint, `(batch, pair, 3)`."""
-        entries = self.share.to(turns)[:, None] * turns[:, self.turn]
-        return turns.new_zeros(len(turns), len(self.pair_control), 3).index_add_(1, self.of_entry, entries)
+    def _summed(self, vectors: Tensor) -> Tensor:
+        """The sum of vectors `(batch, 3 * joint, 3)` times angles, per pair of control and joint: `(batch, pair, 3)`."""
+        entries = self.angle.to(vectors)[:, None] * vectors[:, self.axis]
+        return vectors.new_zeros(len(vectors), len(self.pair_control), 3).index_add_(1, self.of_entry, entries)
 
 
 def _ancestry(parents: Sequence[int]) -> Tensor:
-    """Whether one joint carries another, or is it: `(carrying, carried)`."""
+    """Whether a joint is an ancestor of another, or the same: `(ancestor, joint)`."""
     carries = torch.eye(len(parents), dtype=torch.bool)
     for joint in range(len(parents)):
         above = parents[joint]

@@ -1,9 +1,10 @@
-"""Forward kinematics: from the local transforms of joints to world transforms, one depth of the tree after another.
+"""Forward kinematics: from local to world transforms of joints, depth by depth of the tree; and `Skeleton`.
 
 A transform is a 3x4 matrix, the last column its translation: it maps a point p to M[:, :3] p + M[:, 3].
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -12,14 +13,14 @@ from riginv.errors import InputError
 
 
 def tree_levels(parents: Sequence[int], names: Sequence[str] | None = None) -> list[Tensor]:
-    """The joints of each depth of a tree, roots first; the order of the joints does not matter, several roots are fine.
+    """The joints of each depth of a tree, roots first; joints may be in any order, and there may be several roots.
 
     Args:
         parents: the parent of each joint, -1 for a root.
-        names: of the joints, for messages; their numbers without it.
+        names: of the joints, for messages; None: their indices.
 
     Returns:
-        for each depth the indices of its joints, `(joint of that depth,)`.
+        The indices of the joints of each depth, `(joint,)`.
 
     Raises:
         InputError: there are no joints, a parent is not among them, or joints form a cycle; the message names the joint.
@@ -32,7 +33,7 @@ def tree_levels(parents: Sequence[int], names: Sequence[str] | None = None) -> l
         if not -1 <= parent < count:
             raise InputError(
                 f"joint '{names[joint]}' has parent number {parent}, expected 0 to {count - 1}, or -1 for a root: "
-                f"mend its parent"
+                f"correct its parent"
             )
     levels: list[list[int]] = []
     children: dict[int, list[int]] = {}
@@ -59,10 +60,10 @@ def _cycle(parents: Sequence[int], joint: int) -> list[int]:
     return seen[seen.index(joint) :]
 
 
-def turns_against(worlds: Tensor, parents: Sequence[int]) -> Tensor:
-    """The rotation of each joint against its parent, from world transforms `(batch, joint, 3, 4)`: `(batch, joint, 3, 3)`.
+def relative_rotations(worlds: Tensor, parents: Sequence[int]) -> Tensor:
+    """The rotation of each joint relative to its parent, from world transforms `(batch, joint, 3, 4)`: `(batch, joint, 3, 3)`.
 
-    A root's is its world rotation. Rotations that are only estimated, and so not quite orthogonal, are taken as they are.
+    A root's is its world rotation. Estimated rotations need not be orthogonal.
     """
     of_joint = torch.tensor([parent if parent >= 0 else joint for joint, parent in enumerate(parents)], device=worlds.device)
     rotations = worlds[..., :3]
@@ -89,25 +90,47 @@ def transform_from(rotations: Tensor, translations: Tensor) -> Tensor:
 
 
 def forward_kinematics(local: Tensor, parents: Sequence[int], levels: Sequence[Tensor]) -> Tensor:
-    """World transforms from transforms relative to the parents; the work is batched over the joints of one depth.
+    """World transforms from transforms relative to the parents, batched over the joints of one depth.
 
     Args:
         local: `(batch, joint, 3, 4)`; a root's is its world transform.
         parents: as for `tree_levels`.
-        levels: what `tree_levels` made of the parents.
+        levels: `tree_levels` of the parents.
 
     Returns:
         `(batch, joint, 3, 4)`.
     """
     of_joint = torch.tensor(parents, device=local.device)
-    place = torch.empty_like(of_joint)
+    position = torch.empty_like(of_joint)  # within the joint's level
     worlds: list[Tensor] = []
     for level in levels:
         level = level.to(local.device)
         here = local[:, level]
         if worlds:
-            here = compose(worlds[-1][:, place[of_joint[level]]], here)
-        place[level] = torch.arange(len(level), device=local.device)
+            here = compose(worlds[-1][:, position[of_joint[level]]], here)
+        position[level] = torch.arange(len(level), device=local.device)
         worlds.append(here)
     order = torch.cat([level.to(local.device) for level in levels])
     return torch.cat(worlds, dim=1)[:, order.argsort()]
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joints of linear blend skinning, without rotation at rest.
+
+    Attributes:
+        joint_names: unique; parents come before their children, the root first.
+        parents: the index of each joint's parent, -1 for the root.
+        heads: `(joint, 3)`, mm: the joints' positions at rest.
+        tails: `(joint, 3)`, mm: the ends of their bones, for display.
+        weights: `(vertex, joint)`, each row summing to 1.
+        pose: controls `(batch, control)` to the joints' world transforms `(batch, joint, 3, 4)`, mm; at rest the identity
+            and `heads`.
+    """
+
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    heads: Tensor
+    tails: Tensor
+    weights: Tensor
+    pose: Callable[[Tensor], Tensor]

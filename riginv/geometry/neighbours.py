@@ -1,11 +1,11 @@
-"""Points and their neighbours: differential coordinates, and a few points spread over many."""
+"""Differential coordinates, and evenly spread subsets of points."""
 
 import torch
 from torch import Tensor
 
 
 def differential_coordinates(meshes: Tensor, faces: Tensor) -> Tensor:
-    """Each vertex less the mean of its neighbours (the graph Laplacian); 0 for vertices without any.
+    """Each vertex minus the mean of its neighbours (the graph Laplacian); 0 for vertices without neighbours.
 
     Args:
         meshes: vertices or displacements, `(mesh, vertex, 3)`.
@@ -18,17 +18,17 @@ def differential_coordinates(meshes: Tensor, faces: Tensor) -> Tensor:
     edges = torch.unique(torch.cat([edges, edges.flip(1)]), dim=0)
     degree = torch.bincount(edges[:, 0], minlength=meshes.shape[1]).to(meshes)
     total = torch.zeros_like(meshes).index_add_(1, edges[:, 0], meshes[:, edges[:, 1]])
-    apart = meshes - total / degree.clamp_min(1)[:, None]
-    return torch.where(degree[:, None] > 0, apart, 0.0)
+    difference = meshes - total / degree.clamp_min(1)[:, None]
+    return torch.where(degree[:, None] > 0, difference, 0.0)
 
 
 def evenly(count: int, of: int) -> Tensor:
-    """`count` rows `(row,)` of `of`, in order, from the first to the last; all of them where there are no more."""
+    """`count` evenly spread indices `(row,)` below `of`, with the first and the last; all of them where `of` is no larger."""
     return torch.linspace(0, of - 1, min(count, of), dtype=torch.float64).round().long()
 
 
 def spread_points(points: Tensor, count: int) -> Tensor:
-    """Indices `(count,)` of points `(point, dimension)`: the one nearest to their mean, then each the farthest from all before.
+    """Farthest point sampling: indices `(count,)` of points `(point, dimension)`, the one nearest to their mean first.
 
     All of them where there are no more than `count`.
     """

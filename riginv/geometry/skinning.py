@@ -1,7 +1,7 @@
-"""Linear blend skinning: each vertex follows the skinning matrices of some joints, in the shares of its weights.
+"""Linear blend skinning (LBS).
 
-The skinning matrix of a joint, 3x4, maps the rest mesh to where the joint alone would carry it; at rest it is the identity.
-Vertices are linear in its 12 numbers, so that a skinned rig ends in a linear map (`riginv.rig.interface.LinearRig`).
+The skinning matrix of a joint, 3x4, is its world transform times the inverse of that at rest. Vertices are linear in its 12
+entries, so that a skinned rig ends in a linear map (`riginv.rig.interface.LinearRig`).
 """
 
 from collections.abc import Sequence
@@ -11,16 +11,16 @@ from torch import Tensor
 
 from riginv.errors import InputError
 
-NUMBERS = 12  # of one skinning matrix, row by row
-SUM_TOLERANCE = 1e-3  # how far the weights of a vertex may sum to something else than 1
+NUMBERS = 12  # entries of one skinning matrix, row by row
+SUM_TOLERANCE = 1e-3  # of the sum of a vertex's weights
 
 
 def check_weights(weights: Tensor, where: str, joint_names: Sequence[str] | None = None) -> None:
     """Check skin weights `(vertex, joint)`.
 
     Args:
-        where: what they belong to, such as a file, for the message.
-        joint_names: for the message; numbers without it.
+        where: the source, such as a file, for the message.
+        joint_names: for the message; None: their indices.
 
     Raises:
         InputError: a weight is not finite or negative, or those of a vertex do not sum to 1; the message names the vertex.
@@ -30,11 +30,11 @@ def check_weights(weights: Tensor, where: str, joint_names: Sequence[str] | None
         (weights < 0, "negative", "at least 0"),
     ):
         if wrong.any():
-            vertex, joint = (int(place) for place in wrong.nonzero()[0])
+            vertex, joint = (int(index) for index in wrong.nonzero()[0])
             name = joint_names[joint] if joint_names else joint
             raise InputError(
                 f"{where}: the skin weight of vertex {vertex} for joint '{name}' is {what} "
-                f"({float(weights[vertex, joint]):g}), expected {want}: mend the weights and export again"
+                f"({float(weights[vertex, joint]):g}), expected {want}: correct the weights and export again"
             )
     sums = weights.sum(dim=1)
     off = (sums - 1).abs() > SUM_TOLERANCE
@@ -47,17 +47,16 @@ def check_weights(weights: Tensor, where: str, joint_names: Sequence[str] | None
 
 
 def skinning_basis(rest_vertices: Tensor, weights: Tensor, centres: Tensor | None = None) -> Tensor:
-    """The basis that the numbers of the skinning matrices are multiplied with.
+    """The basis of LBS as a linear map of the entries of the skinning matrices.
 
     Args:
         rest_vertices: `(vertex, 3)`, mm.
         weights: `(vertex, joint)`, each row summing to 1.
-        centres: `(joint, 3)`, mm: what each joint's matrix is about, such as its place at rest; then the matrix maps
-            rest - centre, and its translation is the place where the centre goes. None: the origin for all.
+        centres: `(joint, 3)`, mm: the origin of each joint's matrix, such as its position at rest: the matrix then maps
+            rest - centre, and its translation is the centre's new position. None: the world's origin.
 
     Returns:
-        `(12 * joint, vertex, 3)`: for each joint, row by row, the 12 numbers of its matrix. The matrices flattened to
-        `(batch, 12 * joint)`, times this, are the vertices.
+        `(12 * joint, vertex, 3)`: matrices flattened to `(batch, 12 * joint)`, times this, are the vertices.
     """
     vertices, joints = weights.shape
     offsets = rest_vertices[None] - (0 if centres is None else centres[:, None])
@@ -70,12 +69,12 @@ def skinning_basis(rest_vertices: Tensor, weights: Tensor, centres: Tensor | Non
 
 
 def skin(rest_vertices: Tensor, weights: Tensor, matrices: Tensor) -> Tensor:
-    """Skin a mesh directly, without a basis.
+    """LBS of a mesh, without a basis.
 
     Args:
         rest_vertices: `(vertex, 3)`, mm.
         weights: `(vertex, joint)`.
-        matrices: skinning matrices `(batch, joint, 3, 4)`: a joint's world transform times its inverse at rest.
+        matrices: skinning matrices `(batch, joint, 3, 4)`.
 
     Returns:
         `(batch, vertex, 3)`, mm.

@@ -1,7 +1,7 @@
-"""A mesh as its file states it, and what a reader of such files gives.
+"""The interface of mesh files.
 
-General loaders merge, split and reorder vertices; a mesh whose order differs from its rig's is worthless. So the readers here
-keep what the file says, as it says it.
+General loaders merge, split and reorder vertices, and a mesh whose vertex order differs from its rig's is useless. The readers
+here keep the file's vertices and faces in its order.
 """
 
 from abc import ABC, abstractmethod
@@ -19,9 +19,9 @@ class MeshFile(ABC):
 
     Attributes:
         path: of the file.
-        points: `(vertex, 3)` float64, in the file's unit and order; NaN or infinite where a coordinate is not known.
-        face_bytes: what of the file holds its faces: two files that have it in common have the faces in common.
-        notes: whole sentences: what was mended.
+        points: `(vertex, 3)` float64, in the file's unit and order; NaN or infinite where a coordinate is unknown.
+        face_bytes: the part of the file with its faces: files with equal bytes have equal faces.
+        notes: sentences about what was repaired.
     """
 
     def __init__(self, path: Path, points: np.ndarray, face_bytes: bytes, notes: tuple[str, ...] = ()) -> None:
@@ -33,7 +33,7 @@ class MeshFile(ABC):
         return ()
 
     def vertices_of(self, name: str) -> np.ndarray:
-        """The vertices `(vertex,)` of an object, rising."""
+        """The vertices `(vertex,)` of an object, ascending."""
         raise KeyError(name)
 
     @abstractmethod
@@ -45,11 +45,11 @@ class MeshFile(ABC):
         """
 
 
-NAMED = 6  # objects that a note names
+NAMED = 6  # objects that a note lists
 
 
 def note_on_objects(path: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Says that several objects of a file are read as one mesh."""
+    """The note that several objects of a file are read as one mesh."""
     if len(names) < 2:
         return ()
     listed = ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
@@ -57,7 +57,7 @@ def note_on_objects(path: Path, names: Sequence[str]) -> tuple[str, ...]:
 
 
 class Points(NamedTuple):
-    """Vertices `(vertex, 3)` float64, and whole sentences about what was mended to read them."""
+    """Vertices `(vertex, 3)` float64, and sentences about what was repaired to read them."""
 
     values: np.ndarray
     notes: tuple[str, ...] = ()

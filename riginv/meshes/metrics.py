@@ -1,4 +1,4 @@
-"""What is reported: vertex errors in mm, and the roughness of curves (paper, Tables 1 to 3)."""
+"""Metrics: vertex errors in mm, and the roughness of curves (paper, Tables 1 to 3)."""
 
 import torch
 from torch import Tensor
@@ -6,14 +6,14 @@ from torchmetrics import Metric
 
 from riginv.rig.interface import RigBackend
 
-AT_NEUTRAL = 1e-3  # of a control's range: nearer than this to neutral counts as there
+AT_NEUTRAL = 1e-3  # a control within this fraction of its range from neutral counts as neutral
 
 
 class VertexError(Metric):
-    """Distances between corresponding vertices, mm. Sums and counts only: how batches are cut does not change the result.
+    """Distances between corresponding vertices, mm. Its state is sums and counts, so the result does not depend on the batches.
 
     Args:
-        of_all_processes: where several share the meshes; all of them must then ask for the result.
+        of_all_processes: whether several processes each update it with some of the meshes; all must then call `compute`.
     """
 
     higher_is_better = False
@@ -36,7 +36,7 @@ class VertexError(Metric):
         """Add poses: both `(batch, vertex, 3)`, mm.
 
         Args:
-            known: the vertices that count, `(batch, vertex)`; None: all.
+            known: mask of the vertices to evaluate, `(batch, vertex)`; None: all.
         """
         distances = torch.linalg.vector_norm(found - expected, dim=2).double()
         if known is not None:
@@ -49,7 +49,7 @@ class VertexError(Metric):
         self.poses += len(distances)
 
     def compute(self) -> dict[str, Tensor]:
-        """`mean_vertex_error_mm` over all vertices of all poses, the `max_...` over them, and the mean of the poses' maxima."""
+        """The mean and the maximum over all vertices of all poses, and the mean of the poses' maxima."""
         return {
             "mean_vertex_error_mm": self.total_mm / self.vertices,
             "max_vertex_error_mm": self.max_mm,
@@ -66,10 +66,10 @@ def mean_distance(found: Tensor, expected: Tensor, known: Tensor | None = None) 
 
 
 def roughness(controls: Tensor, numbers: Tensor | None = None) -> float:
-    """The mean squared second difference of curves `(frame, control)` (paper, Table 3); NaN without three frames in a row.
+    """The mean squared second difference of curves `(frame, control)` (paper, Table 3); NaN without three consecutive frames.
 
     Args:
-        numbers: of the frames, `(frame,)`: where one is missing there is no second difference; None: none is.
+        numbers: frame numbers `(frame,)`: second differences across missing frames are left out; None: none is missing.
     """
     squares = (controls[2:] - 2 * controls[1:-1] + controls[:-2]).square()
     if numbers is not None and len(squares):
@@ -79,6 +79,6 @@ def roughness(controls: Tensor, numbers: Tensor | None = None) -> float:
 
 
 def nonzero_controls(controls: Tensor, rig: RigBackend) -> float:
-    """How many of the controls `(frame, control)` are away from neutral, on average over the frames."""
+    """The number of controls `(frame, control)` that are not neutral, averaged over frames."""
     away = (controls - rig.neutral_controls).abs() > AT_NEUTRAL * (rig.upper - rig.lower)
     return float(away.sum(dim=1).double().mean())

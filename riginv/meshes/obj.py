@@ -1,6 +1,6 @@
-"""Wavefront OBJ: the vertices and faces of its `v` and `f` lines, in bulk where all lines are plain.
+"""Wavefront OBJ: the vertices and faces of its `v` and `f` lines, parsed in bulk where all lines are plain.
 
-Texture coordinates and normals have an order of their own in an OBJ; the vertices stay whole along seams.
+Texture coordinates and normals have their own indices in an OBJ, so vertices are not split along seams.
 """
 
 import re
@@ -30,13 +30,13 @@ BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
 
 class ObjMesh(MeshFile):
-    """The mesh of an OBJ; of several objects all vertices and faces, in their order.
+    """The mesh of an OBJ file; several objects are one mesh, in their order.
 
     Args:
         data: all bytes of the file.
 
     Raises:
-        InputError: a line that is no vertex; the message names it.
+        InputError: a line is not a vertex; the message names it.
     """
 
     def __init__(self, path: Path, data: bytes) -> None:
@@ -81,10 +81,10 @@ def _plain_text(path: Path, data: bytes) -> bytes:
 
 
 def read_points(path: Path, data: bytes) -> Points:
-    """The vertices of an OBJ in their order; a coordinate of `nan`, in any spelling, is one that is not known.
+    """The vertices of an OBJ in their order; a coordinate of `nan`, in any spelling, is unknown.
 
     Raises:
-        InputError: a line that is no vertex; the message names it.
+        InputError: a line is not a vertex; the message names it.
     """
     start = 0 if data.startswith(b"v ") else data.find(b"\nv ") + 1
     last = data.rfind(b"\nv ") + 1
@@ -107,7 +107,7 @@ def _is_unusual(data: bytes, keyword: bytes) -> bool:
 
 
 def _lines(data: bytes, keyword: bytes, pattern: re.Pattern) -> list[bytes]:
-    """What stands behind a keyword, line by line; a pattern that begins with plain letters is found ten times faster."""
+    """The rest of each line after a keyword; a pattern that begins with plain letters is found ten times faster."""
     if _is_unusual(data, keyword):
         return pattern.findall(data)
     first = [data[2:].partition(b"\n")[0]] if data.startswith(keyword + b" ") else []
@@ -115,7 +115,7 @@ def _lines(data: bytes, keyword: bytes, pattern: re.Pattern) -> list[bytes]:
 
 
 def _in_bulk(block: bytes) -> Points | None:
-    """The vertices of lines that are all `v` and as many numbers each; None where one is not."""
+    """The vertices of lines that are all `v` and equally many numbers; None where one is not."""
     fortran = 0
     if block.translate(None, PLAIN):
         if block.translate(None, MENDABLE):
@@ -163,7 +163,7 @@ def _line_by_line(path: Path, data: bytes) -> Points:
 
 
 def face_lines(data: bytes) -> bytes:
-    """What of an OBJ holds its faces, to compare two files by: what lies between the first and the last, if no vertices do."""
+    """The bytes of an OBJ's faces, to compare files by: from the first to the last, if no vertices lie between."""
     start, last = data.find(b"\nf "), data.rfind(b"\nf ")
     if start >= 0 and not data.startswith(b"f"):
         end = data.find(b"\n", last + 1)
@@ -174,10 +174,10 @@ def face_lines(data: bytes) -> bytes:
 
 
 def read_polygons(path: Path, data: bytes) -> Polygons | None:
-    """The faces of an OBJ by the numbers of their vertices; None where it has none.
+    """The faces of an OBJ; None where it has none.
 
     Raises:
-        InputError: a line that is no face; the message names it.
+        InputError: a line is not a face; the message names it.
     """
     data = CONTINUED.sub(b" ", data) if b"\\" in data else data
     lines = _lines(data, b"f", FACE)
@@ -188,7 +188,7 @@ def read_polygons(path: Path, data: bytes) -> Polygons | None:
 
 
 def _polygons_in_bulk(block: bytes, faces: int) -> Polygons | None:
-    """The faces of lines of positive numbers, each perhaps with others behind a slash; None where one is not."""
+    """The faces of lines of positive indices, with or without others after slashes; None where one is not."""
     vertices = NOT_OF_THE_VERTEX.sub(b"", block) if b"/" in block else block
     if vertices.translate(None, CORNERS):
         return None

@@ -1,4 +1,4 @@
-"""Stanford PLY, in text or binary: vertices in bulk, faces once they are asked for, whatever stands before or between them."""
+"""Stanford PLY, text or binary: vertices are parsed in bulk, faces on demand, with any other elements before or between."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ FACES, STRIPS = "face", "tristrips"
 
 
 class PlyMesh(MeshFile):
-    """The mesh of a PLY.
+    """The mesh of a PLY file.
 
     Args:
         data: all bytes of the file.
@@ -72,7 +72,7 @@ class PlyMesh(MeshFile):
 
 
 def _vertex_number(path: Path, header: Header) -> int:
-    """Which element has the vertices."""
+    """The index of the element with the vertices."""
     number = next((number for number, element in enumerate(header.elements) if element.name == "vertex"), None)
     if number is None:
         raise InputError(f"{path}: no element 'vertex' in its header: export it again as a mesh")
@@ -85,7 +85,7 @@ def _vertex_number(path: Path, header: Header) -> int:
 
 
 def _text_points(path: Path, header: Header, body: bytes) -> tuple[Points | None, int]:
-    """The vertices, where they come first with a line for each, and the byte behind them; None where they do not."""
+    """The vertices, where they come first, one per line, and the offset behind them; None where they do not."""
     element = header.elements[0]
     ends = np.flatnonzero(np.frombuffer(body, np.uint8) == ord("\n"))
     if element.has_lists or not 0 < element.count <= len(ends) + 1:
@@ -99,7 +99,7 @@ def _text_points(path: Path, header: Header, body: bytes) -> tuple[Points | None
 
 
 def _points(path: Path, header: Header, data: bytes, number: int) -> tuple[Points, int, int]:
-    """The vertices, and the bytes at which they start and end (0 and 0 in text)."""
+    """The vertices, and the offsets of their start and end (0 and 0 in text)."""
     body, notes = _body(path, header, data, header.lines + 1)
     position, element = 0, header.elements[number]
     for before in header.elements[:number]:
@@ -129,7 +129,7 @@ def _coordinates(header: Header, data: bytes, body: PlyBody, element: Element, p
 
 
 def _check_length(path: Path, header: Header, body: PlyBody, number: int, position: int) -> None:
-    """Raises InputError where text has more or fewer numbers than its header promises: a number got lost, or grew in two."""
+    """Raises InputError where text has more or fewer numbers than its header states."""
     for element in header.elements[number + 1 :]:
         try:
             position = _after(body, element, position)
@@ -147,7 +147,7 @@ def _body(path: Path, header: Header, data: bytes, line: int) -> tuple[PlyBody, 
 
 
 def _after(body: PlyBody, element: Element, position: int) -> int:
-    """The position behind an element.
+    """The position after an element.
 
     Raises:
         TruncatedBodyError: it does not end within the body.
@@ -161,7 +161,7 @@ def _after(body: PlyBody, element: Element, position: int) -> int:
 
 
 def _numbers(path: Path, line: int, text: bytes) -> tuple[np.ndarray, tuple[str, ...]]:
-    """All numbers of a text that starts with a line of the file, and what was mended to read them."""
+    """All numbers of a text that starts at a line of the file, and notes about what was repaired to read them."""
     values = parse_numbers(text)
     if values is not None:
         return values, ()
@@ -177,7 +177,7 @@ def _numbers(path: Path, line: int, text: bytes) -> tuple[np.ndarray, tuple[str,
 
 
 def _whole(corners: np.ndarray) -> np.ndarray:
-    """Corners as whole numbers, -2 where one is none."""
+    """Corners as integers, -2 where one is not an integer."""
     if corners.dtype.kind == "f":
         fits = np.abs(corners) < 2**53
         corners = np.where(fits & (np.round(corners) == corners), corners, -2)

@@ -1,6 +1,6 @@
-"""What follows the header of a PLY: rows of numbers, in text or binary, some with lists in them.
+"""The body of a PLY after its header: rows of numbers, text or binary, some with lists.
 
-Positions count bytes in a binary body, and numbers in one of text; beyond that both are read alike.
+Positions count bytes in a binary body and numbers in a text body.
 """
 
 import struct
@@ -15,16 +15,16 @@ CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8":
 
 
 class TruncatedBodyError(ValueError):
-    """An element promises more than is there, or a list has an impossible length."""
+    """An element is longer than the body, or a list has an impossible length."""
 
 
 class Rows(NamedTuple):
-    """Where the rows of an element lie.
+    """The positions of an element's rows.
 
     Attributes:
         starts: the position of each property in each row, `(row, property)`; of a list that of its first number.
-        sizes: how many numbers each list has, `(row, property)`; 1 for what is no list.
-        end: the position behind the last row.
+        sizes: the length of each list, `(row, property)`; 1 for other properties.
+        end: the position after the last row.
     """
 
     starts: np.ndarray
@@ -36,28 +36,28 @@ class PlyBody(ABC):
     """The numbers of all elements.
 
     Attributes:
-        length: how many positions there are.
+        length: the number of positions.
     """
 
     length: int
 
     @abstractmethod
     def width(self, kind: str) -> int:
-        """How many positions a number of a type takes."""
+        """The positions that a number of a type takes."""
 
     @abstractmethod
     def take(self, kind: str, positions: np.ndarray) -> np.ndarray:
-        """The numbers `(number,)` that stand at positions."""
+        """The numbers `(number,)` at positions."""
 
     @abstractmethod
     def number(self, kind: str, position: int) -> float:
-        """One of them."""
+        """The number at a position."""
 
     def rows(self, element: Element, start: int) -> Rows:
-        """Where the rows of an element lie that starts at a position.
+        """The rows of an element that starts at a position.
 
         Raises:
-            TruncatedBodyError: they do not all lie in the body.
+            TruncatedBodyError: the body ends before them.
         """
         least = sum(self.width(prop.length or prop.kind) for prop in element.properties)
         if element.count * least > self.length - start:
@@ -69,7 +69,7 @@ class PlyBody(ABC):
         return found or self._different_rows(element, start)
 
     def _equal_rows(self, element: Element, start: int) -> Rows | None:
-        """The rows, where all lists are as long as in the first row; None where they are not."""
+        """The rows, if all lists are as long as in the first row; else None."""
         offsets, sizes, length = self._row(element.properties, start)
         if length * element.count > self.length - start:
             return None
@@ -93,10 +93,10 @@ class PlyBody(ABC):
         return Rows(np.array(offsets), np.array(sizes), position)
 
     def _row(self, properties: list[Property], start: int) -> tuple[list[int], list[int], int]:
-        """The position of each property of one row, its size, and how many positions the row takes."""
+        """The position of each property of one row, its size, and the row's length."""
         offsets, sizes, position = [], [], start
         for prop in properties:
-            size = 1
+            size = 1.0
             if prop.length:
                 if position >= self.length:
                     raise TruncatedBodyError
@@ -110,7 +110,7 @@ class PlyBody(ABC):
         return offsets, sizes, position - start
 
     def column(self, element: Element, rows: Rows, column: int) -> np.ndarray:
-        """The numbers of a property, `(row,)`; of a list all of them, row after row."""
+        """The numbers of a property, `(row,)`; of a list all of them, row by row."""
         kind = element.properties[column].kind
         starts, sizes = rows.starts[:, column], rows.sizes[:, column]
         within = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
@@ -118,10 +118,10 @@ class PlyBody(ABC):
 
 
 class BinaryBody(PlyBody):
-    """Numbers without gaps."""
+    """A binary body."""
 
     def __init__(self, data: bytes, order: str) -> None:
-        self.data, self.order, self.length = np.frombuffer(data, np.uint8), order, len(data)
+        self.data, self.bytes, self.order, self.length = data, np.frombuffer(data, np.uint8), order, len(data)
         self.structs = {kind: struct.Struct(order + code) for kind, code in CODES.items()}
 
     def width(self, kind: str) -> int:
@@ -133,7 +133,7 @@ class BinaryBody(PlyBody):
             raise TruncatedBodyError
         found = np.empty((len(positions), dtype.itemsize), np.uint8)
         for byte in range(dtype.itemsize):
-            found[:, byte] = self.data[positions + byte]
+            found[:, byte] = self.bytes[positions + byte]
         return found.reshape(-1).view(dtype)
 
     def number(self, kind: str, position: int) -> float:
@@ -143,7 +143,7 @@ class BinaryBody(PlyBody):
 
 
 class TextBody(PlyBody):
-    """Numbers with spaces between; where lines end does not count."""
+    """A text body: numbers separated by white space."""
 
     def __init__(self, numbers: np.ndarray) -> None:
         self.numbers, self.length = numbers, len(numbers)

@@ -1,6 +1,7 @@
-"""The header of a PLY: which elements follow, how many of each, and what each consists of."""
+"""The header of a PLY: its elements, their numbers and properties."""
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,21 +15,22 @@ TYPES = {
     **{"float32": "f4", "float64": "f8", "int64": "i8", "uint64": "u8"},
 }
 BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-PASSED_OVER = ("ply", "format", "comment", "obj_info")
+IGNORED = ("ply", "format", "comment", "obj_info")
 LONGEST = 1 << 16
 END = re.compile(rb"^end_header[ \t]*", re.MULTILINE)
 
 
 class Property(NamedTuple):
-    """One property of an element: its name, its type, and where it is a list, the type of its length."""
+    """One property of an element: its name, its type, and the type of its length if it is a list."""
 
     name: str
     kind: str
     length: str = ""
 
 
-class Element(NamedTuple):
-    """A kind of thing in the file, such as `vertex`, how many there are, and what each consists of."""
+@dataclass(frozen=True)
+class Element:
+    """An element of the file, such as `vertex`: its name, the number of its rows, and their properties."""
 
     name: str
     count: int
@@ -39,19 +41,19 @@ class Element(NamedTuple):
         return any(prop.length for prop in self.properties)
 
     def index(self, name: str) -> int:
-        """Which property has a name; -1 where none has, or more than one."""
+        """The index of the property of a name; -1 without one, or with more than one."""
         found = [number for number, prop in enumerate(self.properties) if prop.name == name]
         return found[0] if len(found) == 1 else -1
 
 
 class Header(NamedTuple):
-    """What the header says.
+    """A parsed header.
 
     Attributes:
-        order: of bytes, `<` or `>`; empty for text.
-        elements: in the order in which they follow.
-        length: of the header itself, bytes.
-        lines: how many it has.
+        order: byte order, `<` or `>`; empty for text.
+        elements: in the file's order.
+        length: of the header, bytes.
+        lines: of the header.
     """
 
     order: str
@@ -61,10 +63,10 @@ class Header(NamedTuple):
 
 
 def read_header(path: Path, data: bytes) -> Header:
-    """Read the header of a PLY, its lines ended in any way.
+    """Read the header of a PLY, with any line ends.
 
     Raises:
-        InputError: it is no PLY, or its header is truncated or damaged.
+        InputError: the file is not a PLY, or its header is truncated or damaged.
     """
     start = data[:LONGEST]
     break_ = b"\r" if start[:4] == b"ply\r" and start[4:5] != b"\n" else b"\n"
@@ -92,7 +94,7 @@ def _elements(lines: list[list[str]]) -> list[Element]:
             elements[-1].properties.append(Property(words[4], TYPES[words[3]], TYPES[words[2]]))
         elif words[:1] == ["property"]:
             elements[-1].properties.append(Property(words[2], TYPES[words[1]]))
-        elif words and words[0] not in PASSED_OVER:  # a damaged line may be a property that is missed
+        elif words and words[0] not in IGNORED:  # perhaps a damaged property
             raise ValueError
     if any(element.count and not element.properties for element in elements):
         raise ValueError
@@ -100,5 +102,5 @@ def _elements(lines: list[list[str]]) -> list[Element]:
 
 
 def row_type(element: Element, order: str) -> np.dtype:
-    """A row of a binary element without lists."""
+    """The type of a row of a binary element without lists."""
     return np.dtype([(f"{number}", order + prop.kind) for number, prop in enumerate(element.properties)])

@@ -1,4 +1,4 @@
-"""Faces of any number of corners."""
+"""Polygonal faces."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ class Polygons:
     """The faces of a mesh, of any number of corners.
 
     Attributes:
-        sizes: how many corners each face has, `(face,)`.
+        sizes: the number of corners of each face, `(face,)`.
         corners: the vertex of each corner, face after face, `(corner,)`, from 0.
     """
 
@@ -32,14 +32,14 @@ class Polygons:
         return self.corners[end - int(self.sizes[number]) : end]
 
     def first_difference(self, other: "Polygons") -> int:
-        """The first face that is not the other's, of two that have as many faces and differ."""
+        """The index of the first face that differs, of two with equally many faces."""
         sizes = np.flatnonzero(self.sizes != other.sizes)
         same = int(self.sizes[: sizes[0]].sum()) if len(sizes) else len(self.corners)
         corners = np.flatnonzero(self.corners[:same] != other.corners[:same])
         return int(np.searchsorted(np.cumsum(self.sizes), corners[0], side="right")) if len(corners) else int(sizes[0])
 
     def edges(self) -> np.ndarray:
-        """The edges `(edge, 2)`, each once, its lower vertex first."""
+        """The unique edges `(edge, 2)`, each with its lower vertex first."""
         after = np.arange(1, len(self.corners) + 1)
         ends = np.cumsum(self.sizes)
         full = self.sizes > 0
@@ -48,14 +48,14 @@ class Polygons:
         return np.unique(both, axis=0)
 
     def fans(self) -> np.ndarray:
-        """Every face as a fan of triangles around its first corner: `(triangle, 3)`; all need at least 3 corners."""
+        """Triangles `(triangle, 3)`: each face as a fan around its first corner; all need at least 3 corners."""
         triangles = self.sizes - 2
         starts = np.repeat(np.cumsum(self.sizes) - self.sizes, triangles)
         step = 1 + np.arange(len(starts)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
         return self.corners[np.stack([starts, starts + step, starts + step + 1], axis=1)]
 
     def among(self, vertices: np.ndarray) -> "Polygons":
-        """The faces all of whose corners are among some vertices, `(vertex,)` and rising, by their order there."""
+        """The faces whose corners are all among some vertices `(vertex,)`, ascending, with indices into these."""
         if not len(vertices):
             return Polygons(np.zeros(0, np.int64), np.zeros(0, np.int64))
         index = np.minimum(np.searchsorted(vertices, self.corners), len(vertices) - 1)
@@ -70,9 +70,9 @@ class Polygons:
 
     @classmethod
     def strips(cls, sizes: np.ndarray, corners: np.ndarray) -> "Polygons":
-        """From strips of triangles: each corner makes a triangle with the two before it, -1 begins anew.
+        """From triangle strips: each corner forms a triangle with the two before it, -1 starts a new strip.
 
-        Triangles with a vertex twice, which strips use to go on elsewhere, are left out.
+        Degenerate triangles, which connect strips, are left out.
         """
         corners = np.asarray(corners, np.int64)
         begins = np.zeros(len(corners) + 1, bool)
@@ -81,13 +81,13 @@ class Polygons:
         start = np.maximum.accumulate(np.where(begins[:-1], np.arange(len(corners)), 0))
         last = np.flatnonzero((np.arange(len(corners)) - start >= 2) & (corners != -1))
         faces = np.stack([corners[last - 2], corners[last - 1], corners[last]], axis=1)
-        turned = (last - start[last]) % 2 == 1
-        faces[turned] = faces[turned][:, [1, 0, 2]]
+        odd = (last - start[last]) % 2 == 1
+        faces[odd] = faces[odd][:, [1, 0, 2]]
         first, second, third = faces.T
         return cls.triangles(faces[(first != second) & (second != third) & (first != third)])
 
     def check(self, path: str | Path, vertices: int) -> None:
-        """Raises InputError where a corner names no vertex."""
+        """Raises InputError where a corner is not a vertex index."""
         if len(self.corners) and not 0 <= self.corners.min() <= self.corners.max() < vertices:
             wrong = self.corners[(self.corners < 0) | (self.corners >= vertices)][0]
             raise InputError(

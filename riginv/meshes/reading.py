@@ -1,4 +1,4 @@
-"""Reading a mesh from a file by its name's ending."""
+"""Read a mesh from a file, by its extension."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

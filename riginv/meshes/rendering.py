@@ -1,4 +1,4 @@
-"""Pictures of meshes: rays cast by trimesh, shaded as clay."""
+"""Rendering of meshes: ray casting by trimesh, shaded as clay."""
 
 import copy
 import re
@@ -18,14 +18,14 @@ AMBIENT, KEY, FILL, RIM, SHINE, GAMMA = 0.16, 0.72, 0.28, 0.10, 0.12, 1.6
 HEAT_STOPS = np.array([[0.27, 0.33, 0.55], [0.35, 0.66, 0.62], [0.93, 0.86, 0.45], [0.85, 0.36, 0.22], [0.55, 0.05, 0.13]])
 HARD_EDGE = np.radians(30)
 FONT_SIZE, LINE, MARGIN, MOST_LINES, INK = 13, 16, 6, 3, (40, 40, 46)  # of labels
-BREAKS = re.compile(r"[^\s_]*[\s_]*")  # where a label may be broken: after spaces and underscores
-DISTANCE = 12.0  # of the camera, in half-heights of the picture: little perspective
+BREAKS = re.compile(r"[^\s_]*[\s_]*")  # labels are wrapped after spaces and underscores
+DISTANCE = 12.0  # of the camera, in half-heights of the picture: weak perspective
 
 
 class Camera:
-    """Looks at the middle of a rest mesh from the front, turned by some degrees; the same for every pose of it.
+    """A camera at the centre of a rest mesh, from the front and rotated by some degrees, for all poses.
 
-    Only where a pose leaves the picture does `following` move it, so that pictures of poses can be compared.
+    `following` moves it only for poses outside the picture, so that pictures of poses are comparable.
     """
 
     def __init__(self, vertices: Tensor, turn_degrees: float = 15.0, size: tuple[int, int] = (240, 290)) -> None:
@@ -39,16 +39,16 @@ class Camera:
         self.half_height = 1.1 * max(extent[1], extent[0] * size[1] / size[0])
 
     def following(self, *meshes: Tensor) -> "Camera":
-        """This camera, or, where meshes `(vertex, 3)` reach out of its picture, one like it that sees them whole."""
+        """This camera, or a moved copy where meshes `(vertex, 3)` extend beyond its picture."""
         points = np.concatenate([mesh.detach().cpu().double().numpy() for mesh in meshes])
         width = self.half_height * self.size[0] / self.size[1]
         x, y, _ = np.abs((points - self.middle) @ self.rotation.T).max(axis=0)
         if x <= width and y <= self.half_height:
             return self
         moved = copy.copy(self)
-        turned = points @ self.rotation.T
-        moved.middle = (turned.max(axis=0) + turned.min(axis=0)) / 2 @ self.rotation
-        extent = (turned.max(axis=0) - turned.min(axis=0)) / 2
+        rotated = points @ self.rotation.T
+        moved.middle = (rotated.max(axis=0) + rotated.min(axis=0)) / 2 @ self.rotation
+        extent = (rotated.max(axis=0) - rotated.min(axis=0)) / 2
         moved.half_height = max(self.half_height, 1.1 * max(extent[1], extent[0] * self.size[1] / self.size[0]))
         return moved
 
@@ -61,7 +61,7 @@ class Camera:
             vertices: `(vertex, 3)`, mm.
             faces: `(face, 3)`.
             colors: `(vertex, 3)` in [0, 1]; None: clay.
-            smooth: rays along each side of a pixel.
+            smooth: supersampling: rays along each side of a pixel.
         """
         points = (vertices.detach().cpu().double().numpy() - self.middle) @ self.rotation.T / self.half_height
         triangles = faces.cpu().numpy()
@@ -91,12 +91,12 @@ class Camera:
 
 
 def is_angular(mesh: trimesh.Trimesh) -> bool:
-    """Whether a mesh is made of hard edges, as a box is, and no smooth surface."""
+    """Whether a mesh has mostly hard edges, like a box."""
     return len(mesh.face_adjacency_angles) > 0 and float(np.median(mesh.face_adjacency_angles)) > HARD_EDGE
 
 
 def shade(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Light surface points `(point, 3)` by their normals `(point, 3)`: a key, a fill, a rim light and a little shine."""
+    """Shade colours `(point, 3)` by normals `(point, 3)`: key, fill and rim light, and a weak highlight."""
 
     def light(direction: np.ndarray) -> np.ndarray:
         return np.clip(normals @ _unit(direction), 0, None)[:, None]
@@ -108,12 +108,12 @@ def shade(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 def heat_colors(distances: Tensor, top: float) -> np.ndarray:
     """Colours `(vertex, 3)` for distances `(vertex,)`: blue at 0, dark red from `top` upwards."""
-    place = np.clip(distances.detach().cpu().numpy() / max(top, 1e-9), 0, 1) * (len(HEAT_STOPS) - 1)
-    return np.stack([np.interp(place, np.arange(len(HEAT_STOPS)), stop) for stop in HEAT_STOPS.T], axis=1)
+    position = np.clip(distances.detach().cpu().numpy() / max(top, 1e-9), 0, 1) * (len(HEAT_STOPS) - 1)
+    return np.stack([np.interp(position, np.arange(len(HEAT_STOPS)), stop) for stop in HEAT_STOPS.T], axis=1)
 
 
 def grid(pictures: list[Image.Image], labels: list[str], columns: int) -> Image.Image:
-    """Pictures of one size in rows, each below its label, which is wrapped to the picture's width."""
+    """Pictures of one size in rows, each below its label, which is wrapped to its width."""
     width, height = pictures[0].size
     lines = [wrapped(label, width - 2 * MARGIN) for label in labels]
     band = max(map(len, lines)) * LINE + MARGIN
@@ -123,14 +123,14 @@ def grid(pictures: list[Image.Image], labels: list[str], columns: int) -> Image.
     draw = ImageDraw.Draw(sheet)
     for number, (picture, text) in enumerate(zip(pictures, lines)):
         left, top = number % columns * width, number // columns * (height + band)
-        for place, line in enumerate(text):
-            draw.text((left + MARGIN, top + MARGIN // 2 + place * LINE), line, fill=INK, font_size=FONT_SIZE)
+        for row, line in enumerate(text):
+            draw.text((left + MARGIN, top + MARGIN // 2 + row * LINE), line, fill=INK, font_size=FONT_SIZE)
         sheet.paste(picture, (left, top + band))
     return sheet
 
 
 def wrapped(text: str, width: float) -> list[str]:
-    """A text in lines of so many pixels; a word that is too long for one is broken, and what no line is left for is cut."""
+    """A text wrapped to a width in pixels, with too long words broken, and cut after `MOST_LINES` lines."""
     lines = [line for part in text.split("\n") for line in _broken(part, width)] or [""]
     if len(lines) <= MOST_LINES:
         return lines
@@ -141,7 +141,7 @@ def wrapped(text: str, width: float) -> list[str]:
 
 
 def _broken(text: str, width: float) -> list[str]:
-    """One line of text in lines of so many pixels; none for an empty one."""
+    """One line of text, wrapped to a width in pixels; no lines for an empty one."""
     lines = [""]
     for word in BREAKS.findall(text):
         if lines[-1] and _pixels(f"{lines[-1]}{word}".rstrip()) > width:
@@ -163,7 +163,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 class Pair(NamedTuple):
-    """A mesh that was asked for and the one that came out, each `(vertex, 3)`, mm, and what to call them."""
+    """A target mesh and a resulting one, each `(vertex, 3)`, mm, with a label."""
 
     label: str
     target: Tensor
@@ -171,7 +171,7 @@ class Pair(NamedTuple):
 
 
 def comparison(rig: RigBackend, pairs: list[Pair]) -> Image.Image:
-    """A row for each pair: target, result, and the error as heat, up to the largest of its row."""
+    """A row for each pair: target, result, and a heat map of the error, scaled to the row's maximum."""
     camera, faces, colors = Camera(rig.rest_vertices), rig.faces, rig.vertex_colors()
     colors = None if colors is None else colors.cpu()
     pictures, labels = [], []

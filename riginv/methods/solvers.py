@@ -1,5 +1,7 @@
 """Optimisation in mesh space among the methods."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -8,11 +10,10 @@ from riginv.methods.base import Method
 from riginv.methods.network import Network
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.solvers.clip import solve_clip
+from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.every_mesh import refine_meshes, solve_frames, solve_meshes
 from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.objective import PRIOR, Objective
-from riginv.solvers.smoothing import smoothed
 
 
 class LevenbergMarquardt(Method):
@@ -58,7 +59,7 @@ class LevenbergMarquardt(Method):
             found = self.frames(coordinates)
         else:
             found = solve_meshes(self.objective, coordinates, self.starts, self.steps, descent_steps=self.descent_steps)
-        return self.objective.own_units(found.units)
+        return self.objective.to_controls(found.units)
 
     def frames(self, coordinates: Tensor, rounds: int = 3) -> Solution:
         """The frames of a clip, each for itself; `rounds` as in `solve_frames`."""
@@ -91,7 +92,7 @@ class Clip(LevenbergMarquardt):
         blur: NonNegativeFloat = 3.0,
         mean_steps: NonNegativeInt = 0,
         bundle: str | None = None,
-        **solver: float,
+        **solver: Any,
     ) -> None:
         super().__init__(rig, **solver)
         self.smoothness, self.clip_steps, self.blur, self.mean_steps = smoothness, clip_steps, blur, mean_steps
@@ -116,7 +117,7 @@ class Clip(LevenbergMarquardt):
             self.mean_steps,
             numbers=meshes.frame_numbers,
         )
-        return self.objective.own_units(found)
+        return self.objective.to_controls(found)
 
 
 class Refined(Network):
@@ -136,4 +137,4 @@ class Refined(Network):
     @torch.no_grad()
     def invert(self, meshes: MeshSet) -> Tensor:
         start = self.objective.units(super().invert(meshes))
-        return self.objective.own_units(refine_meshes(self.objective, self.coordinates(meshes), start, self.steps).units)
+        return self.objective.to_controls(refine_meshes(self.objective, self.coordinates(meshes), start, self.steps).units)

@@ -1,4 +1,4 @@
-"""The paper's networks with one thing changed, to test what the paper says of that thing (`riginv.reproduce`)."""
+"""Variants of the paper's networks, each with one change, to test the paper's claims on it (`riginv.reproduce`)."""
 
 from torch import Tensor, nn
 
@@ -14,7 +14,7 @@ NORMALISATIONS = {"batch": nn.BatchNorm1d, "layer": nn.LayerNorm}
 
 
 class NormalisedInverse(DirectInverse):
-    """The paper's inverse with the normalisation layers that it leaves out, one before each activation.
+    """The paper's inverse with normalisation layers, which the paper advises against: one before each activation.
 
     Args:
         normalisation: `batch` or `layer`.
@@ -44,10 +44,7 @@ class NormalisedInverse(DirectInverse):
 
 
 class UnboundedInverse(DirectInverse):
-    """The paper's inverse without tanh: a linear output, which may leave the rig's limits while it trains.
-
-    Once trained, its answers are cut off to the limits: no rig takes others.
-    """
+    """The paper's inverse with a linear output in place of tanh: in training it may leave the limits; `forward` clamps."""
 
     def __init__(self, rig: RigInMeshSpace, hidden: Widths = (2048, 1024, 512, 256), activation: str = "leaky_relu") -> None:
         super().__init__(rig, hidden, activation, "neutral_start")
@@ -65,7 +62,7 @@ class UnboundedSurrogate(ControlMLP):
 
 
 class _Linear(ControlMap):
-    """0 maps to the neutral controls, 1 to as much more as each control's range is wide."""
+    """A linear map: 0 to the neutral controls, a difference of 1 to each control's range."""
 
     def forward(self, raw: Tensor) -> Tensor:
         return self.neutral + (self.upper - self.lower) * raw
@@ -74,8 +71,9 @@ class _Linear(ControlMap):
         return (controls - self.neutral) / (self.upper - self.lower)
 
 
-def _normalised(network: nn.Sequential, layer: type[nn.Module]) -> nn.Sequential:
-    """The same MLP with a layer of a kind after each of its linear layers but the last."""
+def _normalised(network: nn.Module, layer: type[nn.Module]) -> nn.Sequential:
+    """An MLP with a normalisation layer after each of its linear layers but the last."""
+    assert isinstance(network, nn.Sequential)
     layers: list[nn.Module] = []
     for module in network:
         layers.append(module)

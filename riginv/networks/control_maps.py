@@ -1,4 +1,4 @@
-"""From a network's raw outputs to controls within the rig's limits."""
+"""Maps from a network's raw outputs to controls within the rig's limits."""
 
 import math
 from abc import ABC, abstractmethod
@@ -8,8 +8,8 @@ from torch import Tensor, nn
 
 from riginv.rig.interface import RigBackend
 
-FULL, TINY = 0.995, 1e-12  # a control closer to its limit than this share would have hardly any gradient
-DEPTH = 1.0  # how far into tanh's tail a control at its limit starts
+FULL, TINY = 0.995, 1e-12  # `raw_of` stops at this fraction of the range: closer to a limit the gradient vanishes
+DEPTH = 1.0  # of a one-sided control: where on tanh's axis its limit lies, negated
 
 
 class ControlMap(nn.Module, ABC):
@@ -19,6 +19,10 @@ class ControlMap(nn.Module, ABC):
         lower, upper, neutral: `(control,)`, the rig's.
     """
 
+    lower: Tensor
+    upper: Tensor
+    neutral: Tensor
+
     def __init__(self, rig: RigBackend) -> None:
         super().__init__()
         self.register_buffer("lower", rig.lower, persistent=False)
@@ -26,7 +30,7 @@ class ControlMap(nn.Module, ABC):
         self.register_buffer("neutral", rig.neutral_controls, persistent=False)
 
     def with_derivatives(self, raw: Tensor) -> tuple[Tensor, Tensor]:
-        """The controls, and the derivative of each by its own raw output, both `(batch, control)` and without a graph."""
+        """The controls and their derivatives by their own raw outputs, both `(batch, control)`, without a graph."""
         with torch.enable_grad():
             given = raw.detach().requires_grad_()
             controls = self.forward(given)
@@ -35,11 +39,11 @@ class ControlMap(nn.Module, ABC):
 
     @abstractmethod
     def raw_of(self, controls: Tensor) -> Tensor:
-        """Raw outputs that map to controls `(batch, control)`, or near them where these lie at their limits or beyond."""
+        """Raw outputs that map to controls `(batch, control)`, or close to these at the limits or beyond."""
 
 
 class RangeTanh(ControlMap):
-    """The paper's: tanh scaled to each control's range, so that every control starts in the middle of it."""
+    """The paper's: tanh scaled to each control's range; 0 maps to the middle of it."""
 
     def forward(self, raw: Tensor) -> Tensor:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
@@ -48,8 +52,8 @@ class RangeTanh(ControlMap):
     @torch.no_grad()
     def with_derivatives(self, raw: Tensor) -> tuple[Tensor, Tensor]:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
-        bent = torch.tanh(raw)
-        return middle + half * bent, half * (1 - bent.square())
+        squashed = torch.tanh(raw)
+        return middle + half * squashed, half * (1 - squashed.square())
 
     def raw_of(self, controls: Tensor) -> Tensor:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
@@ -59,32 +63,40 @@ class RangeTanh(ControlMap):
 class NeutralStart(ControlMap):
     """0 maps to the neutral controls, and every control keeps a gradient there.
 
-    A control that is neutral inside its range follows tanh, scaled to either side. One that is neutral at a limit follows the
-    tail of tanh from that limit; below it the control stays at the limit while the gradient passes as if it did not.
-    Controls that start in the middle of their range die in a rig's saturations (docs/experiments.md); these do not.
+    A control that is neutral inside its range follows tanh, scaled separately on either side. One that is neutral at a limit
+    follows the tail of tanh from that limit on; below, it stays at the limit with a straight-through gradient. Controls that
+    start in the middle of their range get stuck in a rig's saturations (docs/experiments.md).
     """
+
+    one_way: Tensor
+    direction: Tensor
+    depth: Tensor
+    edge: Tensor
+    least: Tensor
+    above: Tensor
+    below: Tensor
 
     def __init__(self, rig: RigBackend) -> None:
         super().__init__(rig)
         one_way = torch.where(self.neutral <= self.lower, 1.0, torch.where(self.neutral >= self.upper, -1.0, 0.0))
         self.register_buffer("one_way", one_way.to(self.lower), persistent=False)
-        # Both kinds in one: scale * max(tanh(direction * raw - depth) + edge, least), with a scale for either sign of raw.
+        # Both cases in one: scale * max(tanh(direction * raw - depth) + edge, least), with a scale for either sign of raw.
         two_sided, edge = one_way == 0, math.tanh(DEPTH)
-        whole = one_way * (self.upper - self.lower) / (1 + edge)
+        one_sided_scale = one_way * (self.upper - self.lower) / (1 + edge)
         buffers = {
             "direction": torch.where(two_sided, 1.0, one_way),
             "depth": torch.where(two_sided, 0.0, DEPTH),
             "edge": torch.where(two_sided, 0.0, edge),
             "least": torch.where(two_sided, -torch.inf, 0.0),
-            "above": torch.where(two_sided, self.upper - self.neutral, whole),
-            "below": torch.where(two_sided, self.neutral - self.lower, whole),
+            "above": torch.where(two_sided, self.upper - self.neutral, one_sided_scale),
+            "below": torch.where(two_sided, self.neutral - self.lower, one_sided_scale),
         }
         for name, values in buffers.items():
             self.register_buffer(name, values.to(self.lower), persistent=False)
 
     def forward(self, raw: Tensor) -> Tensor:
-        bent = torch.tanh(self.direction * raw - self.depth) + self.edge
-        limited = bent + (torch.maximum(bent, self.least) - bent).detach()
+        squashed = torch.tanh(self.direction * raw - self.depth) + self.edge
+        limited = squashed + (torch.maximum(squashed, self.least) - squashed).detach()
         return self.neutral + torch.where(raw >= 0, self.above, self.below) * limited
 
     @torch.no_grad()
@@ -104,4 +116,4 @@ class NeutralStart(ControlMap):
         return torch.where(self.one_way == 0, two_sided, one_sided)
 
 
-CONTROL_MAPS = {"neutral_start": NeutralStart, "range_tanh": RangeTanh}
+CONTROL_MAPS: dict[str, type[ControlMap]] = {"neutral_start": NeutralStart, "range_tanh": RangeTanh}

@@ -1,44 +1,44 @@
-"""One step of a learned optimiser: what is left of a mesh, taken to a change of the controls."""
+"""One step of a learned optimiser: from a residual to a change of the controls."""
 
 import torch
 from torch import Tensor, nn
 
-START_GAIN = 0.05  # of the last layer: a correction starts small
-FAINTEST = 1e-5  # of a typical gradient: below it the logarithm of its size stands still
+START_GAIN = 0.05  # of the last layer: steps start small
+SMALLEST = 1e-5  # of a typical gradient: the lower bound of its size under the logarithm
 LOG_SCALE = 0.2
 
 
 class Correction(nn.Module):
-    """A linear map from what is left to raw outputs, mixed anew for every mesh.
+    """A linear map from the residual to a step of the raw outputs, with gates that depend on the mesh.
 
-    A Gauss-Newton step is linear in the residual and its gradient, by a matrix that depends on where the controls stand. So
-    is this: `width` linear features of both, each weighed by a gate that sees the raw outputs and the direction of the
-    gradient, then mixed. Where nothing is left nothing changes, and what a step leaves shrinks with what it was given: a
-    MLP that sees the residual as one input among others leaves a floor instead (docs/experiments.md).
+    Like a Gauss-Newton step it is linear in the residual and its gradient, by a matrix that depends on the controls: `width`
+    linear features of both, each multiplied by a gate of the raw outputs and the gradient's direction, then mixed. A zero
+    residual gives a zero step, and errors shrink with each step; an MLP that has the residual among its inputs converges to a
+    floor instead (docs/experiments.md).
 
     Args:
-        left: numbers that say what is left.
-        controls: of the rig.
-        width: linear features.
+        residual: size of the residual.
+        controls: number of controls.
+        width: number of linear features.
         gate: hidden width of the gate.
     """
 
-    def __init__(self, left: int, controls: int, width: int, gate: int) -> None:
+    def __init__(self, residual: int, controls: int, width: int, gate: int) -> None:
         super().__init__()
-        self.features = nn.Linear(left + controls, width, bias=False)
+        self.features = nn.Linear(residual + controls, width, bias=False)
         self.gate = nn.Sequential(nn.Linear(2 * controls + 1, gate), nn.GELU(), nn.Linear(gate, width))
         self.mix = nn.Linear(width, controls, bias=False)
         with torch.no_grad():
             self.mix.weight.mul_(START_GAIN)
 
-    def forward(self, left: Tensor, gradient: Tensor, raw: Tensor) -> Tensor:
+    def forward(self, residual: Tensor, gradient: Tensor, raw: Tensor) -> Tensor:
         """The change of the raw outputs `(batch, control)`.
 
         Args:
-            left: what is left of the mesh, scaled, `(batch, number)`.
-            gradient: of the squared error with respect to the raw outputs, scaled, `(batch, control)`.
+            residual: scaled, `(batch, number)`.
+            gradient: of the squared error by the raw outputs, scaled, `(batch, control)`.
             raw: the raw outputs so far, squashed, `(batch, control)`.
         """
-        size = gradient.square().mean(dim=1, keepdim=True).sqrt() + FAINTEST
+        size = gradient.square().mean(dim=1, keepdim=True).sqrt() + SMALLEST
         gates = 1 + self.gate(torch.cat([raw, gradient / size, LOG_SCALE * size.log()], dim=1))
-        return self.mix(gates * self.features(torch.cat([left, gradient], dim=1)))
+        return self.mix(gates * self.features(torch.cat([residual, gradient], dim=1)))

@@ -1,7 +1,6 @@
-"""What the coefficients of a rig depend on, found by posing it: a black box is asked, never opened.
+"""Which controls and shapes the coefficients of a blendshape rig depend on, found by posing it.
 
-Every blendshape rig has curves of single controls and interactions of few: a primary shape follows a handful of controls, and
-what corrects shapes follows the shapes that it corrects. Which ones shows in poses of the rig.
+A primary shape depends on a few controls, a corrective on the shapes that it corrects.
 """
 
 from typing import NamedTuple
@@ -13,14 +12,14 @@ from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig
 from riginv.rig.random_controls import sparse_controls
 
-ACTIVE = 1e-3  # of a weight, or of a control's range away from neutral: below it counts as none
-SWEEP = 8  # values on either side of neutral that each control takes alone
-POSES, MOST_ACTIVE = 4000, 40  # poses that tell interactions, and how many controls at once
-CERTAIN = 0.995  # the share of poses with an active corrective in which a shape that it needs is active
+ACTIVE = 1e-3  # threshold of a weight, or of a control's distance from neutral as a fraction of its range
+SWEEP = 8  # values on either side of neutral that each control takes by itself
+POSES, MAX_ACTIVE = 4000, 40  # random poses, and their greatest number of active controls
+CERTAIN = 0.995  # fraction of the poses with an active corrective in which a shape that it depends on is active
 
 
 class Dependencies(NamedTuple):
-    """Whom each coefficient follows; -1 fills a row up.
+    """What each coefficient depends on; rows are padded with -1.
 
     Attributes:
         drivers: controls of each primary shape, `(primary, slot)`.
@@ -33,46 +32,46 @@ class Dependencies(NamedTuple):
 
 @torch.no_grad()
 def find_dependencies(rig: LinearRig, drivers: int, parents: int) -> Dependencies:
-    """Pose a rig with blendshapes to find whom its coefficients follow, the strongest first.
+    """Find what the coefficients of a blendshape rig depend on, the strongest dependency first.
 
     Args:
-        drivers, parents: how many at most.
+        drivers, parents: the greatest number of each.
     """
     primaries = rig.primary_count
     poses = sparse_controls(
-        rig.lower, rig.upper, rig.neutral_controls, min(MOST_ACTIVE, len(rig.controls)), POSES, generator_at(0, "dependencies")
+        rig.lower, rig.upper, rig.neutral_controls, min(MAX_ACTIVE, len(rig.controls)), POSES, generator_at(0, "dependencies")
     )
     away = (poses - rig.neutral_controls).abs() > ACTIVE * (rig.upper - rig.lower)
     active = rig.coefficients(poses) > ACTIVE
-    alone = _responses(rig)[:, :primaries].T
+    responses = _responses(rig)[:, :primaries].T
     needed = _given(active[:, :primaries], away)
-    alone = torch.where(alone > ACTIVE, 1 + alone, torch.where(needed >= CERTAIN, needed, 0.0))
+    driven = torch.where(responses > ACTIVE, 1 + responses, torch.where(needed >= CERTAIN, needed, 0.0))
     correctives = active[:, primaries:]
     certain = _given(correctives, active[:, :primaries])
     lift = certain - active[:, :primaries].float().mean(dim=0)
-    # What is certain comes first; among others, what is active more often with the corrective than without it.
+    # Certain dependencies first; without any, shapes that are active more often with the corrective than without it.
     follows = torch.where(certain >= CERTAIN, 1 + lift, torch.where((certain >= CERTAIN).any(dim=1)[:, None], 0.0, lift))
-    return Dependencies(_strongest(alone, drivers), _strongest(follows, parents))
+    return Dependencies(_strongest(driven, drivers), _strongest(follows, parents))
 
 
 def _responses(rig: LinearRig) -> Tensor:
-    """The greatest weight `(control, coefficient)` that each control brings about alone."""
+    """The greatest weight `(control, coefficient)` that each control causes by itself."""
     greatest = rig.basis.new_zeros(len(rig.controls), len(rig.basis))
-    for share in torch.linspace(0, 1, SWEEP + 1)[1:].tolist():
+    for fraction in torch.linspace(0, 1, SWEEP + 1)[1:].tolist():
         for limit in (rig.lower, rig.upper):
-            moved = rig.coefficients(rig.neutral_controls + share * torch.diag(limit - rig.neutral_controls))
+            moved = rig.coefficients(rig.neutral_controls + fraction * torch.diag(limit - rig.neutral_controls))
             greatest = torch.maximum(greatest, moved)
     return greatest
 
 
 def _given(events: Tensor, conditions: Tensor) -> Tensor:
-    """The share `(event, condition)` of the poses with each event in which each condition holds; 0 where it never comes."""
+    """The fraction `(event, condition)` of the poses with each event in which each condition holds; 0 without such poses."""
     together = events.float().T @ conditions.float()
     return together / events.float().sum(dim=0).clamp_min(1)[:, None]
 
 
 def _strongest(scores: Tensor, most: int) -> Tensor:
-    """The columns of the greatest positive scores of each row `(row, most)`, -1 where there are fewer."""
+    """The columns of the greatest positive scores of each row, `(row, most)`, padded with -1."""
     values, columns = scores.topk(min(most, scores.shape[1]), dim=1)
     found = torch.where(values > 0, columns, -1)
     return torch.nn.functional.pad(found, (0, most - found.shape[1]), value=-1)

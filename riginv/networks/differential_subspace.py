@@ -1,13 +1,12 @@
-"""Song et al. 2020: a surrogate that learns local shape in differential coordinates, and apart from it where a few vertices
-stand.
+"""Song et al. 2020: a surrogate that learns differential coordinates and, separately, the positions of a few anchors.
 
 Source: Song, Shi, Reed: Accurate face rig approximation with deep differential subspace reconstruction (SIGGRAPH 2020, arXiv
 2006.01746). One MLP gives the differential coordinates, as principal components; a smaller one the positions of
-anchors, which hold the low frequencies that differential coordinates hardly see; least squares make a mesh of both.
+anchors, which hold the low frequencies that differential coordinates hardly see; least squares combine both to a mesh.
 
 Changed: the least squares are solved within the rig's mesh space, where they are one fixed linear map; both MLPs are
-trained together, with the loss on the mesh that comes out, as our other surrogates are, where theirs have losses of their
-own; the components are those of the rig's deltas, not of posed examples; the graph Laplacian, anchors spread by distance,
+trained together on the loss of the resulting mesh, as our other surrogates are, where theirs have separate losses; the
+components are those of the rig's deltas, not of posed examples; the graph Laplacian, anchors spread by distance,
 their number and their weight are our choices.
 """
 
@@ -26,11 +25,11 @@ from riginv.rig.mesh_space import MeshSpace
 
 
 class Reconstruction(NamedTuple):
-    """Fixed linear maps.
+    """The fixed linear maps of the method.
 
     Attributes:
-        differential: principal components of differential coordinates, as these: `(component, vertex, 3)`.
-        anchors: principal components of the anchors' displacements, as these: `(component, anchor, 3)`.
+        differential: principal components of differential coordinates, `(component, vertex, 3)`.
+        anchors: principal components of the anchors' displacements, `(component, anchor, 3)`.
         from_differential, from_anchors: components to the coefficients of the least-squares mesh, `(component, coefficient)`.
     """
 
@@ -41,7 +40,7 @@ class Reconstruction(NamedTuple):
 
 
 def reconstruction(rig: LinearRig, anchors: Tensor, weight: float, components: int | None = None) -> Reconstruction:
-    """How a mesh within the span of a rig's basis follows from differential coordinates and anchors by least squares.
+    """The least-squares maps from differential coordinates and anchors to meshes in the span of a rig's basis.
 
     Args:
         anchors: indices of vertices.
@@ -50,44 +49,49 @@ def reconstruction(rig: LinearRig, anchors: Tensor, weight: float, components: i
     """
     space = MeshSpace.from_rig(rig)
     frame = space.frame.double()
-    local, places = differential_coordinates(frame, rig.faces).flatten(1), frame[:, anchors].flatten(1)
+    local, positions = differential_coordinates(frame, rig.faces).flatten(1), frame[:, anchors].flatten(1)
     deltas = rig.basis.double().flatten(1) @ frame.flatten(1).T
     local_parts = _principal(deltas @ local)[:components]
-    place_parts = _principal(deltas @ places)
-    normal = local @ local.T + weight * places @ places.T
+    anchor_parts = _principal(deltas @ positions)
+    normal = local @ local.T + weight * positions @ positions.T
     normal.diagonal().add_(1e-9 * normal.diagonal().mean())
     to_coefficients = torch.linalg.solve(normal, torch.linalg.pinv(deltas))
     found = Reconstruction(
         local_parts.unflatten(1, (-1, 3)),
-        place_parts.unflatten(1, (-1, 3)),
+        anchor_parts.unflatten(1, (-1, 3)),
         local_parts @ local.T @ to_coefficients,
-        weight * place_parts @ places.T @ to_coefficients,
+        weight * anchor_parts @ positions.T @ to_coefficients,
     )
     return Reconstruction(*(values.to(rig.dtype) for values in found))
 
 
 def _principal(seen: Tensor) -> Tensor:
-    """Principal components `(component, value)` of `(sample, value)`, as long as these are spread along them, longest first.
+    """Principal components `(component, value)` of `(sample, value)`, scaled by the samples' spread, largest first.
 
-    Always as many as there can be, though some be 0: a network that is loaded again must find the same number.
+    Zero components are kept, so that a loaded network has the same number.
     """
     _, left = torch.linalg.eigh(seen @ seen.T)
     return (left.flip(1).T @ seen)[: seen.shape[1]] / len(seen) ** 0.5
 
 
 class DifferentialSubspace(SurrogateNetwork):
-    """Two MLPs on the controls, in shares of their ranges, and a fixed reconstruction.
+    """Two MLPs on the controls, as fractions of their ranges, and a fixed reconstruction.
 
     Args:
         hidden: widths for the differential coordinates.
         subspace_hidden: widths for the anchors.
-        anchors: how many vertices hold the mesh in place.
+        anchors: the number of anchor vertices.
         anchor_weight: of the anchors in the least squares.
         components: principal components of the differential coordinates, at most; None: all.
 
     Raises:
         InputError: a number is out of range.
     """
+
+    from_differential: Tensor
+    from_anchors: Tensor
+    neutral: Tensor
+    span: Tensor
 
     def __init__(
         self,
@@ -115,10 +119,10 @@ class DifferentialSubspace(SurrogateNetwork):
         self.subspace = mlp(len(rig.controls), subspace_hidden, len(self.from_anchors), activation)
 
     def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
-        """Nothing: components come out in the measure of their spread as they are."""
+        """Does nothing: components are scaled by their spread already."""
 
     def forward(self, controls: Tensor) -> Tensor:
-        """Coefficients follow from a mesh: no sigmoid keeps them in a range."""
+        """As `raw`: coefficients of a reconstructed mesh need no sigmoid."""
         return self.raw(controls)
 
     def raw(self, controls: Tensor) -> Tensor:

@@ -1,37 +1,39 @@
-"""A mesh in the terms of its rig: what an inverse looks at where mesh coordinates alone would hide what it needs.
+"""Features of a mesh for an inverse network in place of mesh coordinates, such as joint rotations (`LinearRig.features`).
 
-A joint's angle shows in a mesh only against the joint above it: in mesh coordinates a bent finger looks different for every
-turn of the body. Such a rig says what of its coefficients tells about its controls (`LinearRig.features`).
+In mesh coordinates a bent finger looks different for every rotation of the body; its rotation relative to its parent does not.
 """
 
 import torch
 from torch import Tensor, nn
 
 from riginv.rig.batches import generator_at
+from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.rig.random_controls import sparse_controls
 
-NOISE_MM = 0.1  # that the estimate reckons with in each mesh coordinate: what a coefficient hardly moves is not taken from it
-POSES = 512  # of the rig, from which it learns how far each coefficient goes
-SMALLEST = 0.1  # of the typical size of a feature: one that the rig's poses never move must not shout when a capture does
-GUESS_POSES = 4096  # of the rig, which the first guess is fitted to
-LEAST_VARIANCE = 1e-2  # of scaled features: a direction in which poses of the rig hardly differ says nothing about controls
+NOISE_MM = 0.1  # standard deviation of the noise that the estimate of coefficients assumes in each mesh coordinate
+POSES = 512  # random poses that give the spread of each coefficient
+SMALLEST = 0.1  # the least scale of a feature, as a fraction of their typical size: some hardly vary over poses of the rig
+GUESS_POSES = 4096  # random poses that the first guess is fitted to
+LEAST_VARIANCE = 1e-2  # of scaled features, for a direction to be used by the first guess
 
 
 class RigFeatures(nn.Module):
-    """The rig's own features of a mesh: its coefficients are estimated from mesh coordinates, then seen as the rig sees them.
+    """Maps mesh coordinates to the rig's features, and these to a first guess at the controls.
 
-    The estimate is linear: the likeliest coefficients of a pose of the rig, given the mesh and a little noise. From the
-    features a first guess at the controls is linear, too: a regression on random poses of the rig, along the directions in
-    which these differ; others, which only a capture may hold, do not disturb it.
+    The rig's coefficients are estimated linearly from mesh coordinates, as the most likely ones given a little noise. The first
+    guess is a linear regression on random poses of the rig, along the directions in which their features vary.
     """
 
     scale: Tensor
     derivative: Tensor
+    neutral: Tensor
+    rest: Tensor
+    estimate: Tensor
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         super().__init__()
-        self.rig = [rig.rig]  # in a list: the rig's weights are not this module's
+        self.rig = [rig.rig]  # in a list, so that the rig is no submodule
         backend, neutral = rig.rig, rig.neutral_coefficients
         draws = torch.rand(POSES, len(backend.controls), generator=generator_at(0, "features"), dtype=torch.float64)
         with torch.no_grad():
@@ -40,7 +42,7 @@ class RigFeatures(nn.Module):
             moved = spread[:, None] * rig.linear_map.double()
             gram = moved.T @ moved + NOISE_MM**2 * torch.eye(moved.shape[1], dtype=moved.dtype, device=moved.device)
             estimate = torch.linalg.solve(gram, moved.T) * spread
-            rest = backend.features(neutral)
+            rest = _features_of(backend, neutral)
         self.register_buffer("neutral", neutral, persistent=False)
         self.register_buffer("rest", rest, persistent=False)
         self.register_buffer("estimate", estimate.to(neutral), persistent=False)
@@ -49,12 +51,12 @@ class RigFeatures(nn.Module):
 
     @staticmethod
     def offered_by(rig: RigInMeshSpace) -> bool:
-        """Whether the rig tells features at all (`LinearRig.features`)."""
+        """Whether the rig has features (`LinearRig.features`)."""
         return rig.rig.features(rig.neutral_coefficients) is not None
 
     @classmethod
     def fitted(cls, rig: RigInMeshSpace) -> "RigFeatures":
-        """For use without a network: calibrated on random poses of the rig."""
+        """Features without a network, calibrated on random poses of the rig."""
         features, backend = cls(rig), rig.rig
         limits = backend.lower, backend.upper, backend.neutral_controls
         features.calibrate(rig, rig(sparse_controls(*limits, len(backend.controls), POSES, generator_at(0, "scale"))))
@@ -66,7 +68,7 @@ class RigFeatures(nn.Module):
 
     @torch.no_grad()
     def calibrate(self, rig: RigInMeshSpace, coordinates: Tensor) -> None:
-        """Set the scale of each feature by a sample of mesh coordinates `(batch, coordinate)`, and fit the first guess."""
+        """Set the scale of each feature from sampled mesh coordinates `(batch, coordinate)`, and fit the first guess."""
         self.scale.fill_(1.0)
         sizes = self.forward(coordinates).square().mean(dim=0).sqrt()
         typical = sizes.square().mean().sqrt()
@@ -75,7 +77,7 @@ class RigFeatures(nn.Module):
         limits = backend.lower, backend.upper, backend.neutral_controls
         generator = generator_at(0, "first guess", device=coordinates.device)
         controls = sparse_controls(*limits, len(backend.controls), GUESS_POSES, generator)
-        seen = torch.cat([self.forward(rig(piece)) for piece in controls.split(POSES)]).double()
+        seen = torch.cat([self.forward(rig(batch)) for batch in controls.split(POSES)]).double()
         changes = ((controls - backend.neutral_controls) / (backend.upper - backend.lower)).double()
         variances, directions = torch.linalg.eigh(seen.T @ seen / len(seen))
         inverse = torch.where(variances > LEAST_VARIANCE, 1 / variances.clamp_min(LEAST_VARIANCE), 0.0)
@@ -90,12 +92,19 @@ class RigFeatures(nn.Module):
         """Mesh coordinates `(batch, coordinate)` to features `(batch, feature)`; 0 at the neutral mesh."""
         return self.change(self.rest, self._features(coordinates))
 
-    def left(self, wanted: Tensor, found: Tensor) -> Tensor:
-        """What is left `(batch, feature)` from the mesh that was found to the one that is wanted, both in mesh coordinates."""
-        return self.change(self._features(found), self._features(wanted))
+    def residual(self, target: Tensor, found: Tensor) -> Tensor:
+        """The residual `(batch, feature)` of meshes that were found against their targets, both in mesh coordinates."""
+        return self.change(self._features(found), self._features(target))
 
     def change(self, before: Tensor, after: Tensor) -> Tensor:
+        """The scaled difference of unscaled features, all `(batch, feature)`."""
         return self.rig[0].feature_change(before, after) / self.scale
 
     def _features(self, coordinates: Tensor) -> Tensor:
-        return self.rig[0].features(self.neutral + coordinates @ self.estimate)
+        return _features_of(self.rig[0], self.neutral + coordinates @ self.estimate)
+
+
+def _features_of(rig: LinearRig, coefficients: Tensor) -> Tensor:
+    features = rig.features(coefficients)
+    assert features is not None, f"rig '{rig.name}' has no features"
+    return features

@@ -13,24 +13,24 @@ from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
 from riginv.networks.correction import Correction
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import Anchored, mlp
-from riginv.rig.interface import Pull
+from riginv.rig.interface import Vjp
 from riginv.rig.mesh_space import RigInMeshSpace
 
-START_GAIN = 0.3  # of the last layer: answers start close to neutral
-CORRECTION_GAIN = 0.02  # of the last layer where a guess stands before the first MLP: they start close to that
+START_GAIN = 0.3  # of the last layer: estimates start close to neutral
+CORRECTION_GAIN = 0.02  # of the last layer where a guess precedes the first MLP: estimates start close to that
 
 
 class Answer:
-    """One attempt at the controls.
+    """An estimate of the controls, with derived quantities that are computed on first use.
 
-    Everything about it is computed when it is first asked for. What has no graph costs no automatic differentiation: to learn
-    from an answer, `raw` and a gradient of it are enough (`riginv.training.inverse`).
+    Those without a graph cost no automatic differentiation: training needs `raw` and a gradient of it alone
+    (`riginv.training.inverse`).
 
     Args:
         raw: the network's raw outputs `(batch, control)`, with its graph.
-        target: the mesh coordinates `(batch, coordinate)` that were asked for.
+        target: the target's mesh coordinates `(batch, coordinate)`.
         control_map: from raw outputs to controls.
-        rig: which the controls are of.
+        rig: the rig of the controls.
     """
 
     def __init__(self, raw: Tensor, target: Tensor, control_map: ControlMap, rig: RigInMeshSpace) -> None:
@@ -43,13 +43,13 @@ class Answer:
 
     @functools.cached_property
     def coordinates(self) -> Tensor:
-        """What the rig makes of them, `(batch, coordinate)`, with a graph from the network."""
+        """The mesh coordinates of the rig at these controls, `(batch, coordinate)`, with a graph from the network."""
         return self.rig(self.controls)
 
     @functools.cached_property
-    def _posed(self) -> tuple[Tensor, Tensor, Pull]:
+    def _posed(self) -> tuple[Tensor, Tensor, Vjp]:
         controls, derivatives = self.control_map.with_derivatives(self.raw.detach())
-        return derivatives, *self.rig.coordinates_and_pull(controls)
+        return derivatives, *self.rig.coordinates_and_vjp(controls)
 
     @property
     def found(self) -> Tensor:
@@ -58,7 +58,7 @@ class Answer:
 
     @functools.cached_property
     def error(self) -> Tensor:
-        """What the rig makes of them less what was asked for, `(batch, coordinate)`, without a graph."""
+        """`found` minus the target, `(batch, coordinate)`, without a graph."""
         return self.found - self.target
 
     @functools.cached_property
@@ -66,22 +66,22 @@ class Answer:
         """The squared length of each error, `(batch,)`, without a graph."""
         return self.error.square().sum(dim=1)
 
-    def pull(self, gradient: Tensor) -> Tensor:
-        """A gradient of the coordinates `(batch, coordinate)` as one of the raw outputs, `(batch, control)`; no graph."""
-        derivatives, _, pull = self._posed
-        return derivatives * pull(gradient)
+    def vjp(self, gradient: Tensor) -> Tensor:
+        """The vector-Jacobian product from coordinates `(batch, coordinate)` to raw outputs, `(batch, control)`; no graph."""
+        derivatives, _, vjp = self._posed
+        return derivatives * vjp(gradient)
 
     @functools.cached_property
     def gradient(self) -> Tensor:
-        """Of half the squared error, by the raw outputs, `(batch, control)`, without a graph."""
-        return self.pull(self.error)
+        """The gradient of half the squared error by the raw outputs, `(batch, control)`, without a graph."""
+        return self.vjp(self.error)
 
 
 class InverseNetwork(RigNetwork, ABC):
     """Maps mesh coordinates `(batch, coordinate)` to controls `(batch, control)`.
 
     Attributes:
-        rig: the rig that it is the inverse of, in mesh space; not saved with the network's own weights.
+        rig: the rig to invert, in mesh space; not saved with the network's weights.
     """
 
     def __init__(self, rig: RigInMeshSpace, control_map: str) -> None:
@@ -93,13 +93,13 @@ class InverseNetwork(RigNetwork, ABC):
 
     @abstractmethod
     def answers(self, coordinates: Tensor) -> list[Answer]:
-        """Every attempt, the last one being the answer; training looks at all of them."""
+        """The estimates of all stages, the last one the most refined; training uses all of them."""
 
     def calibrate(self, coordinates: Tensor) -> None:
-        """Look at a sample of what will come `(batch, coordinate)`, before training, to set fixed scales."""
+        """Set fixed scales from sampled mesh coordinates `(batch, coordinate)`, before training."""
 
     def answer(self, raw: Tensor, target: Tensor) -> Answer:
-        """The answer that raw outputs `(batch, control)` are to mesh coordinates `(batch, coordinate)`."""
+        """The estimate from raw outputs `(batch, control)` for mesh coordinates `(batch, coordinate)`."""
         return Answer(raw, target, self.control_map, self.rig)
 
     def forward(self, coordinates: Tensor) -> Tensor:
@@ -110,7 +110,7 @@ class DirectInverse(InverseNetwork):
     """One MLP (paper: hidden 2048, 1024, 512, 256, leaky ReLU, tanh scaled to each control's range).
 
     Args:
-        control_map: `range_tanh` as in the paper, or `neutral_start`, which also anchors the neutral mesh.
+        control_map: `range_tanh` as in the paper, or `neutral_start`, which also maps the neutral mesh to the neutral controls.
     """
 
     def __init__(
@@ -135,21 +135,21 @@ class DirectInverse(InverseNetwork):
 
 
 class StagedInverse(InverseNetwork):
-    """A learned optimiser of a few steps: stages, then corrections, each mending what the one before left.
+    """A learned optimiser: a few MLPs, then refinement steps, each reducing the residual of the one before.
 
-    The first MLP sees the mesh. Every further stage also sees what its predecessor left: the residual in mesh
-    coordinates, the gradient of the squared error through the rig, and the controls so far. MLPs find the
-    neighbourhood, corrections (`riginv.networks.correction`) come close. Each learns from its own error alone.
+    The input of the first MLP is the mesh. Every further one also gets the residual of the estimate before it, the gradient of
+    the squared error through the rig, and the controls so far; so do the refinement steps (`riginv.networks.correction`). Each
+    is trained on its own error alone.
 
-    Where the rig offers features they take the place of mesh coordinates, and a linear guess from them that of the first
-    predecessor (`riginv.networks.features`).
+    Where the rig has features they replace mesh coordinates, and a linear guess from them precedes the first MLP
+    (`riginv.networks.features`).
 
     Args:
-        stages: how many MLPs.
-        hidden: widths of each of them.
-        corrections: how many follow.
-        width: linear features of a correction.
-        gate: hidden width of a correction's gate.
+        stages: the number of MLPs.
+        hidden: their hidden widths.
+        corrections: the number of refinement steps.
+        width: linear features of a refinement step.
+        gate: hidden width of a refinement step's gate.
     """
 
     coordinate_scale: Tensor
@@ -199,33 +199,31 @@ class StagedInverse(InverseNetwork):
         return [*self.stages, *self.corrections]
 
     def answers(self, coordinates: Tensor) -> list[Answer]:
-        seen = self._look(coordinates)
-        before = self._guess(seen, coordinates) if self.features else None
+        inputs = self.features(coordinates) if self.features else coordinates / self.coordinate_scale
+        before = None
+        if self.features:
+            before = self.answer(self.control_map.raw_of(self.features.guess(inputs)), coordinates)
         result: list[Answer] = []
         for stage in [*self.stages, *self.corrections]:
-            raw = stage(seen) if before is None else self._corrected(stage, before, seen)
+            raw = stage(inputs) if before is None else self._refined(stage, before, inputs)
             before = self.answer(raw, coordinates)
             result.append(before)
         return result
 
-    def _corrected(self, stage: nn.Module, answer: Answer, seen: Tensor) -> Tensor:
-        """Raw outputs `(batch, control)`, corrected by a stage that sees what the answer to them left."""
+    def _refined(self, stage: nn.Module, answer: Answer, inputs: Tensor) -> Tensor:
+        """The raw outputs `(batch, control)` of an estimate, refined by a stage."""
         before, gradient = answer.raw.detach(), answer.gradient / self.gradient_scale
         if self.features:
-            left = self.features.left(answer.target, answer.found)
+            residual = self.features.residual(answer.target, answer.found)
         else:
-            left = answer.error / -self.coordinate_scale
+            residual = answer.error / -self.coordinate_scale
         squashed = torch.tanh(0.3 * before)
         if isinstance(stage, Correction):
-            return before + stage(left, gradient, squashed)
-        return before + stage(torch.cat([seen, left, gradient, squashed], dim=1))
-
-    def _guess(self, features: Tensor, coordinates: Tensor) -> Answer:
-        """The answer that stands before the first MLP, where the rig offers features."""
-        return self.answer(self.control_map.raw_of(self.features.guess(features)), coordinates)
+            return before + stage(residual, gradient, squashed)
+        return before + stage(torch.cat([inputs, residual, gradient, squashed], dim=1))
 
     def forward(self, coordinates: Tensor) -> Tensor:
-        """The last answer; after a guess from features the best one of each mesh, for there a correction may fail."""
+        """The last estimate; where the rig has features the best one of each mesh, for there a refinement step may fail."""
         answers = self.answers(coordinates)
         return self._best(answers) if self.features else answers[-1].controls
 
@@ -234,17 +232,15 @@ class StagedInverse(InverseNetwork):
         best = errors.argmin(dim=0)
         return torch.stack([answer.controls for answer in answers])[best, torch.arange(best.shape[0], device=best.device)]
 
-    def _look(self, coordinates: Tensor) -> Tensor:
-        """What the MLPs see of a mesh, `(batch, number)`."""
-        return self.features(coordinates) if self.features else coordinates / self.coordinate_scale
-
 
 def _size(values: Tensor) -> Tensor:
     return values.square().mean().sqrt().clamp_min(1e-12)
 
 
 def _start_small(network: nn.Sequential, gain: float = START_GAIN) -> nn.Sequential:
+    last = network[-1]
+    assert isinstance(last, nn.Linear)
     with torch.no_grad():
-        network[-1].weight.mul_(gain)
-        network[-1].bias.zero_()
+        last.weight.mul_(gain)
+        last.bias.zero_()
     return network

@@ -1,4 +1,4 @@
-"""A surrogate that knows who follows whom: many small MLPs, each seeing a few numbers only."""
+"""A surrogate of many small MLPs, one for each shape, on the few inputs that it depends on."""
 
 import math
 
@@ -11,17 +11,20 @@ from riginv.networks.mlp import mlp
 from riginv.networks.surrogate import SurrogateNetwork
 from riginv.rig.interface import LinearRig
 
-OPEN = 3.0  # how far the damping of a primary shape starts from acting
-CONTEXT_GAIN = 0.1  # of the last layer of the context: it starts with hardly a say
+OPEN = 3.0  # negative bias of the damping of primary shapes: it starts near none
+CONTEXT_GAIN = 0.1  # of the last layer of the context MLP
 
 
 class LocalMlps(nn.Module):
-    """One MLP of two hidden layers for each output, on inputs of its own.
+    """One MLP of two hidden layers for each output, on its own selection of inputs.
 
     Args:
-        outputs: how many.
-        slots: inputs of each, at most.
+        outputs: number of outputs.
+        slots: the greatest number of inputs of each.
         width: of the hidden layers.
+
+    Attributes:
+        index: the inputs of each output, `(output, slot)`, -1 for an empty slot.
     """
 
     index: Tensor
@@ -38,30 +41,30 @@ class LocalMlps(nn.Module):
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Inputs `(batch, input)` to outputs `(batch, output)`."""
-        seen = (inputs[:, self.index.clamp_min(0)] * (self.index >= 0)).transpose(0, 1)
-        hidden = nn.functional.silu(torch.baddbmm(self.into_shift, seen, self.into))
+        selected = (inputs[:, self.index.clamp_min(0)] * (self.index >= 0)).transpose(0, 1)
+        hidden = nn.functional.silu(torch.baddbmm(self.into_shift, selected, self.into))
         hidden = nn.functional.silu(torch.baddbmm(self.across_shift, hidden, self.across))
         return torch.baddbmm(self.out_shift, hidden, self.out)[:, :, 0].T
 
     def product(self, inputs: Tensor) -> Tensor:
-        """The product `(batch, output)` of each output's own inputs; 0 where it has none."""
+        """The product `(batch, output)` of each output's inputs; 0 where it has none."""
         filled = self.index >= 0
         return torch.where(filled, inputs[:, self.index.clamp_min(0)], 1.0).prod(dim=2) * filled.any(dim=1)
 
 
 class LocalSurrogate(SurrogateNetwork):
-    """A surrogate of blendshapes that takes from the rig, by posing it, what follows what (`riginv.networks.dependencies`).
+    """A surrogate of blendshapes with the rig's own dependencies (`riginv.networks.dependencies`).
 
-    A primary shape is a small MLP on its own controls, damped by what all of them do together; a shape that corrects
-    others is one on those, beside a multiple of the product of their weights: most rigs mean one, and where all of them are
-    strong poses are rare and a MLP knows least. Rigs without blendshapes have no such parts: theirs is one MLP.
+    A primary shape is a small MLP of the controls that it depends on, damped by an MLP of all controls. A corrective is one of
+    the shapes that it corrects, plus a multiple of the product of their weights, which most rigs use. Without blendshapes the
+    surrogate is one MLP.
 
     Args:
-        drivers: controls that a primary shape follows, at most.
-        parents: primary shapes that a corrective one follows, at most.
+        drivers: the greatest number of controls of a primary shape.
+        parents: the greatest number of primary shapes of a corrective.
         width, corrective_width: of the small MLPs' hidden layers.
-        context: widths of the MLP that damps the primary shapes.
-        hidden: widths of the one MLP for a rig without blendshapes.
+        context: hidden widths of the MLP that damps the primary shapes.
+        hidden: hidden widths of the MLP for a rig without blendshapes.
     """
 
     def __init__(
@@ -83,9 +86,11 @@ class LocalSurrogate(SurrogateNetwork):
         self.corrective = LocalMlps(len(rig.basis) - primaries, parents, corrective_width)
         self.of_product = nn.Parameter(torch.ones(len(rig.basis) - primaries))
         self.context = mlp(controls + primaries, context, primaries, "silu")
+        last = self.context[-1]
+        assert isinstance(last, nn.Linear)
         with torch.no_grad():
-            self.context[-1].weight.mul_(CONTEXT_GAIN)
-            self.context[-1].bias.fill_(-OPEN)
+            last.weight.mul_(CONTEXT_GAIN)
+            last.bias.fill_(-OPEN)
 
     def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
         super().set_scales(rig, controls)
@@ -96,7 +101,7 @@ class LocalSurrogate(SurrogateNetwork):
             self.corrective.index.copy_(found.parents)
 
     def forward(self, controls: Tensor) -> Tensor:
-        """Weights are kept in no range: where they exceed it the loss says so, and no gradient fades at its ends."""
+        """The coefficients, without a sigmoid: so gradients do not vanish near 0 and 1."""
         if not self.weights:
             return super().forward(controls)
         return self.raw((controls - self.neutral) / self.half_range)
@@ -104,7 +109,7 @@ class LocalSurrogate(SurrogateNetwork):
     def raw(self, controls: Tensor) -> Tensor:
         if not self.weights:
             return self.dense(controls)
-        alone = self.primary(controls)
-        damping = nn.functional.softplus(self.context(torch.cat([controls, alone], dim=1)))
-        primary = alone * torch.exp(-damping)
+        undamped = self.primary(controls)
+        damping = nn.functional.softplus(self.context(torch.cat([controls, undamped], dim=1)))
+        primary = undamped * torch.exp(-damping)
         return torch.cat([primary, self.corrective(primary) + self.of_product * self.corrective.product(primary)], dim=1)

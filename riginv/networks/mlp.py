@@ -1,4 +1,4 @@
-"""Multi-layer MLPs."""
+"""Multi-layer perceptrons (MLPs)."""
 
 import itertools
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ ACTIVATIONS = {"leaky_relu": nn.LeakyReLU, "relu": nn.ReLU, "gelu": nn.GELU, "si
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str = "leaky_relu") -> nn.Sequential:
-    """A MLP with a linear output and no normalisation layers (the paper found that they hurt).
+    """An MLP with a linear output and no normalisation layers (the paper found that they hurt).
 
     Raises:
         InputError: a width is below 1 or the activation is not known.
@@ -29,7 +29,7 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str = "lea
 
 
 class Anchored(nn.Module):
-    """A network less its own answer at 0, so that 0 maps to 0 exactly: the neutral mesh to the neutral controls."""
+    """A network minus its output at 0, so that it maps 0 to 0 exactly: the neutral mesh to the neutral controls."""
 
     def __init__(self, network: nn.Module) -> None:
         super().__init__()

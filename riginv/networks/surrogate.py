@@ -12,15 +12,17 @@ from riginv.rig.interface import LinearRig
 
 
 class SurrogateNetwork(RigNetwork, ABC):
-    """Maps controls `(batch, control)` to coefficients `(batch, coefficient)` of a rig: a learned f.
+    """Maps controls `(batch, control)` to a rig's coefficients `(batch, coefficient)`.
 
-    The weights of blendshapes go through a sigmoid, as in the paper, and their controls in as they are. Other rigs mix
-    degrees with millimetres: their controls go in as shares of their ranges, and their coefficients come out around those of
-    the rest mesh, each in the measure of its spread over poses of the rig.
+    Of blendshape rigs the inputs are the controls and the outputs go through a sigmoid, as in the paper. Of other rigs, with
+    degrees and millimetres, the inputs are fractions of the controls' ranges, and the outputs are offsets from the rest mesh's
+    coefficients, scaled by their spread over poses.
     """
 
     middle: Tensor
     spread: Tensor
+    neutral: Tensor
+    half_range: Tensor
 
     def __init__(self, rig: LinearRig) -> None:
         super().__init__()
@@ -33,11 +35,11 @@ class SurrogateNetwork(RigNetwork, ABC):
 
     @abstractmethod
     def raw(self, controls: Tensor) -> Tensor:
-        """Coefficients before the sigmoid, or in the measure of their spread."""
+        """Coefficients before the sigmoid, or scaled by their spread."""
 
     @torch.no_grad()
     def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
-        """Look at a sample of the controls that will come `(batch, control)`, before training, to set fixed scales."""
+        """Set fixed scales from sampled controls `(batch, control)`, before training."""
         if not self.weights:
             self.middle.copy_(rig.neutral_coefficients()[0])
             self.spread.copy_((rig.coefficients(controls) - self.middle).square().mean(dim=0).sqrt())
@@ -49,7 +51,7 @@ class SurrogateNetwork(RigNetwork, ABC):
 
 
 class ControlMLP(SurrogateNetwork):
-    """The paper's: a MLP on the controls as they are (paper: hidden 1024, 1024, leaky ReLU)."""
+    """The paper's: an MLP on the controls (hidden 1024, 1024, leaky ReLU)."""
 
     def __init__(self, rig: LinearRig, hidden: Widths = (1024, 1024), activation: str = "leaky_relu") -> None:
         super().__init__(rig)

@@ -1,9 +1,10 @@
-"""The 52 shapes of ARKit, and the shapes of a rig that stand for them, however these are spelled, split or merged."""
+"""The 52 ARKit shapes, and a rig's shapes that correspond to them, however these are spelled, split or merged."""
 
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 LIVE_LINK_SHAPES = (  # in the order of the Live Link Face app's columns
@@ -16,7 +17,7 @@ LIVE_LINK_SHAPES = (  # in the order of the Live Link Face app's columns
     "CheekSquintRight NoseSneerLeft NoseSneerRight TongueOut"
 ).split()
 ARKIT_NAMES = sorted(name[0].lower() + name[1:] for name in LIVE_LINK_SHAPES)
-OPPOSITE = ("jaw", "mouth")  # their Left and Right are two directions, not the two halves of one shape
+DIRECTIONAL = ("jaw", "mouth")  # their Left and Right are two directions, not the two halves of one shape
 SIDES = {"l": "left", "r": "right", "left": "left", "right": "right"}
 SIDE_LAST = re.compile(r"(.+?)[_\-. ](l|r|left|right)", re.IGNORECASE)
 SIDE_FIRST = re.compile(r"(l|r|left|right)[_\-. ](.+)", re.IGNORECASE)
@@ -24,11 +25,11 @@ SIDE_LETTER = re.compile(r"(.*[a-z])([LR])")
 
 
 class ArkitParts(NamedTuple):
-    """The shapes of a rig that stand for one of ARKit's.
+    """The shapes of a rig that correspond to one ARKit shape.
 
     Attributes:
         names: of the rig's shapes; two where the rig splits the shape left and right.
-        factor: how much of their sum the ARKit shape is; 0.5 where one shape of the rig is the left and the right one.
+        factor: the ARKit shape is their sum times this: 0.5 where one shape of the rig is both the left and the right one.
     """
 
     names: tuple[str, ...]
@@ -36,7 +37,7 @@ class ArkitParts(NamedTuple):
 
 
 def plain_name(name: str) -> str:
-    """A name in lower case without prefix (`blendShape1.jawOpen`) and separators; `_L`, `.R`, `L_` and the like are sides."""
+    """A name in lower case without prefix (`blendShape1.`) and separators, its side (`_L`, `.R`, `L_` ...) spelled out last."""
     side = ""
     if last := SIDE_LAST.fullmatch(name):
         name, side = last[1], SIDES[last[2].lower()]
@@ -49,12 +50,11 @@ def plain_name(name: str) -> str:
 
 
 def arkit_parts(names: Sequence[str]) -> dict[str, ArkitParts]:
-    """The shapes that stand for each ARKit shape, by ARKit's name, in ARKit's order.
+    """The rig's shapes for each ARKit shape, by ARKit's name, sorted.
 
-    A shape of the same name stands for it; else its left and right halves do, which add up to it (`browInnerUp_L`,
-    `browInnerUp_R`); else the shape that a rig has in place of a left and a right one (`mouthSmile`), half of which is each of
-    the two: their mean drives it. Where two shapes could stand for one, the one spelled exactly as ARKit's does, or else the
-    first.
+    The shape of the same name; else its left and right halves, which add up to it (`browInnerUp_L`, `browInnerUp_R`); else the
+    shape that the rig has in place of a left and a right one (`mouthSmile`), half of which is each of the two. Of several
+    candidates the one that is spelled as ARKit's is taken, or else the first.
     """
     by_plain: dict[str, str] = {}
     for name in names:
@@ -67,11 +67,11 @@ def arkit_parts(names: Sequence[str]) -> dict[str, ArkitParts]:
             found[name] = ArkitParts((name if name in exact else by_plain[plain],))
         elif merged == name and all(half in by_plain for half in halves):
             found[name] = ArkitParts(tuple(by_plain[half] for half in halves))
-        elif merged != name and merged not in OPPOSITE and merged.lower() in by_plain and not set(halves) & by_plain.keys():
+        elif merged != name and merged not in DIRECTIONAL and merged.lower() in by_plain and not set(halves) & by_plain.keys():
             found[name] = ArkitParts((by_plain[merged.lower()],), 0.5)
     return found
 
 
 def arkit_deltas(parts: Mapping[str, ArkitParts], deltas: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The delta `(vertex, 3)` of each ARKit shape, mm, from those of a rig's own shapes by name."""
-    return {name: factor * sum(deltas[shape] for shape in shapes) for name, (shapes, factor) in parts.items()}
+    """The delta `(vertex, 3)` of each ARKit shape, mm, from those of the rig's shapes by name."""
+    return {arkit: factor * sum((deltas[name] for name in names), torch.zeros(())) for arkit, (names, factor) in parts.items()}

@@ -1,4 +1,4 @@
-"""A rig that gives meshes and nothing else, seen as one that ends in a linear map: its basis is fitted to sampled poses."""
+"""A black-box rig as one that ends in a linear map: its basis is fitted to sampled poses."""
 
 import logging
 
@@ -8,7 +8,7 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.geometry.interpolation import coefficients_from, telling_vertices
+from riginv.geometry.interpolation import coefficients_from, informative_vertices
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.jacobian import Jacobian, forward_jacobian
@@ -17,13 +17,13 @@ from riginv.rig.random_controls import sparse_controls
 
 LOG = logging.getLogger(__name__)
 SEED = 20221206
-CHECKED = 50  # poses that a basis is tried on after it has been fitted
-WORTH_IT = 3  # times as many vertices as tell the coefficients must a mesh have
-BATCH_SIZE = 50  # poses between two looks at the progress bar
+CHECKED = 50  # poses that a fitted basis is checked on
+WORTHWHILE = 3  # a vertex subset is used where the mesh has at least so many times its vertices
+BATCH_SIZE = 50
 
 
 def fitted_basis(rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> tuple[Tensor, float]:
-    """The principal components `(coefficient, vertex, 3)` of sampled meshes, each as long as the samples are spread along it.
+    """The principal components `(coefficient, vertex, 3)` of sampled meshes, each scaled by the samples' spread along it.
 
     Args:
         rest_vertices: `(vertex, 3)`, mm.
@@ -31,7 +31,7 @@ def fitted_basis(rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> 
         residual_mm: the mean vertex distance that may remain.
 
     Returns:
-        The basis, and the residual that did remain, mm.
+        The basis, and the residual that remains, mm.
 
     Raises:
         InputError: as `MeshSpace.from_samples`.
@@ -42,69 +42,73 @@ def fitted_basis(rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> 
 
 
 class BlackBoxRig(LinearRig):
-    """Any rig in the span of its own sampled poses: its coefficients are those of the mesh that it makes.
+    """Any rig, projected onto the span of its own sampled poses: its coefficients are those of its meshes in that basis.
 
-    Where the rig makes some of its vertices for less than all, they come of those that tell most.
+    Where the rig can pose a subset of its vertices cheaply, the coefficients are computed from the most informative ones.
 
     Args:
-        rig: what is posed.
+        rig: the rig that is posed.
         basis: `(coefficient, vertex, 3)`, mm; its rows are orthogonal.
 
     Attributes:
-        posed: the rig itself.
+        posed: the rig that is posed.
     """
 
     is_fitted = True
+    projection: Tensor
+    some_rest: Tensor
+    some_projection: Tensor
 
     def __init__(self, rig: RigBackend, basis: Tensor) -> None:
         super().__init__(rig.name, rig.controls, rig.rest_vertices, rig.faces, basis)
-        self.posed, self.differentiable = rig, rig.differentiable
+        self.posed = rig
+        self.differentiable = rig.differentiable
         squares = basis.flatten(1).square().sum(dim=1)
         self.register_buffer("projection", (basis.flatten(1) / squares[:, None]).T.contiguous(), persistent=False)
         self.some: nn.Module | None = None
-        if rig.poses_some:
+        if rig.poses_subsets:
             lengths = squares.sqrt()
             frame = basis / lengths[:, None, None]
-            rows = telling_vertices(frame)
-            if WORTH_IT * len(rows) <= len(rig.rest_vertices):
-                self.some = rig.some_vertices(rows)
+            rows = informative_vertices(frame)
+            if WORTHWHILE * len(rows) <= len(rig.rest_vertices):
+                self.some = rig.vertex_subset(rows)
                 self.register_buffer("some_rest", rig.rest_vertices[rows], persistent=False)
                 self.register_buffer("some_projection", coefficients_from(frame, rows) / lengths, persistent=False)
 
     @classmethod
     def sampled(cls, rig: RigBackend, samples: int, residual_mm: float) -> "BlackBoxRig":
-        """Pose a rig at random, and keep as many principal components as it takes.
+        """Fit the basis to random poses of a rig, with as many principal components as the residual needs.
 
         Args:
-            samples: how many poses.
-            residual_mm: the mean vertex distance between the poses and the span of the basis that may remain.
+            samples: the number of poses.
+            residual_mm: the mean vertex distance that may remain between the poses and the span of the basis.
 
         Raises:
             InputError: the rig gives NaN or infinite vertices.
         """
         limits = rig.lower, rig.upper, rig.neutral_controls
         controls = sparse_controls(*limits, len(rig.controls), samples, generator_at(SEED, "mesh space"))
-        pieces = track(controls.split(BATCH_SIZE), f"sampling {rig.name}", console=Console(stderr=True), transient=True)
+        batches = track(controls.split(BATCH_SIZE), f"sampling {rig.name}", console=Console(stderr=True), transient=True)
         with torch.no_grad():
-            meshes = torch.cat([rig(piece) for piece in pieces])
+            meshes = torch.cat([rig(batch) for batch in batches])
         if not torch.isfinite(meshes).all():
             raise InputError(
                 f"rig '{rig.name}' gives NaN or infinite vertices in random poses: run python -m riginv.check on it"
             )
         basis, residual = fitted_basis(rig.rest_vertices, meshes, residual_mm)
-        fitted = cls(rig, basis)
-        fitted._tell(residual)
-        return fitted
+        result = cls(rig, basis)
+        result._log_residual(residual)
+        return result
 
     @torch.no_grad()
-    def _tell(self, residual_mm: float) -> None:
-        """Say how near the fitted basis comes, on poses that it was not fitted to."""
+    def _log_residual(self, residual_mm: float) -> None:
+        """Log the residual of the basis on poses that it was not fitted to."""
         limits = self.lower, self.upper, self.neutral_controls
         controls = sparse_controls(*limits, len(self.controls), CHECKED, generator_at(SEED, "mesh space, checked"))
-        away = torch.cat([(self(piece) - self.posed(piece)).norm(dim=2) for piece in controls.split(BATCH_SIZE)])
+        errors = torch.cat([(self(batch) - self.posed(batch)).norm(dim=2) for batch in controls.split(BATCH_SIZE)])
         LOG.info(
             f"{self.name}: a basis of {len(self.basis)} coefficients, fitted to poses to {residual_mm:.2g} mm on average; "
-            f"on {CHECKED} others {float(away.mean()):.2g} mm, at most {float(away.max()):.2g} mm (mesh_space in the config)"
+            f"on {CHECKED} others {float(errors.mean()):.2g} mm, at most {float(errors.max()):.2g} mm (config: mesh_space)"
         )
 
     def posing_rig(self) -> RigBackend:

@@ -1,4 +1,4 @@
-"""What every rig must do, ours or a user's: a check to call from a test, `check_rig(rig)`, or as `python -m riginv.check`."""
+"""The contract that every rig must keep, ours or a user's: `check_rig(rig)` in a test, or `python -m riginv.check`."""
 
 import copy
 from collections.abc import Callable, Iterator
@@ -9,7 +9,7 @@ from torch import Tensor
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig, RigBackend
 
-MM = 1e-3  # how far two answers that should be one may lie apart, mm
+MM = 1e-3  # tolerance of meshes that should be equal, mm
 POSES = 5
 PROBES = 4  # random directions in which gradients are checked: a Jacobian of all vertices would take minutes
 
@@ -44,9 +44,9 @@ def contract(rig: RigBackend, seed: int = 0) -> Iterator[tuple[str, Callable[[],
 
 def random_controls(rig: RigBackend, count: int, seed: int) -> Tensor:
     """Controls `(count, control)`, uniform within the limits, kept off the limits themselves."""
-    share = torch.rand(count, len(rig.controls), generator=generator_at(seed, "contract"), dtype=torch.float64)
-    share = (0.02 + 0.96 * share).to(rig.lower)
-    return rig.lower + share * (rig.upper - rig.lower)
+    fraction = torch.rand(count, len(rig.controls), generator=generator_at(seed, "contract"), dtype=torch.float64)
+    fraction = (0.02 + 0.96 * fraction).to(rig.lower)
+    return rig.lower + fraction * (rig.upper - rig.lower)
 
 
 def _expect(holds: bool, rig: RigBackend, message: str) -> None:
@@ -59,20 +59,20 @@ def _neutral(rig: RigBackend) -> None:
     found = rig(rig.neutral_controls[None])
     expected = (1, *rig.rest_vertices.shape)
     _expect(found.shape == expected, rig, f"forward gave shape {tuple(found.shape)} for one pose, expected {expected}")
-    away = (found[0] - rig.rest_vertices).norm(dim=1).max()
-    _expect(bool(away <= MM), rig, f"neutral controls move a vertex {away:.4g} mm from the rest mesh")
+    distance = (found[0] - rig.rest_vertices).norm(dim=1).max()
+    _expect(bool(distance <= MM), rig, f"neutral controls move a vertex {distance:.4g} mm from the rest mesh")
 
 
 @torch.no_grad()
 def _batch(rig: RigBackend, controls: Tensor) -> None:
-    apart = (rig(controls) - torch.cat([rig(row[None]) for row in controls])).abs().max()
-    _expect(bool(apart <= MM), rig, f"poses in a batch differ by {apart:.4g} mm from the same poses alone")
+    difference = (rig(controls) - torch.cat([rig(row[None]) for row in controls])).abs().max()
+    _expect(bool(difference <= MM), rig, f"poses in a batch differ by {difference:.4g} mm from the same poses alone")
 
 
 @torch.no_grad()
 def _same(rig: RigBackend, controls: Tensor) -> None:
-    apart = (rig(controls) - rig(controls)).abs().max()
-    _expect(bool(apart == 0), rig, f"evaluated twice, the same controls differ by {apart:.4g} mm")
+    difference = (rig(controls) - rig(controls)).abs().max()
+    _expect(bool(difference == 0), rig, f"evaluated twice, the same controls differ by {difference:.4g} mm")
 
 
 @torch.no_grad()
@@ -96,8 +96,8 @@ def _linear(rig: LinearRig, controls: Tensor) -> None:
     _expect(coefficients.shape == expected, rig, f"coefficients of shape {tuple(coefficients.shape)}, expected {expected}")
     _expect(len(rig.coefficient_names) == len(rig.basis), rig, "as many coefficient names as coefficients are needed")
     change = torch.einsum("bk,kvc->bvc", coefficients - rig.neutral_coefficients(), rig.basis)
-    apart = (rig.rest_vertices + change - rig(controls)).abs().max()
-    _expect(bool(apart <= MM), rig, f"coefficients times basis lie {apart:.4g} mm from the vertices")
+    difference = (rig.rest_vertices + change - rig(controls)).abs().max()
+    _expect(bool(difference <= MM), rig, f"coefficients times basis lie {difference:.4g} mm from the vertices")
 
 
 def _gradients(rig: RigBackend, controls: Tensor) -> None:

@@ -1,4 +1,4 @@
-"""Which rig a store's poses are of: exactly what can be compared exactly, and what it does to a few poses."""
+"""Whether a store's poses are of a given rig: a hash of its exact properties, and a fingerprint of a few posed meshes."""
 
 import hashlib
 import json
@@ -15,14 +15,14 @@ from riginv.rig.random_controls import sparse_controls
 
 SEED = 20221206
 PROBES, FIELDS = 8, 8
-TOLERANCE_MM = 0.01  # machines round differently; one vertex of ten thousand moved by a millimetre is as much
+TOLERANCE_MM = 0.01  # of fingerprints: rounding differs between machines; 1 mm at one of 10,000 vertices makes as much
 
 
 def describe(rig: LinearRig, config: dict[str, Any]) -> dict[str, Any]:
-    """A rig's controls with their limits, a hash of what is exact about it, and a fingerprint of what it does.
+    """A rig's controls with their limits, the hash of its exact properties, and its fingerprint.
 
     Args:
-        config: what builds it; kept for people to read.
+        config: the rig's config; kept for people to read.
     """
     return {
         "name": rig.name,
@@ -37,7 +37,7 @@ def describe(rig: LinearRig, config: dict[str, Any]) -> dict[str, Any]:
 
 
 def rig_hash(rig: LinearRig) -> str:
-    """SHA-256 of a rig's controls, faces and number of vertices, and of the coefficients of one that ends in a linear map."""
+    """SHA-256 of a rig's controls, faces, number of vertices, and coefficient names unless its basis was fitted."""
     names = [] if rig.is_fitted else list(rig.coefficient_names)
     exact = json.dumps([[vars(control) for control in rig.controls], len(rig.rest_vertices), names])
     return hashlib.sha256(exact.encode() + rig.faces.cpu().numpy().astype("<i8").tobytes()).hexdigest()
@@ -45,7 +45,7 @@ def rig_hash(rig: LinearRig) -> str:
 
 @torch.no_grad()
 def fingerprint(rig: LinearRig) -> Tensor:
-    """What a rig does to eight poses, `(probe, field)`: its change of the mesh, weighted by fields of random signs, mm."""
+    """A rig's displacements in eight random poses, projected on fields of random signs: `(probe, field)`, mm."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     controls = sparse_controls(*limits, len(rig.controls), PROBES, generator_at(SEED, "probes"))
     change = (rig.posing_rig()(controls) - rig.rest_vertices).flatten(1).double().nan_to_num(0.0, 0.0, 0.0)
@@ -54,7 +54,7 @@ def fingerprint(rig: LinearRig) -> Tensor:
 
 
 def check_rig(where: str, described: dict[str, Any], rig: LinearRig) -> None:
-    """Raises InputError where a store's poses are of another rig; a surrogate is only asked what it must share with its rig."""
+    """Raises InputError where a store's poses are of another rig; a surrogate's meshes are not compared."""
     begin = f"{where} holds poses of rig '{described['name']}', and rig '{rig.name}'"
     end = "name the rig that it was sampled from, or sample another store"
     theirs, ours = described["controls"], [vars(control) for control in rig.controls]
@@ -69,6 +69,6 @@ def check_rig(where: str, described: dict[str, Any], rig: LinearRig) -> None:
         raise InputError(f"{begin} has other coefficients or faces: {end}")
     if rig.is_surrogate:
         return
-    apart = float((fingerprint(rig) - torch.tensor(described["fingerprint_mm"], dtype=torch.float64)).abs().max())
-    if described["hash"] != rig_hash(rig) or not apart <= TOLERANCE_MM:
+    difference = float((fingerprint(rig) - torch.tensor(described["fingerprint_mm"], dtype=torch.float64)).abs().max())
+    if described["hash"] != rig_hash(rig) or not difference <= TOLERANCE_MM:
         raise InputError(f"{begin} has the same controls but makes other meshes of them: {end}")

@@ -1,4 +1,4 @@
-"""What a rig is: named, bounded controls and a rest mesh, and a function from the controls to the vertices (paper, Eq. 1)."""
+"""The interface of rigs: named, bounded controls, a rest mesh, and a function from controls to vertices (paper, Eq. 1)."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from riginv.errors import InputError
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.kernels.library import pure_torch
-from riginv.geometry.skeleton import Skeleton
+from riginv.geometry.kinematics import Skeleton
 from riginv.rig.arkit import ArkitParts
 from riginv.rig.checks import check_controls, check_mesh
 from riginv.rig.jacobian import Jacobian, finite_differences
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from riginv.rig.mesh_sets import MeshSet
     from riginv.rig.mesh_space import MeshSpace
 
-Pull = Callable[[Tensor], Tensor]
+Vjp = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
 class Control:
-    """One control: what an animator moves.
+    """One control of a rig, a value that animators set.
 
     Attributes:
         name: unique within the rig.
         lower: the least value.
         upper: the greatest value.
         neutral: the value at rest.
-        unit: of the value as animators see it: empty for a plain weight, `deg` or `mm`.
+        unit: of the value: `deg`, `mm`, or empty for a plain weight.
     """
 
     name: str
@@ -45,10 +45,10 @@ class Control:
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion that a rig's author offers to judge inverses on.
+    """A motion of a rig's own to evaluate inverses on.
 
     Attributes:
-        name: the key of its figures in metrics.
+        name: its key in metrics.
         fps: frames a second.
         vertices: `(frame, vertex, 3)`, mm; in reach of the rig's controls or not.
     """
@@ -59,7 +59,7 @@ class Motion:
 
 
 class RigBackend(nn.Module, ABC):
-    """A rig: `forward` maps controls to vertices. It holds facts, nothing that is trained, and never clamps its controls.
+    """A rig: `forward` maps controls to vertices. It has no trained weights, and does not clamp controls to their limits.
 
     Attributes:
         name: what tables call it.
@@ -68,10 +68,10 @@ class RigBackend(nn.Module, ABC):
         rest_vertices: `(vertex, 3)`, mm.
         faces: `(face, 3)` indices of vertices.
         differentiable: whether gradients pass from the vertices to the controls.
-        notes: whole sentences for the user: what was mended or guessed when the rig was read.
-        contents: what it was made from, in a few words: `52 primary shapes, 12 in-betweens`; empty: nothing to say.
-        poses_some: whether it makes some of its vertices for less than all of them (`some_vertices`).
-        held_out: of a rig that is known by recorded poses alone: those that evaluate in its place; None: it can be posed.
+        notes: sentences for the user about what was repaired or guessed when the rig was read.
+        contents: a short description such as `52 primary shapes, 12 in-betweens`; may be empty.
+        poses_subsets: whether `vertex_subset` is implemented: some vertices can be posed for less than all of them.
+        held_out: the evaluation poses of a rig that is known by recorded poses alone; None: the rig can be posed.
 
     Raises:
         InputError: the controls, the mesh or the faces do not make a rig.
@@ -80,7 +80,7 @@ class RigBackend(nn.Module, ABC):
     differentiable: bool = True
     notes: tuple[str, ...] = ()
     contents: str = ""
-    poses_some: bool = False
+    poses_subsets: bool = False
     held_out: "MeshSet | None" = None
     lower: Tensor
     upper: Tensor
@@ -115,24 +115,24 @@ class RigBackend(nn.Module, ABC):
     def arkit_deltas(self) -> dict[str, Tensor]:
         """The deltas `(vertex, 3)`, mm, of the ARKit shapes that the rig has, by name; empty where it has none.
 
-        A Live Link Face recording is made into a mesh clip with them.
+        They turn a Live Link Face recording into a mesh clip.
         """
         return {}
 
     def arkit_parts(self) -> dict[str, ArkitParts]:
-        """Which of the rig's own shapes stand for each of the ARKit shapes in `arkit_deltas`, so that it can be said."""
+        """The rig's shapes that correspond to each of the ARKit shapes in `arkit_deltas`, for messages."""
         return {}
 
     def expressions(self) -> dict[str, dict[str, float]]:
-        """Named poses worth looking at: the controls that leave neutral, by name; empty where nobody named any."""
+        """Named example poses: the controls that are not neutral, by name; may be empty."""
         return {}
 
     def motion(self) -> Motion | None:
-        """A motion to judge an inverse on where no capture is given; None: a simulated performance, where it has shapes."""
+        """A motion to evaluate inverses on without a capture; None: a simulated performance, where the rig has blendshapes."""
         return None
 
     def skeleton(self) -> Skeleton | None:
-        """The joints of a rig that is skinned and nothing else, for BVH, glTF and USD; None where there are none to tell."""
+        """The joints of a rig that is only skinned, for export to BVH, glTF and USD; None for other rigs."""
         return None
 
     def vertex_colors(self) -> Tensor | None:
@@ -140,13 +140,13 @@ class RigBackend(nn.Module, ABC):
         return None
 
     def true_rig(self) -> "RigBackend":
-        """The rig that evaluates what is trained on this one: itself, or the one that it stands for."""
+        """The rig that evaluates models trained on this one: itself, or the rig that it approximates."""
         return self
 
-    def some_vertices(self, rows: Tensor) -> nn.Module:
-        """Controls `(batch, control)` to the vertices `rows` alone, `(batch, row, 3)`, mm, where `poses_some` says so.
+    def vertex_subset(self, rows: Tensor) -> nn.Module:
+        """A module from controls `(batch, control)` to the vertices `rows` alone, `(batch, row, 3)`, mm; see `poses_subsets`.
 
-        A large rig that does not end in a linear map is trained on by these alone (`riginv.rig.black_box`).
+        Large black-box rigs are posed at these alone in training (`riginv.rig.black_box`).
         """
         raise NotImplementedError(f"rig '{self.name}' poses all of its vertices at once")
 
@@ -158,24 +158,24 @@ class RigBackend(nn.Module, ABC):
 class LinearRig(RigBackend):
     """A rig that ends in a linear map: vertices = rest + (f(controls) - f(neutral)) basis.
 
-    Blendshape rigs are such, with f the weights of the shapes, and so is linear blend skinning, with f the numbers of the
-    skinning matrices. Everything that riginv gains from mesh space rests on this (`riginv.rig.mesh_space`).
+    In blendshape rigs f gives the weights of the shapes, in linear blend skinning the entries of the skinning matrices. Mesh
+    space is built on this form (`riginv.rig.mesh_space`).
 
     Attributes:
         basis: `(coefficient, vertex, 3)`, mm per unit of each coefficient.
         coefficient_names: one for each coefficient.
-        primary_count: of a blendshape rig, whose coefficients are weights in [0, 1], 0 at rest: how many shapes, counted from
-            the first, are driven directly; those after them correct these (in-betweens, combinations). Else 0.
-        loose_parts: `(part,)`: how far each part of the rig may go on its own, where no control moves it like that, as a
-            standard deviation: the turns of joints. Empty where a rig has none.
-        is_fitted: whether the basis was fitted to poses: the coefficients have the scale of these and no names.
-        is_surrogate: whether it was trained to stand for another rig, which is its `true_rig()`.
+        primary_count: of a blendshape rig, whose coefficients are weights in [0, 1], 0 at rest: the number of primary shapes,
+            which controls drive directly; the correctives (in-betweens, combinations) follow them. 0 for other rigs.
+        joint_noise: `(part,)`: standard deviations of rotations that joints may have beside those that controls give them, as
+            in captures; `coefficients_with_joint_noise` applies them. Empty where a rig has none.
+        is_fitted: whether the basis was fitted to sampled poses: its coefficients are scaled by their spread and have no names.
+        is_surrogate: whether it is a learned surrogate of another rig, its `true_rig()`.
     """
 
     is_fitted: bool = False
     is_surrogate: bool = False
     basis: Tensor
-    loose_parts: Tensor
+    joint_noise: Tensor
 
     def __init__(
         self,
@@ -193,7 +193,7 @@ class LinearRig(RigBackend):
                 f"rig '{name}': the basis has shape {tuple(basis.shape)}, expected (coefficient, *{tuple(rest_vertices.shape)})"
             )
         self.register_buffer("basis", basis, persistent=False)
-        self.register_buffer("loose_parts", rest_vertices.new_zeros(0), persistent=False)
+        self.register_buffer("joint_noise", rest_vertices.new_zeros(0), persistent=False)
         self.coefficient_names = tuple(coefficient_names or (f"coefficient_{i}" for i in range(len(basis))))
         self.primary_count = primary_count
 
@@ -206,30 +206,29 @@ class LinearRig(RigBackend):
         """Controls `(batch, control)` to coefficients `(batch, coefficient)`: the nonlinear part f of the rig."""
 
     def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
-        """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their derivative by these.
+        """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their Jacobian.
 
-        By automatic differentiation, or for a rig that is not differentiable by finite differences; a rig that knows its own
-        derivative answers in its place.
+        By automatic differentiation, or by finite differences for a rig that is not differentiable. Rigs may override it with
+        their analytic derivative.
         """
         if not self.differentiable:
             return finite_differences(self.coefficients, controls, self.lower, self.upper)
-        with torch.enable_grad(), pure_torch():  # the gradients of all coefficients are taken at once, as no kernel can
+        with torch.enable_grad(), pure_torch():  # kernels do not support batched gradients
             given = controls.detach().requires_grad_()
             found = self.coefficients(given)
             rows = torch.eye(found.shape[1]).to(found)[:, None].expand(-1, len(controls), -1)
             derivatives = torch.autograd.grad(found, given, rows, is_grads_batched=True)[0]
         return found.detach(), Jacobian(inner=derivatives.transpose(0, 1))
 
-    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
-        """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their pull: a vector-Jacobian product.
+    def coefficients_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
+        """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their vector-Jacobian product.
 
-        The pull maps a gradient `(batch, coefficient)` to one of the controls, `(batch, control)`. Neither has a graph. This is
-        automatic differentiation, or for a rig that is not differentiable finite differences; a rig that knows a faster way
-        answers in its place.
+        The latter maps a gradient by the coefficients, `(batch, coefficient)`, to one by the controls, `(batch, control)`.
+        Neither has a graph. As in `coefficient_jacobian`, rigs may override it.
         """
         if not self.differentiable:
             found, jacobian = self.coefficient_jacobian(controls)
-            return found, jacobian.pull
+            return found, jacobian.vjp
         with torch.enable_grad():
             given = controls.detach().requires_grad_()
             found = self.coefficients(given)
@@ -240,27 +239,27 @@ class LinearRig(RigBackend):
         return self.coefficients(self.neutral_controls[None])
 
     def posing_rig(self) -> RigBackend:
-        """The rig that makes the meshes: itself, or the one that the basis was fitted to."""
+        """The rig that is posed for meshes: itself, or the one that the basis was fitted to."""
         return self
 
     def poses_to_train_on(self, space: "MeshSpace") -> "PoseBatch | None":
-        """The recorded poses to train on, in mesh coordinates; None: a rig that can be posed, at random."""
+        """The recorded poses to train on, in mesh coordinates; None for a rig that can be posed."""
         return None
 
     def features(self, coefficients: Tensor) -> Tensor | None:
-        """What of coefficients `(batch, coefficient)` tells about the controls: `(batch, feature)`, differentiable.
+        """Inputs for an inverse network in place of mesh coordinates: `(batch, feature)`, differentiable.
 
-        An inverse looks at it in place of mesh coordinates. None where the coefficients say it as they are; a skeleton gives
-        the turn of each joint against the one above it.
+        From coefficients `(batch, coefficient)`; None where mesh coordinates serve. A skinned rig gives the rotation of each
+        joint relative to its parent.
         """
         return None
 
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
-        """How features `(batch, feature)` changed; a rig with angles among them takes the shorter way round."""
+        """The difference of features `(batch, feature)`; a rig with angles among them takes the shorter way round."""
         return after - before
 
-    def loose_coefficients(self, controls: Tensor, parts: Tensor) -> Tensor:
-        """Coefficients `(batch, coefficient)` near a pose: each part has gone on its own by `parts` `(batch, part)`."""
+    def coefficients_with_joint_noise(self, controls: Tensor, parts: Tensor) -> Tensor:
+        """The coefficients `(batch, coefficient)` of poses whose joints are rotated by noise `parts` `(batch, part)`, too."""
         return self.coefficients(controls)
 
     def forward(self, controls: Tensor) -> Tensor:

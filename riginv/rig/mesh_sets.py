@@ -1,4 +1,4 @@
-"""Fixed sets of meshes to judge on, made piece by piece: a set larger than memory costs no more than a small one."""
+"""Fixed sets of meshes to evaluate on, made batch by batch: a set may be larger than memory."""
 
 import copy
 from abc import ABC, abstractmethod
@@ -15,10 +15,10 @@ class MeshSet(ABC):
 
     Attributes:
         name: the set's key in metrics.
-        fps: frames a second where the set is a clip, else None.
-        controls: the controls `(mesh, control)` that made the meshes, where they are poses of the rig, else None.
-        frame_numbers: of a clip, `(mesh,)`, rising, with gaps where frames are missing; None: one after the other.
-        notes: what was guessed, mended or left out as it was read or made, in whole sentences, for the user.
+        fps: frames per second where the set is a clip, else None.
+        controls: the controls `(mesh, control)` of the meshes, where they are poses of the rig, else None.
+        frame_numbers: of a clip, `(mesh,)`, ascending, with gaps where frames are missing; None: consecutive.
+        notes: sentences for the user about what was guessed, repaired or left out.
     """
 
     notes: tuple[str, ...] = ()
@@ -33,10 +33,10 @@ class MeshSet(ABC):
 
     @abstractmethod
     def vertices(self, start: int, stop: int) -> Tensor:
-        """The meshes `start` to `stop`, `(mesh, vertex, 3)`, mm."""
+        """The meshes from `start` to before `stop`, `(mesh, vertex, 3)`, mm."""
 
     def known(self, start: int, stop: int) -> Tensor | None:
-        """Which vertices of the meshes `start` to `stop` errors are measured at, `(mesh, vertex)`; None: all of them."""
+        """A mask `(mesh, vertex)` of the vertices that errors are measured at, for the same meshes; None: all of them."""
         return None
 
     def named(self, name: str) -> "MeshSet":
@@ -46,13 +46,13 @@ class MeshSet(ABC):
         return twin
 
     def batches(self, size: int = 128) -> Iterator[tuple[int, Tensor]]:
-        """All meshes in order, `size` at a time: where the piece starts, and its vertices."""
+        """All meshes in order, `size` at a time: the index of the first of a batch, and their vertices."""
         for start in range(0, len(self), size):
             yield start, self.vertices(start, min(start + size, len(self)))
 
 
 class WeightedShapes(MeshSet):
-    """Shapes added linearly to a rest mesh.
+    """Meshes that are weighted sums of shapes on a rest mesh.
 
     Args:
         rest_vertices: `(vertex, 3)`, mm.
@@ -80,7 +80,7 @@ class WeightedShapes(MeshSet):
 
 
 class StoredMeshes(MeshSet):
-    """Meshes as they are.
+    """Meshes in memory.
 
     Args:
         meshes: `(mesh, vertex, 3)`, mm.
@@ -103,6 +103,8 @@ class PosedRig(MeshSet):
     Args:
         controls: `(mesh, control)`.
     """
+
+    controls: Tensor
 
     def __init__(self, name: str, rig: RigBackend, controls: Tensor) -> None:
         super().__init__(name, controls=controls)

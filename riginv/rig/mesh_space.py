@@ -1,30 +1,30 @@
-"""Mesh space: the few coordinates in which a mesh loss equals the loss on all vertices, constant aside.
+"""Mesh space: a few coordinates in which a mesh loss equals the loss on all vertices up to a constant.
 
 A rig that ends in a linear map, x = rest + B (f(r) - f(neutral)), reaches only the span of its basis B. With B = Q R, Q
 orthonormal, and the mesh coordinates z = Q^T (x - rest) of a mesh x,
 
-    |x - rig(r)|^2  =  |z - R (f(r) - f(neutral))|^2  +  |what of x lies outside the span|^2,
+    |x - rig(r)|^2  =  |z - R (f(r) - f(neutral))|^2  +  |the part of x outside the span|^2,
 
-and the last term does not depend on r. For a black box, Q comes from samples instead, kept until a stated residual.
+and the last term does not depend on r. For a black box, Q comes from samples instead, truncated at a given residual.
 """
 
 import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.rig.interface import LinearRig, Pull
+from riginv.rig.interface import LinearRig, Vjp
 
-SEARCHED_VERTICES = 3000  # that the number of components is searched by
+SEARCHED_VERTICES = 3000  # that the search for the number of components evaluates
 RANK_TOLERANCE = 1e-6  # of the largest singular value; directions below it are noise of a float32 basis
 
 
 class MeshSpace(nn.Module):
-    """An orthonormal frame of meshes around a rest mesh.
+    """An orthonormal basis of displacements from a rest mesh.
 
     Attributes:
         rest_vertices: `(vertex, 3)`, mm.
         frame: Q, `(coordinate, vertex, 3)`; its rows are orthonormal, in order of importance.
-        residual_mm: mean distance of the meshes it was fitted to from the span of the frame; 0 where it is exact.
+        residual_mm: mean vertex distance between the meshes it was fitted to and the span of the frame; 0 where it is exact.
     """
 
     rest_vertices: Tensor
@@ -50,7 +50,7 @@ class MeshSpace(nn.Module):
 
     @classmethod
     def from_samples(cls, rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> "MeshSpace":
-        """The principal components of sampled meshes, as many as it takes to come within `residual_mm` of them on average.
+        """The fewest principal components of sampled meshes that come within `residual_mm` of them on average.
 
         Args:
             rest_vertices: `(vertex, 3)`, mm.
@@ -58,7 +58,7 @@ class MeshSpace(nn.Module):
             residual_mm: the mean vertex distance, over all samples, that may remain.
 
         Raises:
-            InputError: no samples, NaN or infinite values among them, or a residual that is not positive.
+            InputError: there are no samples, they hold NaN or infinite values, or the residual is not positive.
         """
         if not len(samples) or not torch.isfinite(samples).all():
             raise InputError("a mesh space needs at least one sampled mesh, and no NaN or infinite values in any")
@@ -80,7 +80,7 @@ class MeshSpace(nn.Module):
             low, high = (low, middle) if residual(middle, some) <= residual_mm else (middle + 1, high)
         count = max(low, 1)
         remaining = residual(count, slice(None))
-        while remaining > residual_mm and count < rank:  # the vertices that were searched by may be those that are met best
+        while remaining > residual_mm and count < rank:  # all vertices may need more components than those of the search
             count = min(rank, count + max(1, count // 100))
             remaining = residual(count, slice(None))
         frame = right[:count].unflatten(1, rest_vertices.shape).to(rest_vertices.dtype)
@@ -96,7 +96,7 @@ class MeshSpace(nn.Module):
         return len(self.rest_vertices)
 
     def encode(self, vertices: Tensor) -> Tensor:
-        """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`: what the rig can reach of them."""
+        """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`, by orthogonal projection."""
         return (vertices - self.rest_vertices).flatten(1) @ self.frame.flatten(1).T
 
     def decode(self, coordinates: Tensor) -> Tensor:
@@ -107,8 +107,8 @@ class MeshSpace(nn.Module):
 def _principal_directions(flat: Tensor, residual_mm: float) -> Tensor:
     """Orthonormal directions `(direction, value)` of samples `(sample, value)`, in order of importance.
 
-    They come of the samples' Gram matrix: far faster than a decomposition of the samples where these are long. As many as
-    leave a root mean square distance of `residual_mm` are enough, for the mean distance is no larger.
+    Computed from the samples' Gram matrix, far faster than a decomposition of long samples. No more than leave a root mean
+    square distance of `residual_mm` are needed, for the mean distance is no larger.
     """
     squares, vectors = torch.linalg.eigh(flat @ flat.T)
     squares = squares.clamp_min(0).flip(0)
@@ -118,19 +118,21 @@ def _principal_directions(flat: Tensor, residual_mm: float) -> Tensor:
     enough = int((remaining > residual_mm**2).sum()) + 1
     rank = min(rank, enough)
     directions = vectors.flip(1)[:, :rank].T @ flat
-    return torch.linalg.qr(directions.T)[0].T  # once more: the Gram matrix has squared the faint ones' rounding errors
+    return torch.linalg.qr(directions.T)[0].T  # orthonormal to rounding: the Gram matrix squares the condition number
 
 
 class RigInMeshSpace(nn.Module):
-    """A rig seen in its mesh space: `forward` maps controls to mesh coordinates, without ever making a vertex.
+    """A rig composed with its mesh space: `forward` maps controls to mesh coordinates, without computing vertices.
 
     Attributes:
-        rig: the rig, which must end in a linear map.
+        rig: the rig, which ends in a linear map.
         space: its mesh space.
-        linear_map: R^T `(coefficient, coordinate)`: the coordinates that each coefficient moves by.
+        linear_map: R^T `(coefficient, coordinate)`: mesh coordinates per unit of each coefficient.
+        neutral_coefficients: `(1, coefficient)`.
     """
 
     linear_map: Tensor
+    neutral_coefficients: Tensor
 
     def __init__(self, rig: LinearRig, space: MeshSpace) -> None:
         super().__init__()
@@ -143,10 +145,10 @@ class RigInMeshSpace(nn.Module):
         return self.coordinates_of(self.rig.coefficients(controls))
 
     @torch.no_grad()
-    def coordinates_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
-        """As `forward`, without a graph, and the function that maps a gradient `(batch, coordinate)` to one of the controls."""
-        coefficients, pull = self.rig.coefficients_and_pull(controls)
-        return self.coordinates_of(coefficients), lambda gradient: pull(gradient @ self.linear_map.T)
+    def coordinates_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
+        """As `forward`, without a graph, and its vector-Jacobian product (`LinearRig.coefficients_and_vjp`)."""
+        coefficients, vjp = self.rig.coefficients_and_vjp(controls)
+        return self.coordinates_of(coefficients), lambda gradient: vjp(gradient @ self.linear_map.T)
 
     def coordinates_of(self, coefficients: Tensor) -> Tensor:
         """Coefficients `(batch, coefficient)` to mesh coordinates `(batch, coordinate)`."""
@@ -154,22 +156,22 @@ class RigInMeshSpace(nn.Module):
 
 
 def _orthonormal(rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Orthonormal rows `(coefficient, number)` with the same span, and the size of each, `(coefficient,)`, descending."""
+    """Orthonormal rows `(coefficient, number)` with the same span, and their singular values `(coefficient,)`, descending."""
     q, r = torch.linalg.qr(rows.double().T)
     left, values, _ = torch.linalg.svd(r)
     return (q @ left[:, : len(values)]).T, values
 
 
 def _axis_by_axis(basis: Tensor) -> Tensor | None:
-    """The one axis `(coefficient,)` along which each coefficient moves vertices, as in skinning; None where one moves more."""
+    """The axis `(coefficient,)` along which each coefficient moves vertices, as in skinning; None where one has several."""
     moved = torch.stack([basis[:, :, axis].ne(0).any(dim=1) for axis in range(3)], dim=1)
     return moved.int().argmax(dim=1) if bool((moved.sum(dim=1) <= 1).all()) else None
 
 
 def _orthonormal_by_axis(basis: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
-    """What `_orthonormal` gives for a basis `(coefficient, vertex, 3)`, as three problems of a twenty-seventh of the size.
+    """As `_orthonormal` for a basis `(coefficient, vertex, 3)`, as three problems of a twenty-seventh of the cost.
 
-    Coefficients of different axes move no coordinate in common, so that their spans are orthogonal as they are.
+    The spans of coefficients of different axes are orthogonal.
     """
     frames, sizes = [], []
     for axis in range(3):

@@ -1,4 +1,4 @@
-"""Tables of sampled pairs: controls and the vertices that a rig made of them, written wherever the rig runs.
+"""Tables of sampled pairs: controls and a rig's vertices at these, written wherever the rig runs.
 
 A table is a `.npz` file, a folder of `.npy` files, or a zarr group, with these arrays:
 
@@ -36,12 +36,12 @@ SHAPES = {
     "neutral": ("control",),
 }
 
-NOT_READ = (OSError, AttributeError, *BROKEN, *DAMAGED_ZIP)  # what libraries raise for damage
+NOT_READ = (OSError, AttributeError, *BROKEN, *DAMAGED_ZIP)  # that libraries raise for damaged files
 
 
 @dataclass(frozen=True)
 class PairTable:
-    """A table of pairs that has been read and checked.
+    """A table of pairs, checked.
 
     Attributes:
         controls: `(pose, control)`.
@@ -78,12 +78,13 @@ def read_pairs(path: str | Path) -> PairTable:
     names = [str(name) for name in read["control_names"]]
     limits = zip(names, *(read[field].tolist() for field in ("lower", "upper", "neutral")))
     controls = [Control(name, lower, upper, neutral) for name, lower, upper, neutral in limits]
-    tensors = [torch.tensor(read[name], dtype=torch.float32) for name in ("controls", "vertices", "rest_vertices")]
-    return PairTable(*tensors, torch.tensor(read["faces"].astype(np.int64)), controls)
+    numbers = (torch.tensor(read[name], dtype=torch.float32) for name in ("controls", "vertices", "rest_vertices"))
+    poses, vertices, rest = numbers
+    return PairTable(poses, vertices, rest, torch.tensor(read["faces"].astype(np.int64)), controls)
 
 
 def write_pairs(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write a table of pairs whole or not at all: a zarr group where the name ends in `.zarr`, else `.npz`.
+    """Write a table of pairs, atomically: a zarr group where the name ends in `.zarr`, else `.npz`.
 
     Raises:
         InputError: the arrays are not those of such a table.
@@ -97,7 +98,7 @@ def write_pairs(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
                 group.create_array(name, data=np.asarray(arrays[name]))
         else:
             with beside.open("wb") as file:
-                np.savez(file, **{name: np.asarray(arrays[name]) for name in SHAPES})
+                np.savez(file, allow_pickle=False, **{name: np.asarray(arrays[name]) for name in SHAPES})
 
 
 def _open(path: Path) -> Mapping[str, Any]:

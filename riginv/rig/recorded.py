@@ -1,4 +1,6 @@
-"""A rig that is known only by recorded poses: it cannot be posed, so poses held out from training judge in its place."""
+"""A rig that is known only by recorded poses. It cannot be posed, so poses held out from training evaluate models of it."""
+
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -12,24 +14,24 @@ from riginv.rig.mesh_space import MeshSpace
 from riginv.rig.pairs import PairTable
 
 SEED = 20221206
-FITTED_TO = 1500  # poses: as many as a decomposition is quick for; the others are encoded all the same
+FITTED_TO = 1500  # poses that the basis is fitted to, at most: the decomposition takes time
 
 
 class RecordedRig(LinearRig):
-    """A rig known by a table of pairs alone. A surrogate of it can be posed; it cannot.
+    """A rig known by a table of pairs alone; only a surrogate of it can be posed.
 
     Args:
         table: the pairs.
-        held_out: the share of poses that training never sees, chosen at random but always the same.
-        residual_mm: the mean vertex distance that the basis may leave of the poses trained on.
+        held_out: the fraction of poses held out for evaluation, a fixed random choice.
+        residual_mm: the mean vertex distance that may remain between the training poses and the span of the basis.
 
     Attributes:
-        training: the poses to train on.
-        held_out: the poses that judge.
-        residual_mm: the mean vertex distance that the basis did leave.
+        training_set: the poses to train on.
+        held_out: the poses to evaluate on.
+        residual_mm: the mean vertex distance that remains.
 
     Raises:
-        InputError: fewer than two poses, or a share that leaves nothing to train on or to judge by.
+        InputError: fewer than two poses, or a fraction that leaves none to train on or to evaluate on.
     """
 
     differentiable = False
@@ -38,23 +40,23 @@ class RecordedRig(LinearRig):
 
     def __init__(self, name: str, table: PairTable, held_out: float, residual_mm: float) -> None:
         poses = len(table.controls)
-        judging = round(poses * held_out)
-        if not 1 <= judging < poses:
+        count = round(poses * held_out)
+        if not 1 <= count < poses:
             raise InputError(
-                f"{name}: held_out={held_out} of {poses} poses leaves {judging} to judge by; expected 1 to {poses - 1}"
+                f"{name}: held_out={held_out} of {poses} poses leaves {count} to evaluate on; expected 1 to {poses - 1}"
             )
         order = torch.randperm(poses, generator=generator_at(SEED, "held out"))
-        evaluate_rows, train_rows = order[:judging].sort().values, order[judging:].sort().values
-        fitted_to = table.vertices[order[judging : judging + FITTED_TO]]
+        evaluate_rows, train_rows = order[:count].sort().values, order[count:].sort().values
+        fitted_to = table.vertices[order[count : count + FITTED_TO]]
         basis, self.residual_mm = fitted_basis(table.rest_vertices, fitted_to, residual_mm)
         super().__init__(name, table.described, table.rest_vertices, table.faces, basis)
-        self.training = StoredMeshes("training", table.vertices[train_rows], controls=table.controls[train_rows])
+        self.training_set = StoredMeshes("training", table.vertices[train_rows], controls=table.controls[train_rows])
         self.held_out = StoredMeshes("held_out_pairs", table.vertices[evaluate_rows], controls=table.controls[evaluate_rows])
 
     def poses_to_train_on(self, space: MeshSpace) -> PoseBatch:
         """The poses to train on, in mesh coordinates."""
-        pieces = [space.encode(piece) for _, piece in self.training.batches()]
-        return PoseBatch(coordinates=torch.cat(pieces), controls=self.training.controls)
+        coordinates = torch.cat([space.encode(meshes) for _, meshes in self.training_set.batches()])
+        return PoseBatch(coordinates=coordinates, controls=cast(Tensor, self.training_set.controls))
 
     def coefficients(self, controls: Tensor) -> Tensor:
         raise InputError(f"{self.name}: recorded poses cannot be posed anew: train a surrogate of them with model=forward")

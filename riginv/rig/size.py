@@ -1,4 +1,4 @@
-"""How large a rig is, and whether that can be: faces are about 200 mm tall, bodies about 2 m."""
+"""The size of a rig and whether it is plausible: faces are about 200 mm tall, bodies about 2 m."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,13 +9,13 @@ from rich.console import Console
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 
-LEAST_MM, LARGEST_MM = 50.0, 5000.0  # of a rig's longest side; beyond it is doubted
+LEAST_MM, LARGEST_MM = 50.0, 5000.0  # plausible lengths of a rig's longest side
 FACES_MM, BODIES_MM = (100.0, 400.0), (500.0, 3000.0)
-UNITS_MM = (1.0, 10.0, 100.0, 1000.0)  # that most files come in
+UNITS_MM = (1.0, 10.0, 100.0, 1000.0)  # common units of files
 
 
 def rig_line(rig: RigBackend) -> str:
-    """What a rig is, in one line: its controls, its mesh and its size."""
+    """One line on a rig: its controls, its mesh and its size."""
     size = (rig.rest_vertices.amax(dim=0) - rig.rest_vertices.amin(dim=0)).tolist()
     contents = f" ({rig.contents})" if rig.contents else ""
     return (
@@ -25,10 +25,10 @@ def rig_line(rig: RigBackend) -> str:
 
 
 def size_doubt(rig: RigBackend, unit_mm: float | None = None) -> str:
-    """Why a rig can hardly be as large as it is, and what to do; empty: it can.
+    """A warning where a rig's size is implausible, with a remedy; else empty.
 
     Args:
-        unit_mm: what `rig.unit_mm` is, where the rig has such a key.
+        unit_mm: the value of `rig.unit_mm`, where the rig has such a key.
     """
     longest = float((rig.rest_vertices.amax(dim=0) - rig.rest_vertices.amin(dim=0)).max())
     if LEAST_MM <= longest <= LARGEST_MM:
@@ -43,7 +43,7 @@ def size_doubt(rig: RigBackend, unit_mm: float | None = None) -> str:
 
 
 def _units_that_fit(longest: float, unit_mm: float) -> str:
-    """The units in which a rig would be as large as a face or a body."""
+    """The units in which a rig would have the size of a face or a body."""
     found = []
     for kind, (least, most) in (("face", FACES_MM), ("body", BODIES_MM)):
         for unit in UNITS_MM:
@@ -53,7 +53,7 @@ def _units_that_fit(longest: float, unit_mm: float) -> str:
 
 
 def length(mm: float) -> str:
-    """A length as people would say it."""
+    """A length in a readable unit: `174 mm`, `1.72 m`."""
     if not math.isfinite(mm):
         return "infinitely much"
     for unit, size in (("km", 1e6), ("m", 1e3)):
@@ -63,17 +63,17 @@ def length(mm: float) -> str:
 
 
 def extent(sides: Sequence[float], unit: str = "") -> str:
-    """The sides `(3,)` of a box, in mm, or in a unit that is named: `97 x 174 x 90 mm`."""
+    """The sides of a box, given in mm, as text: `97 x 174 x 90 mm`; with a unit, given and written in that unit."""
     scale, unit = (1.0, unit) if unit else (1000.0, "m") if max(sides) >= 1000 else (1.0, "mm")
     return f"{' x '.join(f'{side / scale:.3g}' for side in sides)} {unit}"
 
 
 def show_rig(rig: RigBackend, config: Mapping[str, Any] | None = None, console: Console | None = None) -> None:
-    """Say what a rig is and how large, and doubt a size that can hardly be.
+    """Print a line on a rig, its notes, and a warning where its size is implausible.
 
     Args:
-        config: what built it.
-        console: where; None: standard error.
+        config: the rig's config.
+        console: None: standard error.
     """
     doubt = size_doubt(rig, (config or {}).get("unit_mm"))
     show_lines([rig_line(rig)], getattr(rig, "notes", ()), [doubt] if doubt else [], console)

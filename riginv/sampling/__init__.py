@@ -1,1 +1,1 @@
-"""What networks train on: controls, and meshes in mesh coordinates, drawn as training goes."""
+"""Samplers of training data: random controls, and random meshes in mesh coordinates."""

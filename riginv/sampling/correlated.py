@@ -1,50 +1,64 @@
-"""Controls that move together: poses as bodies hold them."""
+"""Correlated controls, for natural poses of bodies."""
 
 import re
 
 import torch
 from torch import Tensor
 
+from riginv.config.values import Fraction, PositiveFloat
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.rig.random_controls import ControlSampler, choose, log_uniform_counts
+from riginv.rig.random_controls import choose, log_uniform_counts
+from riginv.sampling.controls import ControlSampler
 
 SIDES = re.compile(r"left|right", re.IGNORECASE)
-PROBE = 0.1  # how far a control is moved to see where it acts, as a share of its range
+PROBE = 0.1  # displacement that shows which vertices a control moves, as a fraction of its range
 
 
 class CorrelatedControls(ControlSampler):
-    """A smooth Gaussian around neutral: controls that act near each other go together, and so do left and right ones.
+    """A Gaussian around neutral: controls that act near each other are correlated, and so are left and right ones.
 
-    Where a control acts is asked of the rig: the middle of the vertices that it moves near neutral. The covariance of two
-    controls falls off with the distance of these places. Controls named `left...` and `right...` move alike in a third of the
-    poses, oppositely in a third, as in walking, and on their own in the rest. A share of the poses moves only some controls.
+    The position of a control is the centre of the vertices that it moves near neutral; the covariance of two controls falls off
+    with the distance of their positions. Controls named `left...` and `right...` move alike in a third of the poses, oppositely
+    in a third, as in walking, and independently in the rest. In a fraction of the poses only some controls are active.
 
     Args:
-        reach: the distance at which the correlation has fallen to 0.6, as a share of the mesh's height.
-        spread: the greatest standard deviation, as a share of the range on either side of neutral; each pose draws its own.
-        sparse: the share of poses in which only some controls leave neutral, their number log-uniform.
+        correlation_length: the distance at which the correlation is 0.6, as a fraction of the mesh's height.
+        spread: the greatest standard deviation, as a fraction of the range on either side of neutral; each pose draws its own.
+        sparse_fraction: the fraction of poses in which only some controls are active, their number log-uniform.
 
     Raises:
         InputError: a number is out of range.
     """
 
-    def __init__(self, rig: RigInMeshSpace, reach: float = 0.1, spread: float = 0.5, sparse: float = 0.5) -> None:
+    mixing: Tensor
+    other_side: Tensor
+
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        correlation_length: PositiveFloat = 0.1,
+        spread: PositiveFloat = 0.5,
+        sparse_fraction: Fraction = 0.5,
+    ) -> None:
         super().__init__(rig)
-        if not (reach > 0 and spread > 0 and 0 <= sparse <= 1):
-            raise InputError(f"sampler: reach {reach} and spread {spread} must be above 0, sparse {sparse} a share from 0 to 1")
-        self.spread, self.sparse = spread, sparse
-        places = acting_places(rig)
+        if not (correlation_length > 0 and spread > 0 and 0 <= sparse_fraction <= 1):
+            raise InputError(
+                f"sampler: correlation_length {correlation_length} and spread {spread} must be above 0, "
+                f"sparse_fraction {sparse_fraction} from 0 to 1"
+            )
+        self.spread, self.sparse_fraction = spread, sparse_fraction
+        positions = control_positions(rig)
         rest = rig.space.rest_vertices
         height = (rest.amax(dim=0) - rest.amin(dim=0)).amax()
-        covariance = torch.exp(-0.5 * (torch.cdist(places, places) / (reach * height)).square()).double()
+        covariance = torch.exp(-0.5 * (torch.cdist(positions, positions) / (correlation_length * height)).square()).double()
         values, vectors = torch.linalg.eigh(covariance)
         self.register_buffer("mixing", (vectors * values.clamp_min(0).sqrt()).T.to(rest), persistent=False)
         self.register_buffer("other_side", torch.tensor(other_sides(rig.rig.control_names)), persistent=False)
 
     @classmethod
-    def belongs_to(cls, rig: LinearRig) -> bool:
+    def suits(cls, rig: LinearRig) -> bool:
         return not rig.has_blendshapes
 
     def sample(self, count: int, generator: torch.Generator) -> Tensor:
@@ -55,15 +69,15 @@ class CorrelatedControls(ControlSampler):
         draws = torch.where(self.other_side == torch.arange(controls, device=device), draws, mixed)
         strength = self.spread * torch.rand(count, 1, generator=generator, device=device).to(draws)
         active = choose(log_uniform_counts(count, controls, generator), controls, generator)
-        active = active | (torch.rand(count, 1, generator=generator, device=device) >= self.sparse)
+        active = active | (torch.rand(count, 1, generator=generator, device=device) >= self.sparse_fraction)
         side = torch.where(draws >= 0, self.upper - self.neutral, self.neutral - self.lower)
         change = torch.where(active, strength * draws * side, 0.0)
         return torch.minimum(torch.maximum(self.neutral + change, self.lower), self.upper)
 
 
 @torch.no_grad()
-def acting_places(rig: RigInMeshSpace) -> Tensor:
-    """The middle `(control, 3)`, mm, of the rest vertices that each control moves near neutral."""
+def control_positions(rig: RigInMeshSpace) -> Tensor:
+    """The weighted centre `(control, 3)`, mm, of the rest vertices that each control moves near neutral."""
     backend = rig.rig
     upwards = torch.where(backend.upper > backend.neutral_controls, backend.upper, backend.lower) - backend.neutral_controls
     moved = backend.neutral_controls + PROBE * torch.diag(upwards)
@@ -72,8 +86,8 @@ def acting_places(rig: RigInMeshSpace) -> Tensor:
 
 
 def other_sides(names: tuple[str, ...]) -> list[int]:
-    """For each control the number of the one named `right` for `left`, or the reverse; its own where there is none."""
-    number = {name: place for place, name in enumerate(names)}
+    """For each control the index of the one named `right` for `left`, or the reverse; its own where there is none."""
+    number = {name: index for index, name in enumerate(names)}
     return [number.get(SIDES.sub(lambda found: _other(found[0]), name), number[name]) for name in names]
 
 

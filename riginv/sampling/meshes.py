@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import torch
 from rich.console import Console
@@ -10,27 +10,22 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from riginv.config.building import class_of
-from riginv.config.values import NonNegativeFloat, PositiveInt
+from riginv.config.values import Fraction, PositiveInt
 from riginv.errors import InputError
-from riginv.rig.batches import PoseBatch
+from riginv.rig.batches import PoseBatch, map_batches
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.rig.random_controls import (
-    ControlSampler,
-    check_plausible,
-    choose,
-    faint_strength,
-    log_uniform_counts,
-    uniform_counts,
-)
+from riginv.rig.random_controls import choose, log_uniform_counts, uniform_counts
+from riginv.sampling.controls import ControlSampler, check_plausible, random_strength
+from riginv.sampling.noise import CaptureNoise
 
 
 class MeshSampler(nn.Module, ABC):
-    """Draws meshes, in mesh coordinates."""
+    """Draws random meshes, in mesh coordinates."""
 
     @classmethod
-    def belongs_to(cls, rig: LinearRig) -> bool:
-        """Whether a mixture for this rig should hold it (`riginv.sampling.meshes`)."""
+    def suits(cls, rig: LinearRig) -> bool:
+        """Whether a mixture for this rig includes this sampler (`select_for_rig`)."""
         return True
 
     @abstractmethod
@@ -38,29 +33,29 @@ class MeshSampler(nn.Module, ABC):
         """A batch of `count` meshes, without gradients."""
 
     def sample_rows(self, count: int, generator: torch.Generator, rows: slice) -> PoseBatch:
-        """Some rows of the batch that `sample` gives: what one of several processes takes of it."""
-        return PoseBatch({key: values[rows] for key, values in self.sample(count, generator).items()})
+        """Some rows of the batch of `sample`: the part of one of several processes."""
+        return map_batches(lambda values: values[rows], self.sample(count, generator))
 
     def sample_controls(self, count: int, generator: torch.Generator) -> Tensor:
-        """Controls `(count, control)` alone, for who poses the rig elsewhere.
+        """Controls `(count, control)` alone, to pose the rig elsewhere.
 
         Raises:
-            InputError: it draws meshes that are no poses of the rig.
+            InputError: the sampler draws meshes that are not poses of the rig.
         """
         raise InputError(
             f"{type(self).__name__} draws meshes that no controls make: choose a sampler of poses, such as sampler=rig_poses"
         )
 
     def reading(self, stored: "MeshSampler") -> "MeshSampler":
-        """The same sampler, with poses that are stored in place of those that it would ask the rig for."""
+        """This sampler with stored poses in place of those that it would pose the rig for."""
         return self
 
     def at_step(self, step: int) -> None:
-        """Training has come to a step; what reads stored poses in order goes to its place."""
+        """Move to a training step; samplers that read stored poses in order override it."""
 
 
 class RigPoses(MeshSampler):
-    """Poses of the rig, with the controls that made them."""
+    """Poses of the rig, with their controls and coefficients."""
 
     def __init__(self, rig: RigInMeshSpace, controls: ControlSampler) -> None:
         super().__init__()
@@ -79,25 +74,26 @@ class RigPoses(MeshSampler):
         return PoseBatch(coordinates=self.rig.coordinates_of(coefficients), controls=controls, coefficients=coefficients)
 
 
-class OfBlendshapes(MeshSampler):
-    """Draws from a rig's blendshapes, which it must have."""
-
-    @classmethod
-    def belongs_to(cls, rig: LinearRig) -> bool:
-        return rig.has_blendshapes
-
-
-class RandomCombinations(OfBlendshapes):
-    """The paper's meshes for the inverse: blendshapes combined with no regard for the rig's logic, count and values uniform.
+class BlendshapeSampler(MeshSampler):
+    """A sampler for rigs with blendshapes.
 
     Raises:
-        InputError: the rig has no blendshapes.
+        InputError: the rig has none.
     """
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         super().__init__()
-        _need_blendshapes(rig)
+        if not rig.rig.has_blendshapes:
+            raise InputError(f"rig '{rig.rig.name}' has no blendshapes to combine: choose sampler=rig_poses")
         self.rig = rig
+
+    @classmethod
+    def suits(cls, rig: LinearRig) -> bool:
+        return rig.has_blendshapes
+
+
+class RandomCombinations(BlendshapeSampler):
+    """The paper's meshes for the inverse: combinations of any blendshapes, whose number and weights are uniform."""
 
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
@@ -105,93 +101,95 @@ class RandomCombinations(OfBlendshapes):
 
 
 def random_weights(shapes: int, count: int, generator: torch.Generator) -> Tensor:
-    """Weights `(count, shape)` in [0, 1]: how many shapes take part is uniform, and so are their weights."""
+    """Weights `(count, shape)` in [0, 1]: the number of active shapes is uniform, and so are their weights."""
     active = choose(uniform_counts(count, shapes, generator), shapes, generator)
     return torch.where(active, torch.rand(count, shapes, generator=generator, device=generator.device), 0.0)
 
 
-class PlausibleCombinations(OfBlendshapes):
-    """A few primary shapes at a time added linearly, as captured faces are: near the rig's poses, mostly not among them.
+class PlausibleCombinations(BlendshapeSampler):
+    """Linear combinations of a few primary shapes: near the rig's poses, mostly not among them, like captured faces.
 
     Args:
-        most: the greatest number of shapes at once; the number is log-uniform.
-        faint: the share of meshes that are scaled down as a whole.
+        max_active: the greatest number of active shapes; the number is log-uniform.
+        weak_fraction: the fraction of meshes that are scaled towards neutral.
 
     Raises:
         InputError: the rig has no blendshapes, or a number is out of range.
     """
 
-    def __init__(self, rig: RigInMeshSpace, most: PositiveInt = 60, faint: NonNegativeFloat = 0.5) -> None:
-        super().__init__()
-        check_plausible(most, faint)
-        _need_blendshapes(rig)
-        self.rig, self.faint = rig, faint
+    def __init__(self, rig: RigInMeshSpace, max_active: PositiveInt = 60, weak_fraction: Fraction = 0.5) -> None:
+        super().__init__(rig)
+        check_plausible(max_active, weak_fraction)
+        self.weak_fraction = weak_fraction
         self.shapes = rig.rig.primary_count
-        self.most = min(most, self.shapes)
+        self.max_active = min(max_active, self.shapes)
 
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
-        active = choose(log_uniform_counts(count, self.most, generator), self.shapes, generator)
+        active = choose(log_uniform_counts(count, self.max_active, generator), self.shapes, generator)
         values = torch.rand(count, self.shapes, generator=generator, device=generator.device)
-        weights = torch.where(active, values, 0.0) * faint_strength(count, self.faint, generator)
+        weights = torch.where(active, values, 0.0) * random_strength(count, self.weak_fraction, generator)
         return PoseBatch(coordinates=weights @ self.rig.linear_map[: self.shapes])
 
 
 class Mixture(MeshSampler):
-    """Several samplers, each making its share of every batch.
+    """Several samplers, each of which draws a fraction of every batch.
 
     Args:
         samplers: by name.
-        shares: of each, by the same names; they need not add up to 1.
+        fractions: of each, by the same names; they need not add up to 1.
 
     Raises:
-        InputError: the names differ, or a share is negative, or all are zero.
+        InputError: the names differ, or a fraction is negative, or all are zero.
     """
 
-    def __init__(self, rig: RigInMeshSpace | None, samplers: Mapping[str, MeshSampler], shares: Mapping[str, float]) -> None:
+    def __init__(self, rig: RigInMeshSpace | None, samplers: Mapping[str, MeshSampler], fractions: Mapping[str, float]) -> None:
         super().__init__()
-        if set(samplers) != set(shares):
-            raise InputError(f"sampler.shares names {sorted(shares)}, expected {sorted(samplers)} as in sampler.samplers")
-        for name, share in shares.items():
-            if not share >= 0:
-                raise InputError(f"sampler.shares.{name} is {share}, expected at least 0")
-        total = sum(shares.values())
+        if set(samplers) != set(fractions):
+            raise InputError(f"sampler.fractions names {sorted(fractions)}, expected {sorted(samplers)} as in sampler.samplers")
+        for name, fraction in fractions.items():
+            if not fraction >= 0:
+                raise InputError(f"sampler.fractions.{name} is {fraction}, expected at least 0")
+        total = sum(fractions.values())
         if not total > 0:
-            raise InputError("sampler.shares are all 0: at least one must be above 0")
+            raise InputError("sampler.fractions are all 0: at least one must be above 0")
         self.samplers = nn.ModuleDict(samplers)
-        self.shares = {name: shares[name] / total for name in samplers}
+        self.fractions = {name: fractions[name] / total for name in samplers}
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         parts = [sampler.sample(size, generator) for sampler, size in self._sizes(count)]
-        common = set.intersection(*(set(part) for part in parts))  # controls only where every part knows them
-        return PoseBatch({key: torch.cat([part[key] for part in parts]) for key in sorted(common)})
+        return map_batches(lambda *values: torch.cat(values), *parts)
 
     def sample_controls(self, count: int, generator: torch.Generator) -> Tensor:
         return torch.cat([sampler.sample_controls(size, generator) for sampler, size in self._sizes(count)])
 
     def reading(self, stored: MeshSampler) -> MeshSampler:
-        samplers, shares = {}, {}
-        for name, sampler in self.samplers.items():
+        samplers: dict[str, MeshSampler] = {}
+        fractions: dict[str, float] = {}
+        for name, sampler in self._parts().items():
             found = sampler.reading(stored)
-            kept = "stored" if found is stored else name
-            samplers[kept], shares[kept] = found, shares.get(kept, 0.0) + self.shares[name]
-        return Mixture(None, samplers, shares)
+            key = "stored" if found is stored else name
+            samplers[key], fractions[key] = found, fractions.get(key, 0.0) + self.fractions[name]
+        return Mixture(None, samplers, fractions)
 
     def at_step(self, step: int) -> None:
-        for sampler in self.samplers.values():
+        for sampler in self._parts().values():
             sampler.at_step(step)
 
+    def _parts(self) -> dict[str, MeshSampler]:
+        return cast(dict[str, MeshSampler], dict(self.samplers.items()))  # nn.ModuleDict has no type of its values
+
     def _sizes(self, count: int) -> list[tuple[MeshSampler, int]]:
-        """How many of a batch each sampler makes, those left out that make none."""
-        ends = torch.tensor(list(self.shares.values())).cumsum(0).mul(count).round().long().tolist()
-        sizes = zip(self.samplers.values(), [0, *ends], ends)
+        """The samplers that draw some of a batch, and how many meshes each."""
+        ends = torch.tensor(list(self.fractions.values())).cumsum(0).mul(count).round().long().tolist()
+        sizes = zip(self._parts().values(), [0, *ends], ends)
         return [(sampler, end - start) for sampler, start, end in sizes if end > start]
 
 
 class WithNoise(MeshSampler):
-    """A sampler whose meshes are disturbed as captured ones are; the controls, where there are any, stay those of the pose."""
+    """A sampler whose meshes have capture noise; controls, where there are any, stay those of the pose."""
 
-    def __init__(self, sampler: MeshSampler, noise: nn.Module) -> None:
+    def __init__(self, sampler: MeshSampler, noise: CaptureNoise) -> None:
         super().__init__()
         self.sampler, self.noise = sampler, noise
 
@@ -201,61 +199,51 @@ class WithNoise(MeshSampler):
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         batch = self.sampler.sample(count, generator)
-        return PoseBatch({**batch, "coordinates": batch["coordinates"] + self.noise.sample(count, generator)})
+        batch["coordinates"] = batch["coordinates"] + self.noise.sample(count, generator)
+        return batch
 
 
 class StoredPoses(MeshSampler):
-    """A fixed set of poses from which batches are picked at random, as from a data set on disk.
-
-    Args:
-        poses: all of them.
+    """A fixed set of poses from which batches are drawn at random, like a data set on disk.
 
     Raises:
-        InputError: there are none.
+        InputError: there are no poses.
     """
 
     BATCH_SIZE = 500
+    coordinates: Tensor
 
     def __init__(self, poses: PoseBatch) -> None:
         super().__init__()
-        if not len(poses["coordinates"]):
+        if "coordinates" not in poses or not len(poses["coordinates"]):
             raise InputError("there are no stored poses to train on: data.stored_poses must be at least 1")
-        for key, values in poses.items():
-            self.register_buffer(key, values, persistent=False)
         self.keys = list(poses)
+        for key in self.keys:
+            self.register_buffer(key, cast(dict, poses)[key], persistent=False)
 
     @classmethod
     def drawn(cls, sampler: MeshSampler, count: int, generator: torch.Generator) -> "StoredPoses":
-        """`count` samples of a sampler, drawn once.
-
-        Args:
-            generator: what they are drawn with.
-        """
+        """`count` samples of a sampler, drawn once."""
         starts = track(range(0, count, cls.BATCH_SIZE), "posing the rig", console=Console(stderr=True), transient=True)
-        pieces = [sampler.sample(min(cls.BATCH_SIZE, count - start), generator) for start in starts]
-        return cls(PoseBatch({key: torch.cat([piece[key] for piece in pieces]) for key in pieces[0]} if pieces else {}))
+        batches = [sampler.sample(min(cls.BATCH_SIZE, count - start), generator) for start in starts]
+        return cls(map_batches(lambda *values: torch.cat(values), *batches) if batches else PoseBatch())
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         return self.sample_rows(count, generator, slice(None))
 
     def sample_rows(self, count: int, generator: torch.Generator, rows: slice) -> PoseBatch:
-        picked = torch.randint(len(self.coordinates), (count,), generator=generator, device=generator.device)[rows]
-        return PoseBatch({key: self.get_buffer(key)[picked] for key in self.keys})
-
-
-def _need_blendshapes(rig: RigInMeshSpace) -> None:
-    if not rig.rig.has_blendshapes:
-        raise InputError(f"rig '{rig.rig.name}' has no blendshapes to combine: choose sampler=rig_poses")
+        drawn = torch.randint(len(self.coordinates), (count,), generator=generator, device=generator.device)[rows]
+        return cast(PoseBatch, {key: self.get_buffer(key)[drawn] for key in self.keys})
 
 
 Config = dict[str, Any]
 
 
-def fitted(config: Config, rig: LinearRig) -> Config:
-    """The config of a sampler, less those parts of a mixture whose classes do not belong to the rig.
+def select_for_rig(config: Config, rig: LinearRig) -> Config:
+    """The config of a sampler, without the parts of a mixture that do not apply to the rig.
 
-    Random combinations need blendshapes; poses whose joints move together are for rigs without. A sampler that is not a
-    mixture stays as it is: what does not suit the rig then says so.
+    Random combinations need blendshapes; correlated poses are for rigs without. A sampler that is not a mixture is returned
+    unchanged, and its constructor refuses a rig that it cannot take.
 
     Raises:
         InputError: a part names a class that does not exist.
@@ -263,11 +251,12 @@ def fitted(config: Config, rig: LinearRig) -> Config:
     if "samplers" not in config:
         return config
     parts = {name: part for name, part in config["samplers"].items() if _belongs(part, rig, MeshSampler)}
-    shares = {name: share for name, share in config["shares"].items() if name in parts or name not in config["samplers"]}
-    return {**config, "samplers": parts, "shares": shares}
+    given = config["fractions"].items()
+    fractions = {name: fraction for name, fraction in given if name in parts or name not in config["samplers"]}
+    return {**config, "samplers": parts, "fractions": fractions}
 
 
 def _belongs(part: Config, rig: LinearRig, kind: type[MeshSampler | ControlSampler]) -> bool:
     inner = part.get("controls")
-    belongs = class_of(part.get("_target_"), kind=kind).belongs_to(rig)
-    return belongs and (inner is None or _belongs(inner, rig, ControlSampler))
+    found: Any = class_of(part.get("_target_"), kind=kind)
+    return found.suits(rig) and (inner is None or _belongs(inner, rig, ControlSampler))

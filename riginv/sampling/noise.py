@@ -1,4 +1,4 @@
-"""Capture noise, in mesh coordinates: what of a disturbance the rig's space can see."""
+"""Capture noise, in mesh coordinates: its projection onto the rig's mesh space."""
 
 import torch
 from torch import Tensor, nn
@@ -7,15 +7,15 @@ from riginv.errors import InputError
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import MeshSpace
 
-BUMPS = 128  # smooth displacement fields that noise is mixed from
+BUMPS = 128  # smooth displacement fields whose random combinations are the smooth noise
 BUMP_SEED = 20221206
 
 
 class CaptureNoise(nn.Module):
     """Per-vertex noise and smooth displacement, both Gaussian, of a given size on every mesh.
 
-    White noise of the vertices is white in an orthonormal frame too, so it is drawn there directly. Smooth noise mixes bumps:
-    each moves the vertices around a random one of them in a random direction, falling off as a Gaussian.
+    White noise of the vertices is white in an orthonormal frame, too, so it is drawn in mesh coordinates. Smooth noise combines
+    bumps: each displaces the vertices around a random one in a random direction, with a Gaussian fall-off.
 
     Args:
         vertex_mm: standard deviation of the noise of each vertex and axis, mm.

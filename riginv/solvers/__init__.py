@@ -1,1 +1,1 @@
-"""Optimisation in mesh coordinates: what a rig can do at best, mesh by mesh or for a whole clip."""
+"""Optimisation of controls in mesh coordinates, mesh by mesh or for a whole clip."""

@@ -1,4 +1,4 @@
-"""Block-banded systems: a matrix for every frame, and the curvature of curves, which ties each frame to four neighbours."""
+"""Block-banded systems of a clip: a matrix for each frame, coupled to its neighbours by second differences."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -8,30 +8,30 @@ from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, kernels_for
 
-TO_NEXT, TO_SECOND = -4.0, 1.0  # the second difference's square couples frames so, away from the ends of a clip
-LONGEST_GAP = 12.0  # times the usual distance of frames, across which curves are still smooth; beyond it they begin anew
+TO_NEXT, TO_SECOND = -4.0, 1.0  # couplings of a frame to the next and second next, away from the ends of a clip
+LONGEST_GAP = 12.0  # of frames, as a multiple of the usual step: curves are not smoothed across longer ones
 
 
 def usual_steps(numbers: Tensor) -> Tensor:
-    """The distances `(frame - 1,)` of frames `(frame,)`, as multiples of the usual one: 1 where none is missing."""
+    """The steps `(frame - 1,)` between frame numbers `(frame,)`, as multiples of their median: 1 where no frame is missing."""
     steps = numbers.diff().double()
     return steps / steps.median() if len(steps) else steps
 
 
 def spans(numbers: Tensor) -> list[slice]:
-    """The rows of frames `(frame,)` between which no gap is too long for curves to be smooth across."""
+    """The row ranges of frame numbers `(frame,)` that contain no gap longer than `LONGEST_GAP`."""
     cuts = ((usual_steps(numbers) > LONGEST_GAP).nonzero()[:, 0] + 1).tolist()
     return [slice(first, stop) for first, stop in zip([0, *cuts], [*cuts, len(numbers)])]
 
 
 def second_differences(steps: Tensor) -> Tensor:
-    """What the second difference of each three frames in a row is made of, `(frame - 2, 3)`.
+    """The weights `(frame - 2, 3)` of three consecutive frames in their second difference.
 
-    1, -2, 1 where no frame is missing. Else the second derivative of the parabola through the three, times the root of the time
-    that it stands for, so that the sum of squares is again the integral of its square; 0 across gaps that are too long.
+    1, -2, 1 where no frame is missing. Else the second derivative of the parabola through the three, times the square root of
+    the time between them, so that the sum of squares is the integral of its square; 0 across gaps that are too long.
 
     Args:
-        steps: `(frame - 1,)`, as of `usual_steps`.
+        steps: `(frame - 1,)`, from `usual_steps`.
     """
     before, after = steps[:-1], steps[1:]
     size = (2 / (before + after)).sqrt() * (torch.maximum(before, after) <= LONGEST_GAP)
@@ -42,12 +42,12 @@ def second_difference_bands(count: int, before: int = 0, differences: Tensor | N
     """The matrix D^T D of second differences over `before + count` frames, of which the first `before` are given.
 
     Args:
-        before: 0 to 2 frames, known already, that lie before the first one asked for.
-        differences: as of `second_differences`; None: no frame is missing.
+        before: 0 to 2 given frames before the first unknown one.
+        differences: from `second_differences`; None: no frame is missing.
 
     Returns:
-        Its diagonals `(count,)` among the frames asked for: the main one, that to the next frame, that to the second next.
-        The last entry of the second and the last two of the third are 0.
+        Its diagonals `(count,)` among the unknown frames: the main one, that to the next frame, that to the second next. The
+        last entry of the second and the last two of the third are 0.
     """
     total = before + count
     difference = torch.zeros(max(total - 2, 0), total, dtype=torch.float64)
@@ -57,7 +57,8 @@ def second_difference_bands(count: int, before: int = 0, differences: Tensor | N
         difference[row, row : row + 3] = weights
     square = (difference.T @ difference)[before:, before:]
     diagonals = [square.diagonal(offset) if offset < count else square.new_zeros(0) for offset in range(3)]
-    return tuple(torch.nn.functional.pad(diagonal, (0, count - len(diagonal))) for diagonal in diagonals)
+    main, to_next, to_second = (torch.nn.functional.pad(diagonal, (0, count - len(diagonal))) for diagonal in diagonals)
+    return main, to_next, to_second
 
 
 def solve_band(blocks: Sequence[Tensor] | Tensor, next_to: Tensor, second_to: Tensor, right: Tensor) -> Tensor | None:
@@ -75,7 +76,7 @@ def solve_band(blocks: Sequence[Tensor] | Tensor, next_to: Tensor, second_to: Te
     frames, controls = right.shape
     factors, halves, forward = [], [], []
     zero = right.new_zeros(controls, controls)
-    correction, after_that, to_next = zero, zero, zero  # what earlier frames take from this block, the next, and between
+    correction, after_that, to_next = zero, zero, zero  # Schur complements of earlier frames: this block, the next, between
     pulled, pulled_next = right.new_zeros(controls), right.new_zeros(controls)
     for frame in range(frames):
         factor, failed = torch.linalg.cholesky_ex(blocks[frame] - correction)
@@ -104,23 +105,23 @@ def solve_band(blocks: Sequence[Tensor] | Tensor, next_to: Tensor, second_to: Te
     return found[:frames]
 
 
-AtOnce = Callable[[list[Callable[[], int]]], list[int]]  # runs tasks, perhaps at the same time, and gives their results
+RunTasks = Callable[[list[Callable[[], int]]], list[int]]  # runs tasks, perhaps in parallel, and returns their results
 
 
-def in_turn(tasks: list[Callable[[], int]]) -> list[int]:
-    """Tasks one after the other."""
+def run_in_order(tasks: list[Callable[[], int]]) -> list[int]:
+    """Run tasks one after the other."""
     return [task() for task in tasks]
 
 
 class Band(NamedTuple):
-    """A block-banded system in which some unknowns are held at 0; all in float64.
+    """A block-banded system in which some unknowns are fixed at 0; all in float64.
 
     Attributes:
         blocks: `(frame, control, control)`, the diagonal blocks.
-        diagonal: `(frame, control)`, what is added to their diagonals.
+        diagonal: `(frame, control)`, added to their diagonals.
         near, far: `(frame,)`: the coupling of each control with itself in the next frame and in the second next.
         right: `(frame, control)`.
-        free: `(frame, control)`, which unknowns are not held.
+        free: `(frame, control)`, which unknowns are not fixed.
     """
 
     blocks: Tensor
@@ -130,16 +131,16 @@ class Band(NamedTuple):
     right: Tensor
     free: Tensor
 
-    def solve(self, at_once: AtOnce) -> Tensor | None:
+    def solve(self, run_tasks: RunTasks) -> Tensor | None:
         """The unknowns `(frame, control)`, or None where the matrix of the free ones is not positive definite.
 
         Frames are eliminated from both ends towards the middle.
 
         Args:
-            at_once: runs two tasks, perhaps at the same time, and gives their results.
+            run_tasks: runs two tasks, perhaps in parallel.
         """
         compiled = kernels_for(self.blocks, self.diagonal, self.right)
-        return self._solve_in_torch() if compiled is None else _TwoChains(self, compiled).solve(at_once)
+        return self._solve_in_torch() if compiled is None else _TwoChains(self, compiled).solve(run_tasks)
 
     def _solve_in_torch(self) -> Tensor | None:
         both = self.free[:, :, None] & self.free[:, None]
@@ -152,31 +153,32 @@ class Band(NamedTuple):
 
 
 class _TwoChains:
-    """The frames before the middle two, and those behind them, by kernels."""
+    """Elimination of the frames before the middle two and of those after them, each as a chain, by kernels."""
 
     def __init__(self, band: Band, compiled: Kernels) -> None:
         self.compiled, (frames, self.controls) = compiled, band.right.shape
         sizes = band.free.sum(dim=1)
         self.starts = torch.cat([sizes.new_zeros(1), sizes.cumsum(0)])
         self.numbers = band.free.nonzero()[:, 1].contiguous()
-        tensors = (band.blocks, band.diagonal, band.near, band.far, band.right)
-        self.system = (*(values.contiguous() for values in tensors), self.starts, self.numbers, self.controls)
+        tensors = (band.blocks, band.diagonal, band.near, band.far, band.right, self.starts, self.numbers)
+        self.system: tuple[Tensor | int, ...] = (*(values.contiguous() for values in tensors), self.controls)
+        self.right = band.right
         self.middle = max(frames - 2, 0) // 2, (max(frames - 2, 0) // 2 + 1 if frames > 1 else -1)
         first, second = self.middle
-        before, behind = list(range(first)), list(range(frames - 1, max(first, second), -1))
-        self.chains = [torch.tensor([*before, first, second]), torch.tensor([*behind, second, first])]
+        before, after = list(range(first)), list(range(frames - 1, max(first, second), -1))
+        self.chains = [torch.tensor([*before, first, second]), torch.tensor([*after, second, first])]
         self.stores = [self._store(chain, [*sizes.tolist(), 0]) for chain in self.chains]
         self.corrections = [band.right.new_zeros(3, self.controls, self.controls) for _ in self.chains]
         self.pulled = [band.right.new_zeros(2, self.controls) for _ in self.chains]
 
-    def solve(self, at_once: AtOnce) -> Tensor | None:
-        if any(at_once([lambda: self._eliminate(0), lambda: self._eliminate(1)])):
+    def solve(self, run_tasks: RunTasks) -> Tensor | None:
+        if any(run_tasks([lambda: self._eliminate(0), lambda: self._eliminate(1)])):
             return None
-        found = self.system[0].new_zeros(len(self.starts) - 1, self.controls)
+        found = torch.zeros_like(self.right, memory_format=torch.contiguous_format)
         taken = (self.corrections[0], self.pulled[0], self.corrections[1], self.pulled[1])
         if self.compiled.call("band_middle", torch.float64, *self.system, *self.middle, *taken, found):
             return None
-        at_once([lambda: self._substitute(0, found), lambda: self._substitute(1, found)])
+        run_tasks([lambda: self._substitute(0, found), lambda: self._substitute(1, found)])
         return found
 
     def _eliminate(self, number: int) -> int:
@@ -190,10 +192,10 @@ class _TwoChains:
         return self.compiled.call("band_substitute", torch.float64, *given)
 
     def _store(self, chain: Tensor, sizes: list[int]) -> tuple[Tensor, Tensor]:
-        """Room for the factors of a chain, and where those of each frame begin: L, its inverse diagonal, its couplings."""
+        """Memory for the factors of a chain, and the offset of each frame's: L, its inverse diagonal, its couplings."""
         offsets, total = [], 0
         for frame, near, far in zip(*(chain[shift : len(chain) - 2 + shift].tolist() for shift in range(3))):
             offsets.append(total)
-            size, apart = sizes[frame], -(-sizes[frame] // 8) * 8
-            total += -(-size // 4) * 4 * apart + apart + size * (-(-(sizes[near] + sizes[far] + 1) // 8) * 8)
+            size, stride = sizes[frame], -(-sizes[frame] // 8) * 8
+            total += -(-size // 4) * 4 * stride + stride + size * (-(-(sizes[near] + sizes[far] + 1) // 8) * 8)
         return torch.empty(total, dtype=torch.float64), torch.tensor(offsets, dtype=torch.int64)

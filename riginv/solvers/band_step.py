@@ -1,28 +1,28 @@
-"""One step of a block-banded quadratic model that stays in a box: the frames of a clip, tied by second differences."""
+"""A step of a block-banded quadratic model within a box: the frames of a clip, coupled by second differences."""
 
 import torch
 from torch import Tensor
 
-from riginv.solvers.band import AtOnce, Band, in_turn
+from riginv.solvers.band import Band, RunTasks, run_in_order
 
-ROUNDS = 2  # of solving and pinning what leaves the box
+ROUNDS = 2  # of solving, and fixing controls that leave the box
 
 
 def band_box_step(
-    blocks: Tensor, added: Tensor, near: Tensor, far: Tensor, gradient: Tensor, at: Tensor, at_once: AtOnce = in_turn
+    blocks: Tensor, added: Tensor, near: Tensor, far: Tensor, gradient: Tensor, at: Tensor, run_tasks: RunTasks = run_in_order
 ) -> Tensor:
-    """As `box_step`, for all frames together.
+    """As `box_step`, for all frames of a clip together.
 
     Args:
         blocks: the diagonal blocks `(frame, control, control)`, float64.
-        added: what is added to their diagonals, `(frame, control)`, float64.
-        near, far: what couples each frame to the next and to the second next, `(frame,)`; 0 beyond the last frame.
+        added: added to their diagonals, `(frame, control)`, float64.
+        near, far: the coupling of each frame to the next and to the second next, `(frame,)`; 0 beyond the last frame.
         gradient: `(frame, control)`, float64.
-        at: where the controls stand, `(frame, control)` in [0, 1].
-        at_once: runs tasks, perhaps at the same time.
+        at: the current controls, `(frame, control)` in [0, 1].
+        run_tasks: runs tasks, perhaps in parallel.
 
     Returns:
-        The step `(frame, control)`; none where the matrix is not positive definite.
+        The step `(frame, control)`; 0 where the matrix is not positive definite.
     """
     free = ~(((at <= 0) & (gradient > 0)) | ((at >= 1) & (gradient < 0)))
     step = torch.zeros_like(at)
@@ -33,7 +33,7 @@ def band_box_step(
         rest[:-1] += near[:-1, None] * pinned[1:]
         rest[2:] += far[:-2, None] * pinned[:-2]
         rest[:-2] += far[:-2, None] * pinned[2:]
-        solved = Band(blocks, added, near, far, -rest, free).solve(at_once)
+        solved = Band(blocks, added, near, far, -rest, free).solve(run_tasks)
         if solved is None:
             return torch.zeros_like(at)
         target = at + torch.where(free, solved, pinned).to(at)

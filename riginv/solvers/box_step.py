@@ -1,23 +1,23 @@
-"""One step of a damped quadratic model that stays in a box, for many frames at once."""
+"""A step of damped quadratic models within a box, for many meshes at once."""
 
 import torch
 from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, kernels_for
 
-ROUNDS = 3  # of solving and pinning what leaves the box
-FLOOR = 1e-3  # of the mean curvature: what damps a control that does nothing
+ROUNDS = 3  # of solving, and fixing controls that leave the box
+FLOOR = 1e-3  # of the mean curvature, added under damping: so controls without effect are damped, too
 
 
 def damping_diagonal(hessian: Tensor, damping: Tensor) -> Tensor:
-    """What Marquardt's damping `(mesh,)` adds to the diagonals `(mesh, control)` of Hessians, relative to them."""
+    """Marquardt's damping: the addition `(mesh, control)` to the diagonals of Hessians, by factors `(mesh,)`."""
     diagonal = hessian.diagonal(dim1=1, dim2=2)
     floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + torch.finfo(hessian.dtype).tiny
     return damping[:, None] * (diagonal + floor)
 
 
-def foreseen_change(hessian: Tensor, gradient: Tensor, step: Tensor) -> Tensor:
-    """How the quadratic model of each mesh changes by a step, `(mesh,)`: below 0 where it helps."""
+def predicted_change(hessian: Tensor, gradient: Tensor, step: Tensor) -> Tensor:
+    """The change of each mesh's quadratic model by a step, `(mesh,)`: negative where it descends."""
     compiled = kernels_for(hessian, gradient, step)
     if compiled is None:
         return (gradient * step).sum(dim=1) + 0.5 * (step * (hessian @ step[..., None])[..., 0]).sum(dim=1)
@@ -28,17 +28,17 @@ def foreseen_change(hessian: Tensor, gradient: Tensor, step: Tensor) -> Tensor:
 
 
 def box_step(matrix: Tensor, gradient: Tensor, at: Tensor, diagonal: Tensor | None = None) -> Tensor:
-    """The step `(mesh, control)` that minimises a quadratic model over the box from 0 to 1, nearly.
+    """The step `(mesh, control)` that approximately minimises quadratic models over the box from 0 to 1.
 
-    Controls at a limit that the gradient pushes outward stay; the others are solved for, those that would leave the box are
-    pinned to the limit that they hit, and the rest is solved again around them, a few times. Where a matrix is not positive
-    definite in its own precision it is taken apart in float64; a frame for which that fails too stays where it is.
+    An active-set method: controls at a limit that the gradient pushes outward are fixed, the others solved for; those that
+    would leave the box are fixed at their limit, and the rest is solved again, a few times. Matrices that are not positive
+    definite in their own precision are factorised in float64; where that fails, too, the step is 0.
 
     Args:
         matrix: `(mesh, control, control)`.
         gradient: `(mesh, control)`.
-        at: where the controls stand, `(mesh, control)` in [0, 1].
-        diagonal: what is added to those of the matrices, `(mesh, control)`, such as damping.
+        at: the current controls, `(mesh, control)` in [0, 1].
+        diagonal: added to those of the matrices, `(mesh, control)`, such as damping.
     """
     compiled = kernels_for(matrix, gradient, at)
     if compiled is not None:
@@ -74,7 +74,7 @@ def _compiled(compiled: Kernels, matrix: Tensor, gradient: Tensor, at: Tensor, d
 
 
 def _solve(matrix: Tensor, right: Tensor, free: Tensor) -> Tensor:
-    """Solve for the free controls alone, brought together so that the systems are small; 0 for the others."""
+    """Solve for the free controls alone, gathered into smaller systems; 0 for the others."""
     most = int(free.sum(dim=1).max())
     order = torch.argsort(free.to(torch.uint8), dim=1, descending=True, stable=True)[:, :most]
     some = free.gather(1, order)

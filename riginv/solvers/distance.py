@@ -1,4 +1,4 @@
-"""What a residual in mesh coordinates costs: half its square, or the mean distance of the vertices."""
+"""Costs of a residual in mesh coordinates: half its square, or the sum of the vertices' distances."""
 
 from typing import NamedTuple
 
@@ -12,47 +12,46 @@ VERTICES = 2048
 
 
 class Distance(NamedTuple):
-    """What residuals `(mesh, coordinate)` cost.
+    """The cost of residuals `(mesh, coordinate)`.
 
     Attributes:
         cost: `(mesh,)`.
-        pull: its gradient by the residual, `(mesh, coordinate)`.
-        share: its curvature, about, as a share of that of half the square, `(mesh,)`; None: 1.
+        gradient: by the residual, `(mesh, coordinate)`.
+        curvature: approximately, relative to half the square, `(mesh,)`; None: 1.
     """
 
     cost: Tensor
-    pull: Tensor
-    share: Tensor | None = None
+    gradient: Tensor
+    curvature: Tensor | None = None
 
 
 def squared_distance(residual: Tensor) -> Distance:
-    """Half the square of residuals `(mesh, coordinate)`, which is that of all vertices."""
+    """Half the square of residuals `(mesh, coordinate)`: half the sum of the vertices' squared distances."""
     return Distance(0.5 * residual.square().sum(dim=1), residual)
 
 
 class MeanDistance:
-    """The distance of each vertex and not the square of it: what is reported in the end (pseudo-Huber).
+    """The sum of the vertices' distances, rounded near 0 (pseudo-Huber): robust to places that the rig cannot reach.
 
-    Squares let the worst places of a mesh decide for all others: what the rig cannot make, or a capture got wrong. A distance
-    d costs c (sqrt(d^2 + c^2) - c), with the corner c: half of d^2 far below it, c d far above it, and nowhere more than
-    either. Its curvature is taken for that of half the square, times the vertices' mean weight c / sqrt(d^2 + c^2).
+    A distance d costs c (sqrt(d^2 + c^2) - c), with the corner c: d^2 / 2 far below it, c d far above it, and nowhere more than
+    either. Its curvature is approximated by that of half the square times the vertices' mean weight c / sqrt(d^2 + c^2).
 
     Args:
         frame: of the mesh space, `(coordinate, vertex, 3)`.
         corner_mm: c.
-        vertices: so many, picked at random, stand in for all.
+        vertices: the number of random vertices that represent all.
     """
 
     def __init__(self, frame: Tensor, corner_mm: float = CORNER_MM, vertices: int = VERTICES) -> None:
         picked = torch.randperm(frame.shape[1], generator=generator_at(0, "mean distance"))[:vertices]
         self.frame, self.corner_mm = frame[:, picked.to(frame.device)].flatten(1), corner_mm
-        self.each = frame.shape[1] / len(picked)  # how many vertices one stands for
+        self.each = frame.shape[1] / len(picked)  # the number of vertices that one represents
 
     def __call__(self, residual: Tensor) -> Distance:
-        """Of residuals `(mesh, coordinate)`."""
-        apart = (residual @ self.frame).unflatten(1, (-1, 3))
-        rounded = (apart.square().sum(dim=2) + self.corner_mm**2).sqrt()
+        """The cost of residuals `(mesh, coordinate)`."""
+        displacement = (residual @ self.frame).unflatten(1, (-1, 3))
+        rounded = (displacement.square().sum(dim=2) + self.corner_mm**2).sqrt()
         weight = self.corner_mm / rounded
-        pull = self.each * (weight[..., None] * apart).flatten(1) @ self.frame.T
+        gradient = self.each * (weight[..., None] * displacement).flatten(1) @ self.frame.T
         cost = self.each * self.corner_mm * (rounded - self.corner_mm).sum(dim=1)
-        return Distance(cost, pull, weight.mean(dim=1))
+        return Distance(cost, gradient, weight.mean(dim=1))

@@ -1,20 +1,19 @@
-"""The least error, mesh by mesh: of meshes that have nothing to do with each other, and of the frames of a clip."""
+"""Solving meshes independently: unrelated ones, and the frames of a clip with starts from their neighbours."""
 
 from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
-from riginv.solvers.descent import descend
 from riginv.solvers.levenberg_marquardt import TOLERANCE, Solution, levenberg_marquardt
 from riginv.solvers.objective import Objective
-from riginv.solvers.starts import first_start, start_at_random
+from riginv.solvers.starts import descend, first_start, start_at_random
 
-BATCH_SIZE = 128  # meshes at a time: what bounds the memory
-KEY_DISTANCE = 4  # frames between two that are solved from scratch
-EXACT = 1e-5  # mm^2 of half the mean squared distance, 0.005 mm: no other start is tried for a mesh that is hit like that
-DESCENT_RATE = 0.03  # of a control's range
-PROMISING = 1.05  # a neighbour's answer is worth following up where it costs at most so many times what a frame's own does
+BATCH_SIZE = 128  # bounds the memory
+KEY_DISTANCE = 4  # step of the frames that are solved from scratch
+EXACT = 1e-5  # mm^2 of half the mean squared distance, 0.005 mm: below it no other start is tried
+DESCENT_RATE = 0.03  # as a fraction of a control's range
+PROMISING = 1.05  # a neighbour's solution is tried where it costs at most this multiple of the frame's own
 
 
 def solve_meshes(
@@ -25,13 +24,13 @@ def solve_meshes(
     tolerance: float = TOLERANCE,
     descent_steps: int = 0,
 ) -> Solution:
-    """Solve from several starts, and keep the best of each mesh; one that is hit exactly is not tried again.
+    """Solve from several starts, and keep the best solution of each mesh; one that is exact is not solved again.
 
     Args:
         coordinates: `(mesh, coordinate)`.
-        starts: the first goes by the rig's features or by the derivative at neutral, the others are strewn around.
+        starts: their number; the first is `first_start`, the others are random.
         steps, tolerance: as in `levenberg_marquardt`.
-        descent_steps: where above 0, the second start is where so many steps of gradient descent lead from the first one.
+        descent_steps: if above 0, the second start is the first one after so many steps of gradient descent.
     """
     rig = objective.rig
 
@@ -44,23 +43,23 @@ def solve_meshes(
             if not len(open_rows):
                 break
             if number == 1 and descent_steps:
-                given = objective.own_units(first[open_rows])
+                given = objective.to_controls(first[open_rows])
                 start = objective.units(descend(rig, given, target[open_rows], descent_steps, DESCENT_RATE))
             else:
                 start = start_at_random(objective, first, number)[open_rows]
             best.take_better(open_rows, levenberg_marquardt(objective, target[open_rows], start, steps, tolerance))
         return best
 
-    return _in_pieces(objective, len(coordinates), solve)
+    return _in_batches(objective, len(coordinates), solve)
 
 
 def refine_meshes(objective: Objective, coordinates: Tensor, start: Tensor, steps: int) -> Solution:
-    """Take a few steps, at most, from a start `(mesh, control)` in shares of the ranges, such as a network's answer."""
+    """Take at most `steps` from a start `(mesh, control)`, as fractions of the ranges, such as a network's output."""
 
     def solve(rows: Tensor) -> Solution:
         return levenberg_marquardt(objective, coordinates[rows], start[rows], steps)
 
-    return _in_pieces(objective, len(coordinates), solve)
+    return _in_batches(objective, len(coordinates), solve)
 
 
 def solve_frames(
@@ -72,17 +71,17 @@ def solve_frames(
     rounds: int = 3,
     descent_steps: int = 0,
 ) -> Solution:
-    """Solve each frame of a clip for itself, at a fraction of what many starts cost: neighbours know good ones.
+    """Solve each frame of a clip independently, with starts from neighbours: cheaper than many starts.
 
-    Some frames are solved from scratch, those between them from the mean of the answers on either side, and then frames take
-    over from a neighbour whose answer serves them well. At last those that have not converged go on until they do.
+    Some frames are solved from scratch, those between them from the mean of the solutions on either side. Then frames restart
+    from neighbours' solutions that are promising. Last, frames that have not converged are continued.
 
     Args:
         coordinates: `(frame, coordinate)`.
-        starts, steps, descent_steps: for frames that start from scratch, as in `solve_meshes`; those that are still not done
-            at the end take as many steps.
-        more_steps: for frames that start from a neighbour's answer.
-        rounds: how many times frames may take over, from ever nearer neighbours; 0: for a clip that is smoothed afterwards.
+        starts, steps, descent_steps: for frames that start from scratch, as in `solve_meshes`; `steps` also for those that are
+            continued in the end.
+        more_steps: for frames that start from a neighbour's solution.
+        rounds: of restarts, from ever nearer neighbours; 0: for a clip that is smoothed afterwards.
     """
     count, distance = len(coordinates), KEY_DISTANCE
     found = Solution.at_neutral(objective, count)
@@ -95,9 +94,9 @@ def solve_frames(
         start = (found.units[before] + found.units[after]) / 2
         found.put(new, refine_meshes(objective, coordinates[new], start, more_steps))
         distance //= 2
-    for reach in (2**number for number in reversed(range(rounds))):
-        for shift in (reach, -reach):
-            _take_over(objective, coordinates, found, shift, more_steps)
+    for distance in (2**number for number in reversed(range(rounds))):
+        for shift in (distance, -distance):
+            _restart(objective, coordinates, found, shift, more_steps)
     if rounds:
         unfinished = (~found.converged & ~found.skipped).nonzero()[:, 0]
         more = refine_meshes(objective, coordinates[unfinished], found.units[unfinished], steps)
@@ -105,18 +104,18 @@ def solve_frames(
     return found
 
 
-def _take_over(objective: Objective, coordinates: Tensor, found: Solution, shift: int, steps: int) -> None:
-    """Let frames go on from the answer of the frame `shift` before them, where that is promising."""
+def _restart(objective: Objective, coordinates: Tensor, found: Solution, shift: int, steps: int) -> None:
+    """Restart frames from the solution of the frame `shift` before them, where that is promising."""
     rows = torch.arange(max(len(coordinates) - abs(shift), 0), device=coordinates.device) + max(shift, 0)
     if not len(rows):
         return
-    pieces = zip(found.units[rows - shift].split(BATCH_SIZE), coordinates[rows].split(BATCH_SIZE))
-    cost = torch.cat([objective.cost(units, target) for units, target in pieces])
-    rows = rows[(cost < PROMISING * found.cost[rows]) & ~found.skipped[rows - shift]]  # NaN is less than nothing
+    batches = zip(found.units[rows - shift].split(BATCH_SIZE), coordinates[rows].split(BATCH_SIZE))
+    cost = torch.cat([objective.cost(units, target) for units, target in batches])
+    rows = rows[(cost < PROMISING * found.cost[rows]) & ~found.skipped[rows - shift]]  # comparisons with NaN are false
     found.take_better(rows, refine_meshes(objective, coordinates[rows], found.units[rows - shift], steps))
 
 
-def _in_pieces(objective: Objective, count: int, solve: Callable[[Tensor], Solution]) -> Solution:
+def _in_batches(objective: Objective, count: int, solve: Callable[[Tensor], Solution]) -> Solution:
     found = Solution.at_neutral(objective, count)
     for rows in torch.arange(count).split(BATCH_SIZE):
         if len(rows):

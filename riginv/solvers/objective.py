@@ -1,13 +1,14 @@
-"""What is minimised: the squared distance to a mesh, in mesh coordinates, of controls that run from 0 to 1.
+"""The objective of all solvers: the squared distance to a mesh plus a prior, of controls as fractions of their ranges.
 
-Half the mean squared vertex distance, in mm^2 (constant aside), plus `prior` times half the squared distance from neutral, in
-ranges: many rigs have several controls for one motion, and a faint prior says which to prefer. `sparsity` times the distance
-itself leaves fewer controls in use. All of it is taken times the number of vertices.
+Half the mean squared vertex distance, in mm^2 (up to a constant), plus `prior` times half the squared distance of the controls
+from neutral, which decides between several controls of one motion, plus `sparsity` times that distance itself, for fewer active
+controls. All terms are multiplied by the number of vertices.
 """
 
 import copy
 import functools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import torch
@@ -17,16 +18,42 @@ from riginv.networks.features import RigFeatures
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import workers
 from riginv.solvers.distance import CORNER_MM, Distance, MeanDistance, squared_distance
-from riginv.solvers.weighed_prior import WeighedPrior
 
-PRIOR = 1e-6  # mm^2 for one control that leaves neutral by its whole range: a thousandth of a millimetre everywhere
+
+@dataclass(frozen=True)
+class GaussianPrior:
+    """A Gaussian prior: 0.5 (u - mean)^T precision (u - mean), mm^2, of controls u as fractions of their ranges.
+
+    Attributes:
+        mean: `(control,)`.
+        precision: `(control, control)`, mm^2.
+    """
+
+    mean: Tensor
+    precision: Tensor
+
+    def scaled(self, factor: float, dtype: torch.dtype) -> "GaussianPrior":
+        """The same prior, times a factor, in a dtype."""
+        return GaussianPrior(self.mean.to(dtype), (factor * self.precision).to(dtype))
+
+    def cost(self, units: Tensor) -> Tensor:
+        """The cost `(mesh,)` of controls `(mesh, control)`."""
+        away = units - self.mean.to(units)
+        return 0.5 * (away * (away @ self.precision.to(units))).sum(dim=-1)
+
+    def gradient(self, units: Tensor) -> Tensor:
+        """The gradient `(mesh, control)`."""
+        return (units - self.mean.to(units)) @ self.precision.to(units)
+
+
+PRIOR = 1e-6  # mm^2 for one control at its whole range from neutral: as 0.001 mm at every vertex
 Result = TypeVar("Result")
-SPARSE = 0.1  # the share of entries below which a metric is kept as a sparse matrix
-CORNER = 1e-3  # of a range: how round the corner of the distance from neutral is
+SPARSE = 0.1  # density below which a metric is stored as a sparse matrix
+CORNER = 1e-3  # of the rounded distance from neutral, as a fraction of a range
 
 
 class Linearised(NamedTuple):
-    """The objective near some controls.
+    """The objective with its derivatives at some controls.
 
     Attributes:
         cost: `(mesh,)`.
@@ -40,17 +67,17 @@ class Linearised(NamedTuple):
 
 
 class Objective:
-    """Controls `(mesh, control)` in units of their ranges, 0 at the lower limit and 1 at the upper.
+    """The objective of controls `(mesh, control)`, as fractions of their ranges: 0 at the lower limit, 1 at the upper.
 
-    With the residual e = R (f(r) - f(neutral)) - z and the rig's Jacobian J, the Gauss-Newton Hessian is J^T (R^T R) J: no
-    vertex, and no Jacobian of vertices, is ever made.
+    With the residual e = R (f(r) - f(neutral)) - z and the rig's Jacobian J, the Gauss-Newton Hessian is J^T (R^T R) J:
+    neither vertices nor their Jacobian are computed.
 
     Args:
         rig: the rig in its mesh space.
-        prior: mm^2 for one control that leaves neutral by its whole range; or as much for each, `(control,)`.
-        sparsity: the same, in proportion to the way.
-        dtype: to compute in; that of the rig unless given.
-        learned: how likely controls are together (`riginv.priors`), on top of these; None: nothing is known.
+        prior: mm^2 for one control at its whole range from neutral; for all or for each, `(control,)`.
+        sparsity: the same, proportional to the distance from neutral.
+        dtype: of the computation; None: the rig's.
+        learned: a further prior on combinations of controls (`riginv.tracking.priors`).
     """
 
     def __init__(
@@ -59,7 +86,7 @@ class Objective:
         prior: float | Tensor = PRIOR,
         sparsity: float | Tensor = 0.0,
         dtype: torch.dtype | None = None,
-        learned: WeighedPrior | None = None,
+        learned: GaussianPrior | None = None,
     ) -> None:
         self.rig = rig
         self.vertex_count = rig.space.vertex_count
@@ -81,57 +108,57 @@ class Objective:
 
     @functools.cached_property
     def features(self) -> RigFeatures | None:
-        """What the rig can tell of its controls without any search, or None where it offers nothing (`LinearRig.features`)."""
+        """The rig's calibrated features, or None where it has none (`LinearRig.features`)."""
         return RigFeatures.fitted(self.rig) if RigFeatures.offered_by(self.rig) else None
 
     def by_mean_distance(self, corner_mm: float = CORNER_MM) -> "Objective":
-        """The same, where each vertex counts by its distance (`riginv.solvers.distance.MeanDistance`)."""
+        """The same objective with the mean distance in place of the mean squared distance (`MeanDistance`)."""
         other = copy.copy(self)
         other.distance = MeanDistance(self.rig.space.frame.to(self.map), corner_mm)
         return other
 
-    def at_once(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
-        """The results of tasks that ask this objective, as many at once as cores are free and the rig can be asked at once."""
+    def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
+        """The results of tasks that evaluate this objective, in parallel if the rig allows it and cores are free."""
         return workers().run(tasks) if self.rig.rig.differentiable else [task() for task in tasks]
 
     def units(self, controls: Tensor) -> Tensor:
-        """Controls in their own units as shares of their ranges."""
+        """Controls as fractions of their ranges."""
         return (controls.to(self.map) - self.lower) / self.span
 
-    def own_units(self, units: Tensor) -> Tensor:
-        """The reverse, exactly within the limits of the rig."""
+    def to_controls(self, units: Tensor) -> Tensor:
+        """The inverse of `units`, exactly within the limits of the rig."""
         rig = self.rig.rig
         return (self.lower + self.span * units).to(rig.dtype).clamp(rig.lower, rig.upper)
 
     @torch.no_grad()
     def cost(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Tensor:
-        """The objective `(mesh,)`, of which no less than 0 can remain.
+        """The objective `(mesh,)`, at least 0.
 
         Args:
-            weights: what the distance of each mesh counts against its preferences, `(mesh,)`; 1 for all unless given.
+            weights: of each mesh's distance against the priors, `(mesh,)`; None: 1.
         """
         found = self.rig.rig.coefficients(self.lower + self.span * units)
         distance = self.distance(self._residual(found, coordinates)).cost
-        return (distance if weights is None else weights * distance) + self._preference(units)[0]
+        return (distance if weights is None else weights * distance) + self._prior(units)[0]
 
     @torch.no_grad()
     def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
         """The gradient `(mesh, control)` of the objective."""
-        found, pull = self.rig.rig.coefficients_and_pull(self.lower + self.span * units)
-        of_residual = self.distance(self._residual(found, coordinates)).pull
-        return self.span * pull(of_residual @ self.map.T) + self._preference(units)[1]
+        found, vjp = self.rig.rig.coefficients_and_vjp(self.lower + self.span * units)
+        by_residual = self.distance(self._residual(found, coordinates)).gradient
+        return self.span * vjp(by_residual @ self.map.T) + self._prior(units)[1]
 
     @torch.no_grad()
     def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
         """The objective with its gradient and Gauss-Newton Hessian; weights as in `cost`."""
         found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
-        distance, pull, share = self.distance(self._residual(found, coordinates))
-        cost, gradient, curvature = self._preference(units)
+        distance, by_residual, relative = self.distance(self._residual(found, coordinates))
+        cost, gradient, curvature = self._prior(units)
         jacobian = jacobian.scaled(self.span)
         hessian = jacobian.gram(self.metric)
-        if share is not None:
-            hessian = share[:, None, None] * hessian
-        derivative = jacobian.pull(pull @ self.map.T)
+        if relative is not None:
+            hessian = relative[:, None, None] * hessian
+        derivative = jacobian.vjp(by_residual @ self.map.T)
         if weights is not None:
             distance, derivative, hessian = weights * distance, weights[:, None] * derivative, weights[:, None, None] * hessian
         hessian.diagonal(dim1=1, dim2=2).add_(curvature)
@@ -142,16 +169,16 @@ class Objective:
     def _residual(self, coefficients: Tensor, coordinates: Tensor) -> Tensor:
         return (coefficients - self.rest) @ self.map - coordinates
 
-    def _preference(self, units: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _prior(self, units: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Prior and sparsity: their cost `(mesh,)`, gradient and curvature, both `(mesh, control)`.
 
-        A control that is neutral at a limit pays in proportion to its way from there; one that is neutral inside its range by
-        a rounded corner, whose curvature is that of the parabola through it which lies nowhere below.
+        The sparsity of a control that is neutral at a limit is linear; inside its range it is rounded at neutral, with the
+        curvature of the parabola that bounds it from above.
         """
         away = units - self.neutral
         cost, gradient = 0.5 * (self.prior * away.square()).sum(dim=1), self.prior * away
         curvature = torch.zeros_like(away) + self.prior
-        if self.learned is not None:  # its curvature is no diagonal: `linearise` adds it
+        if self.learned is not None:  # its curvature is not diagonal: `linearise` adds it
             cost, gradient = cost + self.learned.cost(units), gradient + self.learned.gradient(units)
         if self.is_sparse:
             rounded = (away.square() + CORNER**2).sqrt()
@@ -164,7 +191,7 @@ class Objective:
 
 
 def _metric(rig: RigInMeshSpace, linear_map: Tensor) -> Tensor:
-    """R^T R `(coefficient, coefficient)`, sparse where few coefficients move vertices in common, as in skinning."""
+    """R^T R `(coefficient, coefficient)`, sparse where few coefficients move common vertices, as in skinning."""
     moves = rig.rig.basis.abs().flatten(1)
     together = (moves @ moves.T) > 0
     metric = torch.where(together, linear_map @ linear_map.T, 0.0)

@@ -1,52 +1,86 @@
-"""Where to start from: near neutral, but not on it; or where the rig's own features point.
+"""Starts of the solvers: a guess from the rig's features, or controls near neutral.
 
-A control that is neutral inside its range often drives two shapes, one on either side, and its derivative jumps at neutral;
-a start on the kink may never leave it. From random places solvers get stuck in a rig's saturations instead.
+A control that is neutral inside its range often drives two shapes, one on either side, and its derivative jumps at neutral, so
+that a start there may get stuck. From random controls solvers get stuck in a rig's saturations instead.
 """
 
 import torch
 from torch import Tensor
 
 from riginv.rig.batches import generator_at
+from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.objective import Objective
 
-AWAY = 0.02  # of a control's range
+OFFSET = 0.02  # from neutral, as a fraction of a control's range
 BATCH_SIZE = 128
 SEED = 20221206
 
 
 def first_start(objective: Objective, coordinates: Tensor) -> Tensor:
-    """Where the rig offers features, what they tell of the controls `(mesh, control)`; else by the derivative at neutral."""
+    """The first guess `(mesh, control)` from the rig's features, if it has any; else `start_by_derivative`."""
     if objective.features is None:
         return start_by_derivative(objective, coordinates)
     given = coordinates.to(objective.features.scale)
-    guess = torch.cat([objective.features.guess(objective.features(piece)) for piece in given.split(BATCH_SIZE)])
+    guess = torch.cat([objective.features.guess(objective.features(batch)) for batch in given.split(BATCH_SIZE)])
     return objective.units(guess).nan_to_num(0.5).clamp(0, 1)
 
 
-def start_by_derivative(objective: Objective, coordinates: Tensor, away: float = AWAY) -> Tensor:
-    """Every control a little away from neutral `(mesh, control)`; one with two sides, on the side that helps the mesh more.
+def start_by_derivative(objective: Objective, coordinates: Tensor, offset: float = OFFSET) -> Tensor:
+    """Controls `(mesh, control)` at a small offset from neutral, on the side with the greater descent.
 
-    One that nothing but the prior pulls at stays at neutral.
+    Controls whose gradient is that of the prior alone stay neutral.
     """
     neutral = objective.neutral
-    above, below = (neutral + away).clamp(0, 1), (neutral - away).clamp(0, 1)
+    above, below = (neutral + offset).clamp(0, 1), (neutral - offset).clamp(0, 1)
     rise = -objective.gradient(above.expand(len(coordinates), -1), coordinates)
     fall = objective.gradient(below.expand(len(coordinates), -1), coordinates)
     two_sided = (neutral > 0) & (neutral < 1)
     start = torch.where(neutral >= 1, below, torch.where(two_sided & (fall > rise), below, above))
-    pull = 2 * objective.prior * away
-    return torch.where((rise.abs() <= pull) & (fall.abs() <= pull), neutral, start)
+    idle = 2 * objective.prior * offset
+    return torch.where((rise.abs() <= idle) & (fall.abs() <= idle), neutral, start)
 
 
-def start_at_random(objective: Objective, first: Tensor, number: int, away: float = AWAY) -> Tensor:
-    """Controls `(mesh, control)` strewn around neutral, or around the first start where the rig's features gave it.
+def start_at_random(objective: Objective, first: Tensor, number: int, spread: float = OFFSET) -> Tensor:
+    """Random controls `(mesh, control)` around neutral, or around the first start if it is from the rig's features.
 
-    Equal numbers give equal draws, of meshes in the same place.
+    The draws depend on `number` and on each mesh's index.
     """
     neutral = objective.neutral
-    offset = away * torch.randn(first.shape, generator=generator_at(SEED, "start", number)).to(neutral)
+    offset = spread * torch.randn(first.shape, generator=generator_at(SEED, "start", number)).to(neutral)
     if objective.features is not None:
         return (first + offset).clamp(0, 1)
     inward = torch.where(neutral <= 0, offset.abs(), torch.where(neutral >= 1, -offset.abs(), offset))
     return torch.where(first == neutral, neutral, (neutral + inward).clamp(0, 1))  # an idle control stays there
+
+
+def descend(rig: RigInMeshSpace, start: Tensor, coordinates: Tensor, steps: int, lr: float) -> Tensor:
+    """Adam on the squared distance to meshes, within the controls' limits.
+
+    Args:
+        start: controls `(mesh, control)`.
+        coordinates: `(mesh, coordinate)`.
+        lr: step size, as a fraction of a control's range.
+
+    Returns:
+        The best controls `(mesh, control)` of all steps; the start for meshes with NaN.
+    """
+    backend = rig.rig
+    span = backend.upper - backend.lower
+    unit = ((start - backend.lower) / span).detach().clone().requires_grad_()  # fractions of the ranges: one rate fits all
+    optimizer = torch.optim.Adam([unit], lr=lr)
+    best, least = start.clone(), torch.full_like(start[:, 0], torch.inf)
+    with torch.no_grad():
+        for step in range(steps + 1):
+            controls = backend.lower + span * unit
+            found, vjp = rig.coordinates_and_vjp(controls)
+            residual = found - coordinates
+            errors = residual.square().sum(dim=1)
+            better = errors < least
+            best = torch.where(better[:, None], controls, best)
+            least = torch.where(better, errors, least)
+            if step == steps:
+                break
+            unit.grad = (2 / rig.space.vertex_count * span * vjp(residual)).nan_to_num_()
+            optimizer.step()
+            unit.clamp_(0, 1)
+    return best.clamp(backend.lower, backend.upper)

@@ -16,7 +16,7 @@ from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.files import write_json
-from riginv.sampling.meshes import MeshSampler, fitted
+from riginv.sampling.meshes import MeshSampler, select_for_rig
 from riginv.store.layout import COEFFICIENTS, CONTROL_RANGE, CONTROLS, COST, ERRORS, VERTICES, Layout
 from riginv.store.store import PoseStore
 
@@ -30,7 +30,7 @@ def build_sampler(config: dict[str, Any], rig: LinearRig) -> MeshSampler:
     Raises:
         InputError: it draws meshes that are no poses of the rig.
     """
-    sampler = build(fitted(config, rig), _LazilyMapped(rig))
+    sampler = build(select_for_rig(config, rig), _LazilyMapped(rig))
     sampler.sample_controls(1000, generator_at(0, "trial"))
     return sampler
 

@@ -10,7 +10,7 @@ from riginv.errors import InputError
 from riginv.inference.inverse import Inverse
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
@@ -145,7 +145,7 @@ def build_solver(
 
 def _learned_prior(
     options: TrackingOptions, rig: RigInMeshSpace, fixed: FixedControlsRig, weights: Tensor | None
-) -> WeighedPrior | None:
+) -> GaussianPrior | None:
     """The learned prior of the free controls, weighted for the vertices that count."""
     if options.prior is None:
         return None

@@ -45,6 +45,6 @@ def with_optimum(errors: FrameErrors, clip: Clip, found: Inversion, evaluator: F
         solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS),
         refine_meshes(objective, coordinates, objective.units(found.controls[rows]), STEPS),
     )
-    each = [mean_distance(rig(objective.own_units(answer.units)), vertices, evaluated) for answer in answers]
+    each = [mean_distance(rig(objective.to_controls(answer.units)), vertices, evaluated) for answer in answers]
     least = torch.stack([*each, errors.mean_mm[rows]]).amin(dim=0)
     return replace(errors, optimum=SampledOptimum(rows, least))

@@ -87,7 +87,7 @@ class SolverEstimator(ControlEstimator):
 
     def controls(self, units: Tensor) -> Tensor:
         """All controls of free controls as fractions of their ranges, the inverse of `units`."""
-        return self.rig.all_controls(self.objective.own_units(units))
+        return self.rig.all_controls(self.objective.to_controls(units))
 
     def estimate(self, vertices: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)

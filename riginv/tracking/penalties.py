@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.solvers.objective import CORNER, Linearised, Objective
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import CORNER, GaussianPrior, Linearised, Objective
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class PenalisedObjective(Objective):
         prior: float,
         sparsity: float,
         penalties: ControlPenalties,
-        learned: WeighedPrior | None = None,
+        learned: GaussianPrior | None = None,
     ) -> None:
         penalty_scale = penalties.penalty_scale.to(rig.linear_map)
         super().__init__(rig, prior * penalty_scale, sparsity * penalty_scale, learned=learned)
@@ -62,8 +61,8 @@ class PenalisedObjective(Objective):
         offset = (units - self.neutral)[:, columns]
         return offset / (offset.square() + CORNER**2).sqrt()
 
-    def _preference(self, units: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        cost, gradient, curvature = super()._preference(units)
+    def _prior(self, units: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        cost, gradient, curvature = super()._prior(units)
         offset = units - self.neutral
         size = (offset.square() + CORNER**2).sqrt()
         cost = cost + self._symmetric(offset, gradient, curvature)

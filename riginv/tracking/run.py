@@ -9,9 +9,8 @@ from torch import Tensor
 from riginv.animation.animation import FrameErrors
 from riginv.clips.clip import Clip
 from riginv.errors import InputError
-from riginv.solvers.clip import solve_clip
+from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.levenberg_marquardt import Solution
-from riginv.solvers.smoothing import smoothed
 from riginv.tracking.alternation import WindowInverter, WindowResult, interpolate_controls, interpolate_motion
 from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.frame_evaluation import FrameEvaluator

@@ -1,19 +1,16 @@
 """Pictures of the worst and the median pose, in TensorBoard."""
 
-from typing import Any
+from typing import cast
 
 import lightning as L
 import numpy as np
 import torch
 from lightning.pytorch.loggers import TensorBoardLogger
-from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from PIL import Image
-from torch.utils.tensorboard.summary import hparams
 
-from riginv.launch.sweep_hparams import RESULT
 from riginv.meshes.rendering import Pair, comparison
 from riginv.rig.batches import PoseBatch
-from riginv.runs.tables import sets_of
+from riginv.training.data import PoseDataModule
 from riginv.training.module import RigModule
 
 
@@ -27,12 +24,15 @@ class PosePictures(L.Callback):
     def __init__(self, every_n_validations: int) -> None:
         self.every_n_validations, self.validations = every_n_validations, 0
 
-    def on_validation_end(self, trainer: L.Trainer, module: RigModule) -> None:
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        assert isinstance(module, RigModule) and isinstance(module.logger, TensorBoardLogger)
         self.validations += 1
         if self.validations % self.every_n_validations and trainer.global_step < trainer.max_steps:
             return
-        for name, batch in trainer.datamodule.validation.items():
-            picture = worst_and_median(module, {key: values.to(module.device) for key, values in batch.items()})
+        data: PoseDataModule = trainer.datamodule  # type: ignore[attr-defined]  # set by fit
+        for name, batch in data.validation.items():
+            moved = {key: cast(torch.Tensor, values).to(module.device) for key, values in batch.items()}
+            picture = worst_and_median(module, cast(PoseBatch, moved))
             module.logger.experiment.add_image(f"poses/{name}", np.asarray(picture), trainer.global_step, dataformats="HWC")
 
 
@@ -43,30 +43,3 @@ def worst_and_median(module: RigModule, batch: PoseBatch) -> Image.Image:
     order = (results - targets).norm(dim=2).mean(dim=1).argsort(descending=True).tolist()
     rows = {"worst: target": order[0], "median: target": order[len(order) // 2]}
     return comparison(module.true_rig, [Pair(label, targets[row], results[row]) for label, row in rows.items()])
-
-
-@rank_zero_only
-def log_choices(logger: TensorBoardLogger, config: dict[str, Any]) -> None:
-    """Log a plain config as flat hyper-parameters."""
-    choices = _flat(config)
-    logger.log_hyperparams(choices)  # for hparams.yaml
-    _, begun, ended = hparams(choices, {})  # the first would fix the columns by this run alone
-    for summary in (begun, ended):
-        logger.experiment.file_writer.add_summary(summary)
-
-
-def log_results(logger: TensorBoardLogger, metrics: dict[str, float], step: int) -> None:
-    """Log every final metric: the results' columns."""
-    known = {f"{RESULT}/{key}": value for key, value in metrics.items() if key.split("/")[0] in sets_of(metrics)}
-    logger.log_metrics(known, step)
-    logger.save()
-
-
-def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in config.items():
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value if isinstance(value, bool | int | float | str) else str(value)
-    return flat

@@ -131,8 +131,8 @@ def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int
     count = len(animation)
     if count <= most:
         return list(range(count))
-    looked_at = evaluated_rows(animation, errors)
-    wanted = [looked_at[row] for row in [*errors.worst(WORST), *errors.flagged] if looked_at[row] is not None]
+    rows = evaluated_rows(animation, errors)
+    wanted = [row for each in [*errors.worst(WORST), *errors.flagged] if (row := rows[each]) is not None]
     kept = set(wanted[: most // 4])
     spread = np.linspace(0, count - 1, most - len(kept)).round().astype(int).tolist()
     return sorted(kept | set(spread))

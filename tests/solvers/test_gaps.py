@@ -8,10 +8,9 @@ import torch
 from riginv.meshes.metrics import roughness
 from riginv.rig.batches import generator_at
 from riginv.solvers.band import LONGEST_GAP, second_difference_bands, second_differences, spans, usual_steps
-from riginv.solvers.clip import solve_clip
+from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.objective import Objective
-from riginv.solvers.smoothing import smoothed
 from riginv.tracking.alternation import interpolate_controls
 from tests.solvers.test_solvers import moving
 from tests.support.toys import ToyRig

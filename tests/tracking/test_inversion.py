@@ -276,13 +276,13 @@ def test_the_gradient_of_preferences_is_that_of_their_cost(rig):
     objective = PenalisedObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, penalties)
     objective.exclusive_penalty, objective.symmetric_penalty = 20.0, 30.0
     units = 0.2 + 0.6 * torch.rand(3, 7, generator=generator_at(0, "units"), dtype=torch.float64)
-    _, gradient, _ = objective._preference(units)
+    _, gradient, _ = objective._prior(units)
     step = 1e-6
     for column in range(7):
         ahead, behind = units.clone(), units.clone()
         ahead[:, column] += step
         behind[:, column] -= step
-        derivative = (objective._preference(ahead)[0] - objective._preference(behind)[0]) / (2 * step)
+        derivative = (objective._prior(ahead)[0] - objective._prior(behind)[0]) / (2 * step)
         assert torch.allclose(derivative, gradient[:, column], rtol=1e-4, atol=1e-4)
 
 

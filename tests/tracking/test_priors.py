@@ -8,8 +8,7 @@ from riginv.errors import InputError
 from riginv.rig.interface import Control
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes
-from riginv.solvers.objective import Objective
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import GaussianPrior, Objective
 from riginv.tracking.priors.files import FACTS, NUMBERS, load_prior, save_prior
 from riginv.tracking.priors.performances import PoseLibrary, default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
@@ -85,7 +84,7 @@ def test_a_heavy_prior_pulls_a_solver_to_its_mean():
     rig = ToyRig()
     in_space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     mean = torch.full((7,), 0.4, dtype=torch.float64)
-    objective = Objective(in_space, learned=WeighedPrior(mean, 1e4 * torch.eye(7, dtype=torch.float64)))
+    objective = Objective(in_space, learned=GaussianPrior(mean, 1e4 * torch.eye(7, dtype=torch.float64)))
     found = refine_meshes(objective, torch.zeros(1, in_space.space.size), torch.full((1, 7), 0.2), 20)
     torch.testing.assert_close(found.units[0], mean.float(), atol=0.02, rtol=0)
 

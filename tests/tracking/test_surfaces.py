@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from riginv.solvers.band import second_difference_bands, second_differences
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import independent_measurements
 from riginv.tracking.surfaces.alignment import Aligner
@@ -30,7 +30,7 @@ def rig() -> ToyRig:
 @pytest.fixture(scope="module")
 def fit(rig) -> SurfaceFit:
     prior = default_prior(rig)
-    return SurfaceFit(RigSurface(rig, 400), WeighedPrior(prior.mean, 1e-5 * prior.precision))
+    return SurfaceFit(RigSurface(rig, 400), GaussianPrior(prior.mean, 1e-5 * prior.precision))
 
 
 def near(fit: SurfaceFit, seed: int = 0) -> Linearised:

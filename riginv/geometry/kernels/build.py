@@ -1,6 +1,6 @@
-"""Compile the kernels: when riginv is installed, and for a source tree when they are first used.
+"""Compile the kernels: on installation, or on first use in a source tree.
 
-The standard library alone is imported here: an installer runs this before any dependency of riginv is there.
+Imports the standard library only: an installer runs this before riginv's dependencies are installed.
 """
 
 import hashlib
@@ -14,9 +14,9 @@ from pathlib import Path
 
 SOURCE = Path(__file__).parent / "source"
 FLAGS = ("-std=c11", "-O3", "-shared", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
-# Each processor gets the last of these that it can run. Instructions of a machine are named, not "native": an installed
-# library may be copied to another machine.
-LEVELS = {"plain": ()}
+# A processor runs the last of these that it supports. They are named, not "native": an installed library may be copied to
+# another machine.
+LEVELS: dict[str, tuple[str, ...]] = {"plain": ()}
 if platform.machine().lower() in ("x86_64", "amd64"):
     LEVELS["avx2"] = ("-mavx2", "-mfma", "-mf16c")
 ENDING = ".dll" if sys.platform == "win32" else ".so"
@@ -28,7 +28,7 @@ class CompilationError(RuntimeError):
 
 
 def source_digest() -> str:
-    """Of the kernels' source and of how it is compiled: a library says which source it is made of."""
+    """The digest of the kernels' source and compiler flags, which a compiled library holds."""
     digest = hashlib.sha256(repr((FLAGS, LEVELS)).encode())
     for path in sorted(SOURCE.iterdir()):
         if path.suffix in (".c", ".h"):
@@ -37,7 +37,7 @@ def source_digest() -> str:
 
 
 def library_name(level: str) -> str:
-    """Of the compiled file for a level of instructions."""
+    """The file name of the library for a level of instructions."""
     return f"compiled-{level}{ENDING}"
 
 
@@ -53,7 +53,7 @@ def find_compiler() -> list[str] | None:
 
 
 def compile_library(out: Path, level: str) -> None:
-    """Compile the kernels into a file, which is whole or not there.
+    """Compile the kernels into a file, atomically.
 
     Args:
         out: the shared library.

@@ -1,4 +1,4 @@
-"""The compiled kernels, found or compiled when they are first used, and whether they may be used for some tensors."""
+"""The compiled kernels, loaded or compiled on first use, and which tensors they can take."""
 
 import contextlib
 import ctypes
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,7 +17,7 @@ from torch.autograd import forward_ad
 from riginv.geometry.kernels.build import ENDING, LEVELS, CompilationError, compile_library, library_name, source_digest
 from riginv.runs.cache import cache_folder
 
-SWITCH = "RIGINV_KERNELS"  # an environment variable: 0 leaves all to PyTorch
+SWITCH = "RIGINV_KERNELS"  # environment variable: 0 turns the kernels off
 SUFFIXES = {torch.float32: "f32", torch.float64: "f64"}
 _pure: ContextVar[bool] = ContextVar("pure_torch", default=False)
 
@@ -33,17 +34,17 @@ class Kernels:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.library = ctypes.CDLL(str(path))  # calls release Python's lock: threads compute at the same time
-        self.functions: dict[tuple[str, torch.dtype], ctypes._CFuncPtr] = {}
+        self.library = ctypes.CDLL(str(path))  # calls release Python's lock, so threads run in parallel
+        self.functions: dict[tuple[str, torch.dtype], Any] = {}
 
     def call(self, name: str, dtype: torch.dtype, *arguments: Tensor | int | None) -> int:
         """Call a kernel by its name in the source, in float32 or float64.
 
         Args:
-            arguments: tensors are passed as the addresses of their first numbers.
+            arguments: tensors are passed by the address of their first element.
 
         Returns:
-            0, or what else the kernel says by a number above 1.
+            0, or a number above 1 with a meaning of the kernel's.
         """
         function = self.functions.get((name, dtype))
         if function is None:
@@ -63,7 +64,7 @@ class Kernels:
 
 @contextmanager
 def pure_torch() -> Iterator[None]:
-    """Within it everything is computed by PyTorch alone: for tracing, and for derivatives of derivatives."""
+    """A context without kernels: for tracing, and for derivatives of derivatives."""
     token = _pure.set(True)
     try:
         yield
@@ -72,10 +73,7 @@ def pure_torch() -> Iterator[None]:
 
 
 def kernels_for(*tensors: Tensor) -> Kernels | None:
-    """The kernels, where they can compute with these tensors: on a CPU, all of float32 or all of float64; else None.
-
-    Tensors of whole numbers, which are indices, must be int64.
-    """
+    """The kernels, if they can take these tensors: on a CPU, all of float32 or all of float64, indices of int64; else None."""
     if _pure.get() or torch.compiler.is_compiling() or is_transformed(tensors):
         return None
     dtype = tensors[0].dtype
@@ -88,7 +86,7 @@ def kernels_for(*tensors: Tensor) -> Kernels | None:
 
 
 def is_transformed(tensors: Sequence[Tensor]) -> bool:
-    """Whether PyTorch follows tensors in a way that kernels know nothing of: a batch of vmap, or tangents of forward mode."""
+    """Whether tensors are part of a vmap or of forward-mode differentiation, which kernels do not support."""
     if torch._C._functorch.maybe_current_level() is not None:
         return True
     if not all(torch._C._has_storage(tensor) for tensor in tensors):  # torch.autograd's own vmap
@@ -97,24 +95,24 @@ def is_transformed(tensors: Sequence[Tensor]) -> bool:
 
 
 def plain_rows(values: Tensor) -> Tensor:
-    """Values `(batch, number)` without a graph, the numbers of each row side by side."""
+    """Values `(batch, number)` without a graph, each row contiguous."""
     values = values.detach() if values.requires_grad else values
     return values if values.stride(-1) == 1 and values.stride(0) >= values.shape[-1] else values.contiguous()
 
 
 def kernels() -> Kernels | None:
-    """The kernels that this machine can run; None where they are switched off, or cannot be compiled."""
+    """The kernels for this machine; None where they are turned off or cannot be compiled."""
     return None if os.environ.get(SWITCH) == "0" else _found()[0]
 
 
 def why_not() -> str:
-    """Why there are no kernels, in a few words; empty where there are."""
+    """The reason why there are no kernels; empty where there are."""
     return f"{SWITCH}=0" if os.environ.get(SWITCH) == "0" else _found()[1]
 
 
 @functools.cache
 def _found() -> tuple[Kernels | None, str]:
-    """The kernels, and why there are none."""
+    """The kernels, or the reason why there are none."""
     levels = [level for level in reversed(LEVELS) if _runs(level)]
     digest = source_digest()
     installed = [Path(__file__).parent / library_name(level) for level in levels]
@@ -135,29 +133,29 @@ def _compiled_here(level: str, digest: str) -> Path:
 
 
 def _load(path: Path, digest: str) -> Kernels | None:
-    """The library at a path, where it is there, the user's or the installation's own, and made of the present source."""
-    if not path.is_file() or _is_anothers(path):
+    """The library at a path, if it exists, belongs to this user or root, and was compiled from the present source."""
+    if not path.is_file() or _is_foreign(path):
         return None
     with contextlib.suppress(OSError, AttributeError):
         found = Kernels(path)
-        says = found.library.riginv_source
-        says.restype = ctypes.c_char_p
-        if (says() or b"").decode() == digest:
+        source = found.library.riginv_source
+        source.restype = ctypes.c_char_p
+        if (source() or b"").decode() == digest:
             return found
     return None
 
 
-def _is_anothers(path: Path) -> bool:
-    """Whether a library belongs to another user than root or this one: what it holds would run."""
+def _is_foreign(path: Path) -> bool:
+    """Whether a file belongs to another user than root or this one: its code would run."""
     return hasattr(os, "getuid") and path.stat().st_uid not in (0, os.getuid())
 
 
 def _runs(level: str) -> bool:
-    """Whether the processor has the instructions of a level."""
+    """Whether the processor supports the instructions of a level."""
     return level == "plain" or torch.backends.cpu.get_cpu_capability() in ("AVX2", "AVX512")
 
 
 def pure_gradients(function: Callable[[Tensor], Tensor], given: Tensor, gradient: Tensor) -> Tensor:
-    """A gradient of `function(given)` as one of `given` that has derivatives itself: by PyTorch alone."""
+    """The vector-Jacobian product of `function` at `given`, itself differentiable, without kernels."""
     with pure_torch(), torch.enable_grad():
         return torch.autograd.grad(function(given), given, gradient, create_graph=True)[0]

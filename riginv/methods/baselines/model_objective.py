@@ -27,7 +27,7 @@ class ModelObjective:
         self.prior, self.sparsity = prior * vertex_count, sparsity * vertex_count
         self.neutral = torch.zeros(len(model.sides), dtype=torch.float64)
 
-    def at_once(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
+    def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
         """The results of tasks that ask this objective, one after the other."""
         return [task() for task in tasks]
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import GaussianPrior
 
 RIDGE = 1e-4  # added to every variance: a control that never moved may still move by a hundredth of its range
 RADIUS_MM = 6.0  # within which errors of measurements are shared
@@ -42,7 +42,7 @@ class ControlPrior:
         """Standard deviations `(control,)`."""
         return self.covariance.diagonal().sqrt()
 
-    def weighed(self, noise_mm: float, measurements: float) -> "WeighedPrior":
+    def weighed(self, noise_mm: float, measurements: float) -> "GaussianPrior":
         """The prior as a cost beside the mean squared distance of some measurements.
 
         With independent errors of standard deviation `noise_mm` the most likely controls minimise
@@ -52,7 +52,7 @@ class ControlPrior:
             noise_mm: standard deviation of a measurement's error, mm, what the rig cannot make included.
             measurements: how many independent ones there are (`independent_measurements`).
         """
-        return WeighedPrior(self.mean, noise_mm**2 / max(measurements, 1.0) * self.precision)
+        return GaussianPrior(self.mean, noise_mm**2 / max(measurements, 1.0) * self.precision)
 
     def subset(self, controls: Tensor) -> "ControlPrior":
         """The marginal prior of some controls, by their indices `(some,)`."""

@@ -13,10 +13,9 @@ from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_sets import WeightedShapes
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.solvers.clip import solve_clip
+from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.every_mesh import solve_frames
 from riginv.solvers.objective import Objective
-from riginv.solvers.smoothing import smoothed
 
 SMOOTHNESS, STEPS, BLUR = 1.5, 4, 3.0  # of a recording's curves, as in riginv.invert
 READING = ReadingOptions(unknown="ignore_new")  # columns that are no controls of the rig do not matter
@@ -60,4 +59,4 @@ def _inverted(recording: WeightedShapes, rig: LinearRig, part: slice) -> Tensor:
     objective = Objective(in_space)
     coordinates = torch.cat([in_space.space.encode(vertices) for _, vertices in recording.batches()])
     found = solve_frames(objective, coordinates, rounds=0)
-    return objective.own_units(solve_clip(objective, coordinates, smoothed(found, BLUR), SMOOTHNESS, STEPS))
+    return objective.to_controls(solve_clip(objective, coordinates, smoothed(found, BLUR), SMOOTHNESS, STEPS))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from riginv.solvers.box_step import box_step, damping_diagonal
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.surfaces.matching import Pairs, Target, as_tensor, match
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.rig_surface import RigSurface
@@ -83,7 +83,7 @@ class SurfaceFit:
         base: ridge, mm^2 for a control that leaves neutral by its whole range.
     """
 
-    def __init__(self, rig: RigSurface, prior: WeighedPrior | None, moves: bool = True, base: float = 1e-6) -> None:
+    def __init__(self, rig: RigSurface, prior: GaussianPrior | None, moves: bool = True, base: float = 1e-6) -> None:
         self.surface, self.moves = rig, moves
         backend = rig.rig
         self.lower = backend.lower.double().cpu()
@@ -92,9 +92,9 @@ class SurfaceFit:
         count = len(self.span)
         ridge = base * torch.eye(count, dtype=torch.float64)
         if prior is None:
-            self.prior = WeighedPrior(self.neutral, ridge)
+            self.prior = GaussianPrior(self.neutral, ridge)
         else:
-            self.prior = WeighedPrior(prior.mean.double(), prior.precision.double() + ridge)
+            self.prior = GaussianPrior(prior.mean.double(), prior.precision.double() + ridge)
 
     def controls(self, units: Tensor) -> Tensor:
         """Controls in their own units, within the limits of the rig."""

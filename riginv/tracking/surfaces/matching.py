@@ -18,6 +18,7 @@ class Pairs(NamedTuple):
     """Pairs of points in the rig's frame, i.e. without rigid motion.
 
     Attributes:
+        from_rig: number of pairs, the first ones, from samples of the rig to the scan.
         corners, barycentric: points of the rig as vertex indices and weights, `(pair, 3)`.
         points: of the rig, `(pair, 3)`, mm.
         normals: along which distances are measured, `(pair, 3)`.
@@ -25,9 +26,9 @@ class Pairs(NamedTuple):
         distance: of the two points, `(pair,)`, mm.
         weights: `(pair,)`; they would sum to 1 if all pairs were good.
         on_border: whether the closest point lies on a border, `(pair,)`.
-        from_rig: number of pairs, the first ones, from samples of the rig to the scan.
     """
 
+    from_rig: int
     corners: np.ndarray
     barycentric: np.ndarray
     points: np.ndarray
@@ -36,7 +37,6 @@ class Pairs(NamedTuple):
     distance: np.ndarray
     weights: np.ndarray
     on_border: np.ndarray
-    from_rig: int
 
     def rows(self, rig: RigSurface) -> Tensor:
         """Derivatives of the rig's points along the normals by the coefficients, `(pair, coefficient)`."""
@@ -88,14 +88,12 @@ def match(rig: RigSurface, posed: Posed, target: Target, motion: Motion, scale_m
     corners = np.repeat(sampled[:, None], 3, axis=1)
     first_corner = np.zeros((len(sampled), 3))
     first_corner[:, 0] = 1
-    from_rig = _pairs(
-        start, normals, there.points, there.normals, there, scale_mm, degrees, corners, first_corner, len(sampled)
-    )
+    from_rig = _pairs(start, normals, there.points, there.normals, there, scale_mm, degrees, corners, first_corner)
     points, towards = motion.undo(target.points), motion.undo_direction(target.normals)
     here = mesh.closest(points)
-    from_scan = _pairs(here.points, here.normals, points, towards, here, scale_mm, degrees, here.corners, here.barycentric, 0)
+    from_scan = _pairs(here.points, here.normals, points, towards, here, scale_mm, degrees, here.corners, here.barycentric)
     fractions = np.repeat([FROM_RIG, 1 - FROM_RIG], [len(sampled), len(target.points)])
-    joined = Pairs(*(np.concatenate(both) for both in zip(from_rig[:-1], from_scan[:-1])), len(sampled))  # type: ignore[arg-type]
+    joined = Pairs(len(sampled), *(np.concatenate(both) for both in zip(from_rig, from_scan)))
     return joined._replace(weights=joined.weights * fractions / fractions.sum())
 
 
@@ -109,14 +107,14 @@ def _pairs(
     degrees: float,
     corners: np.ndarray,
     weights: np.ndarray,
-    from_rig: int,
-) -> Pairs:
+) -> list[np.ndarray]:
+    """The arrays of `Pairs`."""
     cosine = (our_normals * their_normals).sum(axis=1)
     good = (cosine > np.cos(np.radians(degrees))) & ~hits.on_border
     residual = ((ours - theirs) * our_normals).sum(axis=1)  # the normals of a scan are noisy
     robust = 1 / (1 + (hits.distance / scale_mm) ** 2) ** 2
     robust = np.where(good, robust, 0.0)
-    return Pairs(corners, weights, ours, our_normals, residual, hits.distance, robust, hits.on_border, from_rig)
+    return [corners, weights, ours, our_normals, residual, hits.distance, robust, hits.on_border]
 
 
 def as_tensor(values: np.ndarray) -> Tensor:

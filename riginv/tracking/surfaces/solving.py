@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from riginv.rig.interface import LinearRig
-from riginv.solvers.weighed_prior import WeighedPrior
+from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.priors.performances import STRONG, PoseLibrary
 from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.surfaces.alignment import Aligner
@@ -109,7 +109,7 @@ class ScanSolver:
 
     def fit_of(self, measurements: float) -> SurfaceFit:
         """The fit of a scan with a number of independent measurements."""
-        weighed: WeighedPrior = self.prior.weighed(self.settings.noise_mm, measurements)
+        weighed: GaussianPrior = self.prior.weighed(self.settings.noise_mm, measurements)
         return SurfaceFit(self.surface, weighed, self.moves, self.settings.base)
 
     def solve(self, target: Target, before: SolvedScan | None = None) -> SolvedScan:

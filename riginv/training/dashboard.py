@@ -1,0 +1,99 @@
+"""TensorBoard: a page of charts to watch, the choices of a run as few columns, and its results."""
+
+import re
+from typing import Any
+
+import lightning as L
+import torch
+from hydra.core.hydra_config import HydraConfig
+from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.utilities.rank_zero import rank_zero_only
+from torch.utils.tensorboard.summary import hparams
+
+from riginv.launch.sweep_hparams import NAMED_COLUMNS, RESULT
+from riginv.runs.tables import sets_of
+from riginv.training.module import RigModule
+
+MEAN, NEUTRAL, OPTIMUM = (f"{name}mean_vertex_error_mm" for name in ("", "neutral_", "optimum_"))
+Layout = dict[str, dict[str, list[Any]]]
+
+
+class Dashboard(L.Callback):
+    """The page CUSTOM SCALARS: errors of each validation set beside neutral's and the optimum, loss, learning rate."""
+
+    def __init__(self) -> None:
+        self.neutral_mm: dict[str, float] = {}
+
+    @rank_zero_only
+    def on_train_start(self, trainer: L.Trainer, module: RigModule) -> None:
+        self.neutral_mm = neutral_errors(trainer, module)
+        module.logger.experiment.add_custom_scalars(layout(list(self.neutral_mm)))
+        self._log_neutral(trainer, module)
+
+    @rank_zero_only
+    def on_validation_end(self, trainer: L.Trainer, module: RigModule) -> None:
+        self._log_neutral(trainer, module)
+
+    def _log_neutral(self, trainer: L.Trainer, module: RigModule) -> None:
+        for name, error in self.neutral_mm.items():
+            module.logger.experiment.add_scalar(f"val/{name}/{NEUTRAL}", error, trainer.global_step)
+
+
+def layout(names: list[str]) -> Layout:
+    """TensorBoard's layout of charts for the validation sets `names`; tags in it are regular expressions."""
+    sets = {
+        f"{name.replace('_', ' ')}: mean error, mm": [
+            "Multiline",
+            [f"^val/{re.escape(name)}/{key}$" for key in (MEAN, NEUTRAL, OPTIMUM)],
+        ]
+        for name in names
+    }
+    training = {
+        "loss": ["Multiline", ["^train/loss$", "^train/epoch_loss$"]],
+        "root mean square error, mm": ["Multiline", ["^train/rms_vertex_error_mm$"]],
+        "learning rate": ["Multiline", ["^lr-"]],
+    }
+    return {"Validation, against neutral and the optimum": sets, "Training": training}
+
+
+@torch.no_grad()
+def neutral_errors(trainer: L.Trainer, module: RigModule) -> dict[str, float]:
+    """The mean vertex error of neutral controls on each validation set, mm."""
+    space = module.rig.space
+    return {
+        name: float((space.decode(batch["coordinates"].to(module.device)) - space.rest_vertices).norm(dim=2).mean())
+        for name, batch in trainer.datamodule.validation.items()
+    }
+
+
+@rank_zero_only
+def log_choices(logger: TensorBoardLogger, config: dict[str, Any]) -> None:
+    """Log a plain config: all of it to hparams.yaml, the named columns and what the command line set to HPARAMS."""
+    choices = _flat(config)
+    logger.log_hyperparams(choices)
+    typed = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    keys = {*NAMED_COLUMNS, *(override.lstrip("+").partition("=")[0] for override in typed)}
+    _, begun, ended = hparams({key: choices[key] for key in choices if key in keys}, {})
+    for summary in (begun, ended):  # without the first of the three, which would fix the columns by this run alone
+        logger.experiment.file_writer.add_summary(summary)
+
+
+def log_results(logger: TensorBoardLogger, metrics: dict[str, float], step: int) -> None:
+    """Log every final metric, and the optimum of each set as a line through its chart."""
+    names = sets_of(metrics)
+    logger.log_metrics({f"{RESULT}/{key}": value for key, value in metrics.items() if key.split("/")[0] in names}, step)
+    for name in names:
+        if (optimum := metrics.get(f"{name}/{OPTIMUM}")) is not None:
+            for end in (0, step):
+                logger.experiment.add_scalar(f"val/{name}/{OPTIMUM}", optimum, end)
+    logger.save()
+
+
+def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = value if isinstance(value, bool | int | float | str) else str(value)
+    return flat
