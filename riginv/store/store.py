@@ -1,12 +1,10 @@
 """A store of poses: begun once, filled chunk by chunk, read by chunks."""
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping
 from typing import Any
 
-import google_crc32c
 import numpy as np
 import torch
 import zarr
@@ -16,6 +14,7 @@ from riginv.config.aliases import upgraded
 from riginv.errors import InputError
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
+from riginv.runs.checksums import crc32c, text_sha256
 from riginv.runs.files import discard
 from riginv.store.layout import BASIS, FORMAT, LEDGER, NEUTRAL, Layout
 from riginv.store.place import Place
@@ -71,7 +70,7 @@ class PoseStore:
             raise InputError(
                 f"{place}: a store of format {facts.get('format')!r}, and this riginv has format {FORMAT}: sample another store"
             )
-        if attributes.get(SUM) != description_sum(facts):
+        if attributes.get(SUM) != text_sha256(json.dumps(facts, sort_keys=True)):
             raise DamagedError(f"{place}/zarr.json: altered since it was written (SHA-256 differs): sample another store")
         return cls(place, group, upgraded(facts))
 
@@ -118,7 +117,7 @@ class PoseStore:
             DamagedError: it cannot be read, or is not what was written.
         """
         values = self.read(name, chunk)
-        if checksum(values) != row[1 + self.layout.checked.index(name)]:
+        if crc32c(values) != row[1 + self.layout.checked.index(name)]:
             what = "missing" if not np.isfinite(values.flat[0]) else "not what was written"
             raise DamagedError(f"{self}: chunk {chunk} of '{name}' is {what}: {AGAIN}")
         return values
@@ -178,7 +177,7 @@ class PoseStore:
         Raises:
             InputError: it cannot be written.
         """
-        sums = [checksum(values[name]) for name in self.layout.checked]
+        sums = [crc32c(values[name]) for name in self.layout.checked]
         with self.place.writing():
             self.arrays[LEDGER][chunk] = 0  # while it is written it is absent
             for name in self.layout.checked:
@@ -202,23 +201,13 @@ class PoseStore:
         return BlackBoxRig(rig, self.constant(BASIS).to(rig.rest_vertices))
 
 
-def checksum(values: np.ndarray) -> int:
-    """The CRC-32C of an array's numbers."""
-    return google_crc32c.value(np.ascontiguousarray(values).view(np.uint8).reshape(-1))
-
-
-def description_sum(facts: dict[str, Any]) -> str:
-    """The SHA-256 of a description."""
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-
-
 def _make(store: Any, layout: Layout, facts: dict[str, Any], constants: dict[str, np.ndarray]) -> None:
     group = zarr.open_group(store, mode="w", zarr_format=3)
     for name, plan in layout.plans().items():
         array = plan.create_in(group, name)
         if name in constants:
             array[:] = constants[name]
-    group.update_attributes({ATTRIBUTE: facts, SUM: description_sum(facts)})  # last: now it is begun
+    group.update_attributes({ATTRIBUTE: facts, SUM: text_sha256(json.dumps(facts, sort_keys=True))})  # last: now it is begun
 
 
 def _planned(place: Place, group: zarr.Group, name: str, plan: Any) -> zarr.Array:
