@@ -76,7 +76,7 @@ class Animation:
         return (self.frame_numbers - self.frame_numbers[0]).double() / self.fps
 
 
-class Reach(NamedTuple):
+class SampledOptimum(NamedTuple):
     """The least error that the rig can reach, on a few frames.
 
     Attributes:
@@ -110,16 +110,16 @@ class FrameErrors:
     flags: list[list[str]]
     frame_numbers: Tensor | None = None
     neutral_mm: Tensor | None = None
-    reach: Reach | None = None
+    optimum: SampledOptimum | None = None
 
     def summary(self) -> dict[str, float]:
         """The mean errors over all frames that are known, mm, and on those whose least error is."""
         found = {"mean_error_mm": self.mean_mm, "max_error_mm": self.max_mm, "neutral_mean_error_mm": self.neutral_mm}
         values = {key: float(errors.nanmean()) for key, errors in found.items() if errors is not None}
         values["max_error_mm"] = float(self.max_mm.nan_to_num(0.0).max())
-        if self.reach is not None:
-            values["least_mean_error_mm"] = float(self.reach.least_mm.mean())
-            values["mean_error_there_mm"] = float(self.mean_mm[self.reach.rows].mean())
+        if self.optimum is not None:
+            values["least_mean_error_mm"] = float(self.optimum.least_mm.mean())
+            values["mean_error_there_mm"] = float(self.mean_mm[self.optimum.rows].mean())
         return values
 
     @property

@@ -7,9 +7,9 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from riginv.animation.animation import Animation
-from riginv.animation.resampling import unbroken
+from riginv.animation.resampling import fill_gaps
 from riginv.animation.skeletons import LocalPoses, local_poses
-from riginv.animation.text import without_jumps
+from riginv.animation.text import unwrap_angles
 from riginv.errors import InputError
 from riginv.geometry.kinematics import Skeleton
 from riginv.rig.interface import RigBackend
@@ -33,9 +33,10 @@ def write(path: Path, animation: Animation) -> None:
     A BVH cannot leave frames out: gaps between them are filled.
     """
     skeleton = animation.rig.skeleton()
-    poses = local_poses(skeleton, unbroken(animation))
+    assert skeleton is not None
+    poses = local_poses(skeleton, fill_gaps(animation))
     turns = Rotation.from_matrix(poses.rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True)
-    turns = without_jumps(turns.reshape(*poses.rotations.shape[:2], 3))
+    turns = unwrap_angles(turns.reshape(*poses.rotations.shape[:2], 3))
     moving = _moving(poses)
     order = _order(skeleton)
     columns = []

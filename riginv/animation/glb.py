@@ -45,8 +45,8 @@ def _add_shapes(document: GlbDocument, animation: Animation, times: int) -> None
         rows = moved_vertices(deltas)
         target = document.sparse(len(deltas), rows.cpu().numpy(), (deltas[rows] * METRES).cpu().numpy())
         primitive["targets"].append({"POSITION": target})
-    mesh = {"name": animation.rig.name, "primitives": [primitive], "weights": [0.0] * len(shapes.names)}
-    mesh["extras"] = {"targetNames": shapes.names}
+    extras = {"targetNames": shapes.names}
+    mesh = {"name": animation.rig.name, "primitives": [primitive], "weights": [0.0] * len(shapes.names), "extras": extras}
     node = document.node({"name": animation.rig.name, "mesh": document.add("meshes", mesh)}, in_scene=True)
     document.channel(node, "weights", times, shapes.weights.cpu().numpy().reshape(-1, 1))
     if animation.motion is not None:

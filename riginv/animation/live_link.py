@@ -95,12 +95,13 @@ def nearest_weights(rig: RigBackend, deltas: Tensor, controls: Tensor) -> Tensor
     gram = flat @ flat.T
     size = gram.diagonal()
     size.copy_(torch.where(size > 0, size * (1 + RIDGE), 1.0))  # a shape without any size takes no part
-    along = rig.basis.flatten(1).double() @ flat.T if isinstance(rig, LinearRig) else None
+    linear = rig if isinstance(rig, LinearRig) else None
+    along = None if linear is None else linear.basis.flatten(1).double() @ flat.T
     found = []
-    for piece in controls.split(BATCH_SIZE):
-        if along is None:
-            aim = (rig(piece) - rig.rest_vertices).flatten(1).double() @ flat.T
+    for batch in controls.split(BATCH_SIZE):
+        if linear is None or along is None:
+            aim = (rig(batch) - rig.rest_vertices).flatten(1).double() @ flat.T
         else:
-            aim = (rig.coefficients(piece) - rig.neutral_coefficients()).double() @ along
+            aim = (linear.coefficients(batch) - linear.neutral_coefficients()).double() @ along
         found.append(bounded_least_squares(gram, aim))
     return torch.cat(found).cpu()

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from riginv.animation.animation import Animation
-from riginv.animation.text import digits, moves_and_turns
+from riginv.animation.text import digits, rigid_motion_columns
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from riginv.runs.files import write_text
 
 FILE = "curves.anim"
-TIME_UNITS = {15: "game", 24: "film", 25: "pal", 30: "ntsc", 48: "show", 50: "palf", 60: "ntscf"}
+TIME_UNITS: dict[float, str] = {15: "game", 24: "film", 25: "pal", 30: "ntsc", 48: "show", 50: "palf", 60: "ntscf"}
 OUTPUTS = {"": "unitless", "deg": "angular", "mm": "linear"}
 MOTION = ("translateX", "translateY", "translateZ", "rotateX", "rotateY", "rotateZ")
 
@@ -51,7 +51,7 @@ def write(path: Path, animation: Animation) -> None:
         name = legal(control.name)
         lines += _curve(name, name, f"{legal(rig.name)}_controls", number, OUTPUTS.get(control.unit, "unitless"))
         lines += _keys(times, values, rows)
-    motion = moves_and_turns(animation)
+    motion = rigid_motion_columns(animation)
     if motion is not None:
         for number, (name, values) in enumerate(zip(MOTION, digits(np.ascontiguousarray(motion.T)))):
             full = f"{name[:-1]}.{name}"

@@ -33,7 +33,7 @@ def resampled(animation: Animation, fps: float) -> Animation:
     return _at(animation, np.arange(int(count)) / fps, torch.arange(first, first + int(count)), fps)
 
 
-def unbroken(animation: Animation) -> Animation:
+def fill_gaps(animation: Animation) -> Animation:
     """The animation with every frame from its first to its last, for formats that cannot leave any out."""
     first, last = int(animation.frame_numbers[0]), int(animation.frame_numbers[-1])
     if last - first + 1 == len(animation):

@@ -40,7 +40,8 @@ def check_drawable(rig: RigBackend, name: str) -> None:
 def moving_shapes(animation: Animation) -> Shapes:
     """Every shape that a rig drives directly, and of those that correct these the ones that move in this animation."""
     rig = animation.rig
-    weights = torch.cat([rig.coefficients(piece) for piece in animation.controls.split(BATCH_SIZE)])
+    assert isinstance(rig, LinearRig)
+    weights = torch.cat([rig.coefficients(batch) for batch in animation.controls.split(BATCH_SIZE)])
     kept = (weights.abs() > STILL).any(dim=0)
     kept[: rig.primary_count] = True
     names = [name for name, keep in zip(rig.coefficient_names, kept.tolist()) if keep]

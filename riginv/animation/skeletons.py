@@ -26,7 +26,7 @@ class LocalPoses(NamedTuple):
 @torch.no_grad()
 def local_poses(skeleton: Skeleton, animation: Animation) -> LocalPoses:
     """The poses of an animation's joints; the rigid motion that was removed is put back, onto the root."""
-    worlds = torch.cat([skeleton.pose(piece) for piece in animation.controls.split(BATCH_SIZE)]).double().cpu()
+    worlds = torch.cat([skeleton.pose(batch) for batch in animation.controls.split(BATCH_SIZE)]).double().cpu()
     if animation.motion is not None:
         motion = animation.motion.double().cpu()[:, None]
         turned = motion[..., :3, :3] @ worlds

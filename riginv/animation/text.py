@@ -5,8 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from riginv.animation.animation import Animation
 
-MOVE_COLUMNS = ("motion_x_mm", "motion_y_mm", "motion_z_mm")
-TURN_COLUMNS = ("motion_turn_x_deg", "motion_turn_y_deg", "motion_turn_z_deg")
+TRANSLATION_COLUMNS = ("motion_x_mm", "motion_y_mm", "motion_z_mm")
+ROTATION_COLUMNS = ("motion_turn_x_deg", "motion_turn_y_deg", "motion_turn_z_deg")
 
 
 def digits(values: np.ndarray) -> list[list[str]]:
@@ -14,7 +14,7 @@ def digits(values: np.ndarray) -> list[list[str]]:
     return [[f"{value:.7g}" for value in row] for row in (np.asarray(values, np.float64) + 0.0).tolist()]
 
 
-def moves_and_turns(animation: Animation) -> np.ndarray | None:
+def rigid_motion_columns(animation: Animation) -> np.ndarray | None:
     """The rigid motion as `(frame, 6)`: along x, y, z, mm, and about x, y, z, degrees; None where nothing was removed.
 
     It turns about x first, then about y, then about z, about axes that stay (Maya's rotate order xyz, Blender's XYZ), and
@@ -24,10 +24,10 @@ def moves_and_turns(animation: Animation) -> np.ndarray | None:
         return None
     motion = animation.motion.detach().cpu().double().numpy()
     turns = Rotation.from_matrix(motion[:, :3, :3]).as_euler("xyz", degrees=True)
-    return np.concatenate([motion[:, :3, 3], without_jumps(turns)], axis=1)
+    return np.concatenate([motion[:, :3, 3], unwrap_angles(turns)], axis=1)
 
 
-def without_jumps(turns: np.ndarray) -> np.ndarray:
+def unwrap_angles(turns: np.ndarray) -> np.ndarray:
     """Three angles each `(frame, ..., 3)`, degrees, of turns about three axes, as near to those of the frame before as can be.
 
     Whole turns may be added to each; and where the middle angle passes 90 degrees, a, b, c is the same as a + 180, 180 - b,

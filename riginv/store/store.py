@@ -1,12 +1,10 @@
 """Stores of poses, written and read chunk by chunk."""
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping
 from typing import Any
 
-import google_crc32c
 import numpy as np
 import torch
 import zarr
@@ -16,6 +14,7 @@ from riginv.config.aliases import upgraded
 from riginv.errors import InputError
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
+from riginv.runs.checksums import crc32c, text_sha256
 from riginv.runs.files import discard
 from riginv.store.layout import BASIS, FORMAT, LEDGER, NEUTRAL, Layout
 from riginv.store.location import StoreLocation
@@ -72,7 +71,7 @@ class PoseStore:
             raise InputError(
                 f"{location}: a store of format {other!r}, and this riginv has format {FORMAT}: sample another store"
             )
-        if attributes.get(SUM) != description_sum(facts):
+        if attributes.get(SUM) != text_sha256(json.dumps(facts, sort_keys=True)):
             raise DamagedError(f"{location}/zarr.json: altered since it was written (SHA-256 differs): sample another store")
         return cls(location, group, upgraded(facts))
 
@@ -122,7 +121,7 @@ class PoseStore:
             DamagedError: it cannot be read, or differs from what was written.
         """
         values = self.read(name, chunk)
-        if checksum(values) != row[1 + self.layout.checked.index(name)]:
+        if crc32c(values) != row[1 + self.layout.checked.index(name)]:
             what = "missing" if not np.isfinite(values.flat[0]) else "not what was written"
             raise DamagedError(f"{self}: chunk {chunk} of '{name}' is {what}: {AGAIN}")
         return values
@@ -183,9 +182,9 @@ class PoseStore:
         Raises:
             InputError: it cannot be written.
         """
-        sums = [checksum(values[name]) for name in self.layout.checked]
+        sums = [crc32c(values[name]) for name in self.layout.checked]
         with self.location.writing():
-            self.arrays[LEDGER][chunk] = 0  # absent while it is written
+            self.arrays[LEDGER][chunk] = 0  # while it is written it is absent
             for name in self.layout.checked:
                 self.arrays[name][self.layout.slice_of(name, chunk)] = values[name]
             self.arrays[LEDGER][chunk] = np.array([self.layout.count(chunk), *sums], np.uint32)
@@ -207,23 +206,13 @@ class PoseStore:
         return BlackBoxRig(rig, self.constant(BASIS).to(rig.rest_vertices))
 
 
-def checksum(values: np.ndarray) -> int:
-    """The CRC-32C of an array's numbers."""
-    return google_crc32c.value(np.ascontiguousarray(values).view(np.uint8).reshape(-1))
-
-
-def description_sum(facts: dict[str, Any]) -> str:
-    """The SHA-256 of a description."""
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-
-
 def _make(store: Any, layout: Layout, facts: dict[str, Any], constants: dict[str, np.ndarray]) -> None:
     group = zarr.open_group(store, mode="w", zarr_format=3)
     for name, plan in layout.plans().items():
         array = plan.create_in(group, name)
         if name in constants:
             array[:] = constants[name]
-    group.update_attributes({ATTRIBUTE: facts, SUM: description_sum(facts)})  # last: marks the store as created
+    group.update_attributes({ATTRIBUTE: facts, SUM: text_sha256(json.dumps(facts, sort_keys=True))})  # last: now it is begun
 
 
 def _planned(location: StoreLocation, group: zarr.Group, name: str, plan: Any) -> zarr.Array:

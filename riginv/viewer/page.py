@@ -50,7 +50,7 @@ class ClipSource(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Shown:
+class PageContents:
     """What a page holds of an inversion.
 
     Attributes:
@@ -73,12 +73,12 @@ def write_viewer(
     targets: Targets,
     advance: Callable[[int], None] | None = None,
     clip: ClipSource | None = None,
-) -> Shown:
+) -> PageContents:
     """Write the page.
 
     Args:
         targets: the meshes that were asked for, by the rows of the animation, in the rig's space (rigid motion removed).
-        advance: told how many meshes of `Shown.frames` were added.
+        advance: told how many meshes of `PageContents.frames` were added.
         clip: what was read of the clip.
 
     Returns:
@@ -123,7 +123,7 @@ def write_viewer(
     page = (HERE / "page.html").read_text(encoding="utf-8")
     page = SLOT.sub(lambda slot: parts[slot[1]], page)  # in one pass: what is put in is never looked at again
     write_text(path, page)
-    return Shown(len(rows), count, kept, len(rig.rest_vertices), note)
+    return PageContents(len(rows), count, kept, len(rig.rest_vertices), note)
 
 
 def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int]:
@@ -131,8 +131,8 @@ def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int
     count = len(animation)
     if count <= most:
         return list(range(count))
-    looked_at = evaluated_rows(animation, errors)
-    wanted = [looked_at[row] for row in [*errors.worst(WORST), *errors.flagged] if looked_at[row] is not None]
+    rows = evaluated_rows(animation, errors)
+    wanted = [row for each in [*errors.worst(WORST), *errors.flagged] if (row := rows[each]) is not None]
     kept = set(wanted[: most // 4])
     spread = np.linspace(0, count - 1, most - len(kept)).round().astype(int).tolist()
     return sorted(kept | set(spread))
@@ -198,7 +198,7 @@ def _figures(errors: FrameErrors) -> list[list[str]]:
     named = {
         "mean_error_mm": "mm mean error",
         "neutral_mean_error_mm": "mm at neutral",
-        "least_mean_error_mm": f"mm at least, on {0 if errors.reach is None else len(errors.reach.rows)} frames",
+        "least_mean_error_mm": f"mm at least, on {0 if errors.optimum is None else len(errors.optimum.rows)} frames",
         "max_error_mm": "mm worst vertex",
     }
     shown = [[name, f"{values[key]:.3g}"] for key, name in named.items() if key in values]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from riginv.errors import InputError
-from riginv.runs.files import sha256
+from riginv.runs.checksums import sha256
 
 PARTS = ("skin", "mouth", "left_eye", "right_eye", "upper_teeth", "lower_teeth", "tongue")
 PATH = Path(__file__).parent / "geometry.npz"

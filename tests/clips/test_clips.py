@@ -10,11 +10,10 @@ import torch
 
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
-from riginv.clips.picked import PickedVertices
 from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
+from riginv.clips.vertex_map import MappedVertices
 from riginv.errors import InputError
 from riginv.meshes.obj import read_points
 from rigs.gltf.rig import GltfRig
@@ -23,6 +22,7 @@ from tests.support.clips import (
     obj_sequence,
     performance,
     ply_sequence,
+    reading_options,
     write_animated_glb,
     write_mdd,
     write_npz,
@@ -44,11 +44,11 @@ def meshes(rig) -> np.ndarray:
 
 
 def opened(path, rig, **options) -> MeshSequence:
-    return open_sequence(str(path), rig, ReadingOptions(**options))
+    return open_sequence(str(path), rig, reading_options(**options))
 
 
 def as_clip(sequence, rig, unit="auto", up="auto", fps=None, **frames) -> Clip:
-    return Clip(sequence, meaning_of(sequence, rig, unit, 1.0, up, fps), **frames)
+    return Clip(sequence, resolve_units(sequence, rig, reading_options(unit=unit, up=up, fps=fps)), **frames)
 
 
 def written(kind: str, folder: Path, meshes: np.ndarray, faces: np.ndarray) -> str | Path:
@@ -155,7 +155,7 @@ def test_units_are_guessed_from_the_size_and_absurd_ones_called_out(rig, meshes,
     for unit, mm in (("cm", 10), ("m", 1000), ("dm", 100)):
         sequence = opened(write_npz(tmp_path / f"{unit}.npz", meshes / mm, faces), rig)
         clip = as_clip(sequence, rig)
-        assert clip.meaning.mm == mm and any(f"units of {unit} guessed" in note for note in clip.meaning.notes)
+        assert clip.units.mm == mm and any(f"units of {unit} guessed" in note for note in clip.units.notes)
         assert np.abs(clip.vertices(0, 12).numpy() - meshes).max() < 1e-4
     tiny = opened(write_npz(tmp_path / "tiny.npz", meshes / 500, faces), rig)
     with pytest.raises(InputError, match=r"tiny.npz.* 0.196 mm.*reading.unit"):
@@ -270,14 +270,14 @@ def test_vertices_are_picked_out_of_a_larger_mesh(rig, meshes, tmp_path):
     sequence = opened(write_npz(tmp_path / "a.npz", larger, np.zeros((0, 3), int)), rig)
     order[7] = -1
     (tmp_path / "order.txt").write_text(" ".join(map(str, order)))
-    picked = PickedVertices(sequence, tmp_path / "order.txt")
+    picked = MappedVertices(sequence, tmp_path / "order.txt")
     check_topology(picked, rig)
     found = picked.read(2, 5)
     assert np.isnan(found[:, 7]).all() and np.abs(np.delete(found - meshes[2:5], 7, axis=1)).max() < 1e-4
     for wrong in ("1 2 200", "1.5", "", "-2"):
         (tmp_path / "order.txt").write_text(wrong)
         with pytest.raises(InputError, match="order.txt: expected for each vertex"):
-            PickedVertices(sequence, tmp_path / "order.txt")
+            MappedVertices(sequence, tmp_path / "order.txt")
 
 
 def test_frames_that_do_not_rise_are_refused(rig, meshes, tmp_path):

@@ -11,10 +11,9 @@ import trimesh
 
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
-from riginv.clips.picked import read_picked
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
+from riginv.clips.vertex_map import read_vertex_map
 from riginv.config.folders import check_folder
 from riginv.inference.inverse import load_inverse
 from riginv.methods.comparison import HEADINGS, keep_rows, kept_rows, write_tables
@@ -36,6 +35,7 @@ from tests.inference.test_bundle import rewrite_sums
 from tests.support import sculpts
 from tests.support.clips import (
     performance,
+    reading_options,
     write_animated_glb,
     write_mdd,
     write_npz,
@@ -57,11 +57,11 @@ def toy() -> ToyRig:
 def read_clip(path: Path) -> np.ndarray:
     """As the command does: opened, compared with the rig, measured, and read window by window."""
     rig = toy()
-    sequence = open_sequence(str(path), rig, ReadingOptions())
+    sequence = open_sequence(str(path), rig, reading_options())
     check_topology(sequence, rig)
-    clip = Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", None))
-    pieces = [clip.vertices(start, min(start + 5, len(clip))).numpy() for start in range(0, len(clip), 5)]
-    found = np.concatenate(pieces)
+    clip = Clip(sequence, resolve_units(sequence, rig, reading_options()))
+    batches = [clip.vertices(start, min(start + 5, len(clip))).numpy() for start in range(0, len(clip), 5)]
+    found = np.concatenate(batches)
     assert found.shape[1:] == (len(rig.rest_vertices), 3) and found.dtype == np.float32
     return found
 
@@ -266,7 +266,7 @@ def _regions(folder: Path) -> Target:
 def _picked(folder: Path) -> Target:
     (folder / "p.txt").write_text("0 1 2 -1\n")
     np.save(folder / "p.npy", np.arange(4))
-    return Target(_files(folder), lambda: [read_picked(path, 42) for path in _files(folder)])
+    return Target(_files(folder), lambda: [read_vertex_map(path, 42) for path in _files(folder)])
 
 
 def _configs(folder: Path) -> Target:

@@ -19,7 +19,8 @@ from riginv.inference.bundle import copy_bundle, read_bundle
 from riginv.inference.inverse import load_inverse
 from riginv.rig.interface import RigBackend
 from riginv.rig.pairs import read_pairs, write_pairs
-from riginv.runs.files import read_yaml, sha256
+from riginv.runs.checksums import sha256
+from riginv.runs.files import read_yaml
 from riginv.runs.run_folder import find_run_folder
 from riginv.tracking.control_names import read_mask
 from riginv.tracking.regions import read_region

@@ -2,13 +2,23 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 import trimesh
+import yaml
 
+from riginv.clips.options import ReadingOptions
 from riginv.rig.interface import RigBackend
 from tests.support.avatars import AvatarWriter
+
+READERS = yaml.safe_load((Path(__file__).parents[2] / "conf/reading/default.yaml").read_text())["readers"]
+
+
+def reading_options(**options: Any) -> ReadingOptions:
+    """Reading options with the readers that the config names."""
+    return ReadingOptions(**options, readers=READERS)
 
 
 def performance(rig: RigBackend, frames: int = 12) -> np.ndarray:

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.runs.run_folder import CONFIG_SUM
+from riginv.runs.checksums import TEXT_MARK
 
 
 class Mark:
@@ -79,4 +79,4 @@ def sentence(read: Callable[[], Any], says: str = ".") -> None:
 
 def signed(config: str) -> str:
     """A run's config.yaml with the checksum that belongs to it, as who means harm would write it."""
-    return f"{config}{CONFIG_SUM}{hashlib.sha256(config.encode()).hexdigest()}\n"
+    return f"{config}{TEXT_MARK}{hashlib.sha256(config.encode()).hexdigest()}\n"

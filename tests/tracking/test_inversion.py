@@ -1,38 +1,37 @@
 """From meshes to controls: rigid motion, missing vertices and what users want of controls, against what is known to be true."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import roma
 import torch
-from omegaconf import OmegaConf
 
 from riginv.clips.clip import Clip
+from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
+from riginv.config.typed import convert
 from riginv.errors import InputError
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.tracking.alternation import WindowInverter, bridged, bridged_motion
+from riginv.tracking.alternation import WindowInverter, interpolate_controls, interpolate_motion
 from riginv.tracking.anchors import Anchors
-from riginv.tracking.assembly import EACH_FRAME, WHOLE_CLIP, build_parts, build_solver
+from riginv.tracking.assembly import build_parts, build_solver
 from riginv.tracking.constraints import resolve_constraints
+from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
-from riginv.tracking.preferences import PreferringObjective
+from riginv.tracking.options import ControlOptions, SolverOptions, TrackingOptions, VertexOptions
+from riginv.tracking.penalties import PenalisedObjective
 from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
 from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
-from riginv.tracking.run import Inversion, Smoothness, invert_clip, invert_smoothly
-from riginv.tracking.solving import BySolver
-from riginv.tracking.stillness import moves_itself, stillness
+from riginv.tracking.run import Inversion, invert_clip, invert_smoothly
+from riginv.tracking.stability import has_root_controls, stability_weights
 from tests.support.clips import performance
 from tests.support.toys import ToyRig
 
-CONF = Path(__file__).parents[2] / "conf"
-CONFIG = OmegaConf.to_container(OmegaConf.load(CONF / "invert.yaml"))
-CONFIG["frames"] = OmegaConf.to_container(OmegaConf.load(CONF / "frames/all.yaml"))
+GROUPS = {"controls": ControlOptions, "solver": SolverOptions, "vertices": VertexOptions}
 
 
 class Given(MeshSequence):
@@ -47,20 +46,19 @@ class Given(MeshSequence):
         return self.meshes[start:stop]
 
 
-def config(**changes: Any) -> dict:
-    made = {**CONFIG, "method": "levenberg_marquardt", "motion": "keep"}
-    for key, value in changes.items():
-        made[key] = {**made[key], **value} if isinstance(value, dict) else value
-    return made
+def options(**changes: Any) -> TrackingOptions:
+    groups = {name: convert(value, GROUPS[name], name) for name, value in changes.items() if name in GROUPS}
+    return TrackingOptions(**{"method": "levenberg_marquardt", "motion": "keep", **changes, **groups})
 
 
 def inverted(rig: LinearRig, meshes: torch.Tensor, numbers: np.ndarray | None = None, **changes: Any) -> Inversion:
-    settings, sequence = config(**changes), Given(meshes, rig.faces, numbers)
-    clip = Clip(sequence, meaning_of(sequence, rig, "mm", 1.0, "y", None), **settings["frames"])
+    frames = changes.pop("frames", {})
+    settings, sequence = options(**changes), Given(meshes, rig.faces, numbers)
+    clip = Clip(sequence, resolve_units(sequence, rig, ReadingOptions(unit="mm", up="y")), **frames)
     parts = build_parts(settings, clip, rig, rig, None)
-    arguments = (clip, parts.inverter, parts.judge, settings["window"], lambda what, frames: None)
-    if parts.method == WHOLE_CLIP:
-        return invert_smoothly(*arguments, Smoothness(1.5, 4, 3.0))
+    arguments = (clip, parts.inverter, parts.evaluator, settings.window, lambda what, frames: None)
+    if parts.method == "clip":
+        return invert_smoothly(*arguments, settings.solver)
     return invert_clip(*arguments)
 
 
@@ -110,15 +108,15 @@ def test_rigid_motion_is_found_whatever_a_third_of_the_vertices_does(rig):
 
 
 @pytest.fixture(scope="module")
-def face_solver(face, face_in_space) -> BySolver:
-    settings = config(solver={"descent_steps": 0, "key_starts": 1, "steps": 15})
-    return build_solver(settings, face_in_space, resolve_constraints(face, settings["controls"]), None, None, EACH_FRAME)
+def face_solver(face, face_in_space) -> SolverEstimator:
+    settings = options(solver={"descent_steps": 0, "key_starts": 1, "steps": 15})
+    return build_solver(settings, face_in_space, resolve_constraints(face, settings.controls), None, None, settings.method)
 
 
 @torch.no_grad()
 def test_a_moved_clip_gives_the_controls_of_the_unmoved_one(face, face_solver, acted):
     """Must reach: a difference of 0.05 mm at most, also from the clip that was solved without looking for motion."""
-    anchors = Anchors(face, stillness(face))
+    anchors = Anchors(face, stability_weights(face))
     meshes, motion = tumbled(acted)
     kept, still, found = (
         WindowInverter(face, face_solver, looked_for, None, 12).invert(given)
@@ -126,9 +124,9 @@ def test_a_moved_clip_gives_the_controls_of_the_unmoved_one(face, face_solver, a
     )
     errors = [float((face(one.controls) - acted).norm(dim=2).mean()) for one in (kept, still, found)]
     assert max(errors) - min(errors) < 0.05
-    judged = [float((one.results - one.still).norm(dim=2).mean()) for one in (still, found)]
+    judged = [float((one.recovered - one.stabilised).norm(dim=2).mean()) for one in (still, found)]
     assert abs(judged[0] - judged[1]) < 0.01
-    assert (apply_motion(found.motion, found.results) - meshes).norm(dim=2).mean() < errors[0] + 0.05
+    assert (apply_motion(found.motion, found.recovered) - meshes).norm(dim=2).mean() < errors[0] + 0.05
     assert (found.motion[:, :3, :3] - motion[:, :3, :3]).abs().max() < 0.01
 
 
@@ -152,17 +150,17 @@ def test_missing_vertices_are_told_frame_by_frame(rig, meshes):
 
 
 def test_a_rig_with_a_root_keeps_its_motion(body_in_space, toy):
-    assert moves_itself(body_in_space) and not moves_itself(toy)
+    assert has_root_controls(body_in_space) and not has_root_controls(toy)
 
 
 def test_the_still_vertices_are_those_that_no_pose_moves(face):
-    weights = stillness(face)
+    weights = stability_weights(face)
     skull, chin = face.rest_vertices[:, 1].argmax(), face.arkit_deltas()["jawOpen"].norm(dim=1).argmax()
     assert weights[skull] > 0.5 and weights[chin] < 0.05
     anchors = Anchors(face, weights)
     controls = torch.rand(3, len(face.controls), generator=generator_at(0, "poses")) * 0.2
     with torch.no_grad():
-        assert (anchors.mesh(controls) - face(controls)[:, anchors.some]).abs().max() < 1e-3
+        assert (anchors.mesh(controls) - face(controls)[:, anchors.vertices]).abs().max() < 1e-3
     assert anchors.for_window(torch.zeros(2, len(weights), dtype=torch.bool)).stride == 1
 
 
@@ -180,10 +178,10 @@ def test_whole_frames_that_are_unknown_are_bridged(rig, meshes):
 def test_bridges_are_straight_and_turn_the_short_way():
     known = torch.tensor([False, True, False, False, True, False])
     values = torch.tensor([9.0, 0.0, 9.0, 9.0, 3.0, 9.0])[:, None]
-    assert bridged(values, known, torch.arange(6)).flatten().tolist() == [0, 0, 1, 2, 3, 3]
+    assert interpolate_controls(values, known, torch.arange(6)).flatten().tolist() == [0, 0, 1, 2, 3, 3]
     motion = torch.eye(4).repeat(6, 1, 1)
     motion[4, :3, :3] = roma.rotvec_to_rotmat(torch.tensor([0.0, 0.0, 0.9]))
-    angles = roma.rotmat_to_rotvec(bridged_motion(motion, known, torch.arange(6))[:, :3, :3])[:, 2]
+    angles = roma.rotmat_to_rotvec(interpolate_motion(motion, known, torch.arange(6))[:, :3, :3])[:, 2]
     assert torch.allclose(angles, torch.tensor([0, 0, 0.3, 0.6, 0.9, 0.9]), atol=1e-5)
 
 
@@ -238,15 +236,15 @@ def test_a_region_that_is_none_is_refused(content, name, message, rig, tmp_path)
     if content is not None:
         (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message):
-        vertex_weights(rig, {"mine": 0}, {"mine": str(tmp_path / name)}, 1.0)
+        vertex_weights(rig, VertexOptions({"mine": 0}, regions={"mine": str(tmp_path / name)}))
     with pytest.raises(InputError, match="has no such region"):
-        vertex_weights(rig, {"elbow": 0}, {}, 1.0)
+        vertex_weights(rig, VertexOptions({"elbow": 0}))
     with pytest.raises(InputError, match="fewer than three"):
-        vertex_weights(rig, {}, {}, 0.0)
+        vertex_weights(rig, VertexOptions(default=0.0))
 
 
-def constraints(rig, **options):
-    return resolve_constraints(rig, {**CONFIG["controls"], **options})
+def constraints(rig, **changes):
+    return resolve_constraints(rig, convert(changes, ControlOptions, "controls"))
 
 
 def test_held_controls_stay_and_the_others_make_up_for_them(rig, meshes):
@@ -272,19 +270,19 @@ def test_a_held_rig_is_the_rig(rig):
 def test_the_gradient_of_preferences_is_that_of_their_cost(rig):
     """Against finite differences in float64, for every kind of preference at once."""
     rig = ToyRig().double()
-    preferences = constraints(
+    penalties = constraints(
         rig, weights={"bump*": 50.0}, symmetric=[["bump0", "bump1"]], exclusive=[["bump2", "side"], ["bump3", "all"]]
-    ).preferences
-    objective = PreferringObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, preferences)
-    objective.apart, objective.together = 20.0, 30.0
+    ).penalties
+    objective = PenalisedObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, penalties)
+    objective.exclusive_penalty, objective.symmetric_penalty = 20.0, 30.0
     units = 0.2 + 0.6 * torch.rand(3, 7, generator=generator_at(0, "units"), dtype=torch.float64)
-    _, gradient, _ = objective._preference(units)
+    _, gradient, _ = objective._prior(units)
     step = 1e-6
     for column in range(7):
         ahead, behind = units.clone(), units.clone()
         ahead[:, column] += step
         behind[:, column] -= step
-        derivative = (objective._preference(ahead)[0] - objective._preference(behind)[0]) / (2 * step)
+        derivative = (objective._prior(ahead)[0] - objective._prior(behind)[0]) / (2 * step)
         assert torch.allclose(derivative, gradient[:, column], rtol=1e-4, atol=1e-4)
 
 
@@ -371,7 +369,7 @@ def test_values_that_cannot_be_meant_are_refused(rig):
 
 
 def test_sides_are_paired_by_their_names(face):
-    names, pairs = face.control_names, constraints(face, symmetric="auto").preferences.symmetric.tolist()
+    names, pairs = face.control_names, constraints(face, symmetric="auto").penalties.symmetric.tolist()
     assert [names.index("browDownLeft"), names.index("browDownRight")] in pairs and len(pairs) > 20
 
 
