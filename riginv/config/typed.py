@@ -61,6 +61,21 @@ def to_typed(config: DictConfig | Mapping[str, Any], kind: type[T]) -> T:
     return convert({key: value for key, value in values.items() if key not in OTHERS}, kind, "")
 
 
+def to_plain(value: Any) -> Any:
+    """The inverse of `to_typed`: plain values from which it makes an equal object."""
+    if isinstance(value, ClassSpec):
+        return to_plain(value.config)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        found: dict[str, Any] = {}
+        for field in dataclasses.fields(value):
+            plain = to_plain(getattr(value, field.name))
+            found |= (plain or {}) if field.metadata.get("rest") else {field.name: plain}
+        return found
+    if isinstance(value, Mapping):
+        return {name: to_plain(one) for name, one in value.items()}
+    return [to_plain(one) for one in value] if isinstance(value, list | tuple) else value
+
+
 def convert(value: Any, hint: Any, key: str) -> Any:
     """A plain value as what an annotation says.
 

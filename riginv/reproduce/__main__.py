@@ -1,4 +1,4 @@
-"""python -m riginv.reproduce: the paper's tables, figures and claims, judged, from one command."""
+"""python -m riginv.reproduce: the tables, figures and claims of the paper."""
 
 import time
 
@@ -6,66 +6,62 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from riginv.clips.description_text import show_clip
-from riginv.config.validation import validate
+from riginv.config.typed import to_typed
 from riginv.launch.command import command, run_directory
-from riginv.reproduce.cast import rig_in_space
 from riginv.reproduce.expected import measured
-from riginv.reproduce.plan import Plan, open_ended, trainings
-from riginv.reproduce.preflight import (
-    check_budget,
-    check_capture,
-    check_folder,
-    check_rig,
-    choose_true_rig,
-    code_of,
-    find_folder,
-)
+from riginv.reproduce.plan import Plan, is_open_ended, timed_trainings
+from riginv.reproduce.preflight import check_capture, check_folder, choose_true_rig, code_hashes, find_folder
 from riginv.reproduce.report import write_report
-from riginv.reproduce.running import Runner, duration, jobs_here, one_thread
+from riginv.reproduce.rigs import rig_in_space
+from riginv.reproduce.running import Runner, duration, jobs_here
+from riginv.reproduce.sets import CaptureSource
+from riginv.reproduce.settings import ReproduceConfig
 from riginv.reproduce.steps import Graph
+from riginv.reproduce.training import TrainNetwork
 from riginv.runs.run_folder import plain_config
+from riginv.runs.threads import single_threaded
 
 
 def reproduce(config: DictConfig) -> None:
-    """Run all steps that are not kept yet, and leave `report.html`, `tables.json` and `tables.md` behind.
+    """Run the unfinished steps, and write `report.html`, `tables.json` and `tables.md`.
 
-    All that can be wrong is looked at first; the expected time is measured and said; then the steps run.
+    Inputs are checked and the expected time is printed before the first step.
     """
     began = time.monotonic()
-    plain = plain_config(config)
-    validate(plain)
-    check_budget(plain["budget"])
-    jobs = jobs_here(plain.pop("jobs"))
-    folder, note = find_folder(run_directory(), plain, config.resume)
+    settings = to_typed(config, ReproduceConfig)
+    plain = {key: value for key, value in plain_config(config).items() if key != "jobs"}
+    jobs = jobs_here(settings.jobs)
+    folder, note = find_folder(run_directory(), plain, settings.resume)
     say = Console(stderr=True, highlight=False, soft_wrap=True).print
 
-    rig = rig_in_space(plain["rig"])
-    capture, meshes = check_capture(plain, rig.rig)
-    check_rig(plain["body"])
-    judge, judge_name, why_itself = choose_true_rig(plain["true_rig"], rig.rig)
-    if why_itself:
-        say(f"The programmatic rig judges itself: {why_itself}.", markup=False)
+    rig = rig_in_space(settings.rig)
+    capture, meshes = check_capture(CaptureSource(settings.capture, settings.reading, settings.frames), rig.rig)
+    if settings.body is not None:
+        settings.body.build()  # refuses early
+    true_rig = choose_true_rig(settings.true_rig, rig.rig)
+    if true_rig.why_itself:
+        say(f"The programmatic rig evaluates itself: {true_rig.why_itself}.", markup=False)
     show_clip(meshes)
-    plan = Plan(plain, judge, capture, jobs)
-    check_folder(folder, rig, plain["budget"], sum(step.work == "train" for step in plan.steps))
-    with one_thread():
-        plan.expect(measured(trainings(plain["budget"], plain["rig"]), rig))
-    graph = Graph(plan.steps, folder.path / "steps", *code_of(rig.rig, [plain["rig"], plain["body"], judge]))
+    plan = Plan(settings, true_rig.spec, capture, jobs)
+    check_folder(folder, rig, settings.budget, sum(isinstance(step.task, TrainNetwork) for step in plan.steps))
+    with single_threaded():
+        plan.expect(measured(timed_trainings(settings.budget, settings.rig), rig))
+    graph = Graph(plan.steps, folder.path / "steps", *code_hashes(rig.rig, [settings.rig, settings.body, true_rig.spec]))
     if stale := graph.stale_steps():
-        say(f"{len(stale)} kept steps are of another version of riginv or of what it builds on, and will be made anew.")
+        say(f"{len(stale)} kept steps are of another version of riginv or of its libraries, and are made anew.")
 
     if note:
         say(note, markup=False)
     runner = Runner(graph, jobs)
-    expected_s = sum(graph.steps[name].expected_s for name in runner.left) / jobs
-    word = "at least" if any(open_ended(step) for step in plan.steps) else "about"
-    say(f"{len(graph.steps)} steps, {jobs} beside each other: {word} {duration(expected_s)}, by training steps measured here.")
+    expected_s = sum(graph.steps[name].expected_s for name in runner.remaining) / jobs
+    word = "at least" if any(is_open_ended(step) for step in plan.steps) else "about"
+    say(f"{len(graph.steps)} steps, {jobs} in parallel: {word} {duration(expected_s)}, by training steps timed here.")
     try:
         runner.run()
     except KeyboardInterrupt:
-        say(f"Stopped with {len(runner.left)} of {len(graph.steps)} steps left: the same command goes on from here.")
+        say(f"Stopped with {len(runner.remaining)} of {len(graph.steps)} steps remaining: the same command resumes here.")
         raise SystemExit(130) from None
-    write_report(folder.path, plain, plan, graph, judge_name, why_itself, jobs, time.monotonic() - began)
+    write_report(folder.path, plain, settings, plan, graph, true_rig, time.monotonic() - began)
 
 
 if __name__ == "__main__":

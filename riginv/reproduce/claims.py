@@ -1,4 +1,4 @@
-"""What the paper says, tested with figures of the run: held, not held, or it depends."""
+"""The claims of the paper, tested with the figures of a run."""
 
 import statistics
 from collections.abc import Callable
@@ -15,7 +15,7 @@ Verdict = tuple[str, str]
 
 
 def claims(results: Results) -> list[dict[str, Any]]:
-    """Each claim of the paper, its verdict and the figures behind it."""
+    """Each claim of the paper with its verdict and figures."""
     return [
         {"claim": text, "section": section, "verdict": verdict, "figures": figures}
         for text, section, test in CLAIMS
@@ -24,13 +24,13 @@ def claims(results: Results) -> list[dict[str, Any]]:
 
 
 def _better(results: Results, ours: str, theirs: str, sets: tuple[str, ...]) -> Verdict:
-    """Whether a row's errors are below another's, on the seeds that both have: on every set, on none, or it depends."""
-    pairs = {}
+    """Whether the errors of a row are below those of another, over common seeds, on all sets, some, or none."""
+    pairs: dict[str, tuple[float, float]] = {}
     for name in sets if {ours, theirs} <= results.plan.rows.keys() else ():
-        both = list(zip(results.judged(ours, name), results.judged(theirs, name)))
+        both = list(zip(results.errors(ours, name), results.errors(theirs, name)))
         if both:
-            pairs[name] = tuple(statistics.fmean(values) for values in zip(*both))
-    shown = ", ".join(f"{_called(results, name)} {a:.3g} against {b:.3g} mm" for name, (a, b) in pairs.items())
+            pairs[name] = statistics.fmean(a for a, _ in both), statistics.fmean(b for _, b in both)
+    shown = ", ".join(f"{_set_name(results, name)} {a:.3g} against {b:.3g} mm" for name, (a, b) in pairs.items())
     return _all_or_none([a < b for a, b in pairs.values()]), shown
 
 
@@ -40,7 +40,7 @@ def _mesh_loss(results: Results) -> Verdict:
     if alike == UNTESTED:
         return verdict, shown
     together = verdict if verdict == alike else DEPENDS
-    return together, f"{shown}; with the mesh loss on the very poses that Holden's network learns from: {same_data}"
+    return together, f"{shown}; with the mesh loss on the poses that Holden's network is trained on: {same_data}"
 
 
 def _normalisation(results: Results) -> Verdict:
@@ -51,7 +51,7 @@ def _normalisation(results: Results) -> Verdict:
 
 
 def _ranges(results: Results) -> Verdict:
-    bounded, free = results.agreement(True, MEAN), results.one("agree-unbounded_surrogate", MEAN)
+    bounded, free = results.rig_errors(True, MEAN), results.one("evaluate-unbounded_surrogate", MEAN)
     inverse, figures = _better(results, "trained", "unbounded", (COMBINATIONS, CAPTURED))
     if free is None:
         return inverse, figures
@@ -63,17 +63,17 @@ def _ranges(results: Results) -> Verdict:
 def _seeds(results: Results) -> Verdict:
     rows = ("inverse", "trained", "holden", "best")
     spreads = {
-        f"{results.plan.rows[row].label} on {_called(results, name)}": statistics.stdev(values) / statistics.fmean(values)
+        f"{results.plan.rows[row].label} on {_set_name(results, name)}": statistics.stdev(values) / statistics.fmean(values)
         for row in rows
         for name in (COMBINATIONS, CAPTURED)
-        if len(values := results.judged(row, name)) > 1
+        if len(values := results.errors(row, name)) > 1
     }
-    surrogates = results.agreement(True, MEAN)
+    surrogates = results.rig_errors(True, MEAN)
     if len(surrogates) > 1:
         spreads["trained rig"] = statistics.stdev(surrogates) / statistics.fmean(surrogates)
     if not spreads:
         return UNTESTED, "one seed alone"
-    worst = max(spreads, key=spreads.get)
+    worst = max(spreads, key=lambda name: spreads[name])
     count = sum(spread < SAME_SEEDS for spread in spreads.values())
     verdict = HELD if count == len(spreads) else DEPENDS if count > len(spreads) / 2 else NOT_HELD
     shown = f"{count} of {len(spreads)} spreads over {len(results.plan.seeds)} seeds are below {SAME_SEEDS:.0%} of the mean"
@@ -81,20 +81,21 @@ def _seeds(results: Results) -> Verdict:
 
 
 def _smoothness(results: Results) -> Verdict:
-    ratios = {rig: results.smoother(*rows) for rig, rows in SMOOTHER.items()}
-    ratios = {rig: ratio for rig, ratio in ratios.items() if ratio is not None}
+    ratios = {rig: ratio for rig, rows in SMOOTHER.items() if (ratio := results.smoothness_ratio(*rows)) is not None}
     shown = ", ".join(f"{ratio:.3g} times with the {rig} rig" for rig, ratio in ratios.items())
     return _all_or_none([ratio >= 10 for ratio in ratios.values()]), shown
 
 
 def _sparsity(results: Results) -> Verdict:
-    known = {row: results.answered(row, f"{CLIP}/nonzero_controls") for row in ("inverse", "tanh") if row in results.plan.rows}
+    known = {
+        row: results.of_inversion(row, f"{CLIP}/nonzero_controls") for row in ("inverse", "tanh") if row in results.plan.rows
+    }
     used = {row: values[0] for row, values in known.items() if values}
     if len(used) < 2:
         return UNTESTED, ""
     shown = f"leaky ReLU {used['inverse']:.1f}, tanh {used['tanh']:.1f}"
     verdict = HELD if used["inverse"] < used["tanh"] else NOT_HELD
-    return verdict, f"controls in use in a frame of the {_called(results, CLIP)}: {shown}"
+    return verdict, f"nonzero controls in a frame of the {_set_name(results, CLIP)}: {shown}"
 
 
 def _noise(results: Results) -> Verdict:
@@ -102,7 +103,7 @@ def _noise(results: Results) -> Verdict:
     if plain is None or noisy is None:
         return UNTESTED, ""
     shown = f"local Lipschitz constant {plain:.3g} without, {noisy:.3g} with noise, controls' ranges per mm"
-    rough = [results.answered(row, "roughness") for row in ("inverse", "noisy")]
+    rough = [results.of_inversion(row, "roughness") for row in ("inverse", "noisy")]
     if all(rough):
         shown += f"; roughness {rough[0][0]:.2g} and {rough[1][0]:.2g}"
     return HELD if noisy < plain else NOT_HELD, shown
@@ -110,16 +111,16 @@ def _noise(results: Results) -> Verdict:
 
 def _reach(results: Results) -> Verdict:
     least = results.mean("optimum", CAPTURED)
-    errors = {row: results.mean(row, CAPTURED) for row in ("inverse", "best")}
-    if least is None or None in errors.values():
+    errors = {row: error for row in ("inverse", "best") if (error := results.mean(row, CAPTURED)) is not None}
+    if least is None or len(errors) < 2:
         return UNTESTED, ""
     shares = {row: least / error for row, error in errors.items()}
     shown = ", ".join(f"{shares[row]:.0%} of that of {results.plan.rows[row].label}" for row in errors)
-    text = f"the optimum's error on the {_called(results, CAPTURED)}, {least:.3g} mm, is {shown}"
+    text = f"the optimum's error on the {_set_name(results, CAPTURED)}, {least:.3g} mm, is {shown}"
     return _all_or_none([share > MOSTLY for share in shares.values()]), text
 
 
-def _called(results: Results, name: str) -> str:
+def _set_name(results: Results, name: str) -> str:
     return (results.clip_name if name in (CLIP, CAPTURED) else name).replace("_", " ")
 
 

@@ -1,24 +1,24 @@
-"""How long a budget will take: from training steps that are measured here, before any work starts."""
+"""The expected time of a budget, from training steps that are timed before it starts."""
 
 import statistics
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import lightning as L
 
-from riginv.config.typed import to_typed
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.training.assembly import build_module, build_sampler, calibrate, lightning_arguments
 from riginv.training.config import TrainConfig
 from riginv.training.data import PoseDataModule
 
 WARM, TIMED = 3, 8  # steps
-THROUGH = 0.6  # of a surrogate's training step: what a step through one takes more
+THROUGH = 0.6  # additional time of a training step through a surrogate, as a share of a training step of the surrogate
 
 
 class StepClock(L.Callback):
-    """Keeps when each step ended."""
+    """Records when each step ended."""
 
     def __init__(self) -> None:
         self.times: list[float] = []
@@ -33,7 +33,7 @@ class StepClock(L.Callback):
 
 
 def measured_step_s(settings: TrainConfig, rig: RigInMeshSpace) -> float:
-    """What a training step takes here, s: the median of a few, after some to warm up."""
+    """Seconds per training step on this machine: the median of a few, after some to warm up."""
     settings = replace(settings, data=replace(settings.data, stored_poses=None))
     module = build_module(settings, rig, rig.rig)
     sampler = build_sampler(settings, rig)
@@ -54,7 +54,7 @@ def measured_step_s(settings: TrainConfig, rig: RigInMeshSpace) -> float:
     return clock.step_s
 
 
-def measured(trainings: dict[str, dict[str, Any]], rig: RigInMeshSpace) -> dict[str, float]:
-    """What a training step of each network takes, s, by name; through a trained rig it is reckoned."""
-    step_s = {name: measured_step_s(to_typed(config, TrainConfig), rig) for name, config in trainings.items()}
+def measured(trainings: Mapping[str, TrainConfig], rig: RigInMeshSpace) -> dict[str, float]:
+    """Seconds per training step of each network, by name; that through a trained rig is estimated from two others."""
+    step_s = {name: measured_step_s(training, rig) for name, training in trainings.items()}
     return {**step_s, "trained": step_s["inverse"] + THROUGH * step_s["surrogate"]}

@@ -1,14 +1,31 @@
-"""What the figures were made on."""
+"""The machine and the versions of a reproduction."""
 
+import importlib.metadata
 import os
 import platform
 from pathlib import Path
 
 import torch
 
+DISTRIBUTIONS = ("torch", "numpy", "scipy", "lightning")  # that figures depend on
+
+
+def versions() -> dict[str, str]:
+    """Versions of the distributions that take part."""
+    names = ("riginv", *DISTRIBUTIONS, "hydra-core", "matplotlib", "jinja2", "bpy")
+    return {name: version_of(name) for name in names}
+
+
+def version_of(distribution: str) -> str:
+    """The version of a distribution; `-`: it is not installed."""
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return "-"
+
 
 def hardware() -> dict[str, str]:
-    """The machine in words: processor, cores, memory, accelerator, system, Python."""
+    """Descriptions of processor, cores, memory, accelerator, system and Python."""
     facts = {
         "processor": _processor(),
         "cores": str(os.cpu_count()),

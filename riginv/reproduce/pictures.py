@@ -1,23 +1,24 @@
-"""The steps that draw meshes: the paper's two figures, and where on the head the errors lie."""
+"""The steps that render meshes: the paper's two figures, and maps of the errors."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from PIL import Image
 from torch import Tensor
 
+from riginv.config.building import ClassSpec
 from riginv.errors import InputError
 from riginv.geometry.neighbours import evenly
 from riginv.inference.inverse import load_inverse
 from riginv.meshes.rendering import Camera, Pair, comparison, grid, heat_colors
-from riginv.reproduce.cast import rig_in_space, the_true_rig
-from riginv.reproduce.judging import read_errors
-from riginv.reproduce.sets import COMBINATIONS, the_sets
-from riginv.reproduce.steps import Task
+from riginv.reproduce.evaluation import read_errors
+from riginv.reproduce.rigs import rig_in_space, true_rig
+from riginv.reproduce.sets import COMBINATIONS, mesh_sets
+from riginv.reproduce.steps import Figures, Task, Workspace
 from riginv.reproduce.training import bundle_of
 from riginv.rig.interface import RigBackend
-from riginv.rig.mesh_sets import MeshSet
 from riginv.runs.files import atomic_write
 
 PICTURE = "picture.png"
@@ -26,63 +27,94 @@ ROOM = 1.15
 RED_SHARE = 0.995  # of the vertices lie below the error that is drawn in the darkest red
 
 
-def denoising(task: Task) -> dict[str, Any]:
-    """Random combinations of blendshapes beside what the judge makes of their inverse (paper, the denoising figure)."""
-    rig = rig_in_space(task.config["rig"]).rig
-    judge = the_true_rig(task.config["judge"], rig, 1)
-    sets = the_sets(task.config["sets"], task.places, None, rig)
-    meshes = sets.get(COMBINATIONS) or next(iter(sets.values()))
-    inverse = load_inverse(bundle_of(task.inputs["network"]), rig)
-    targets = torch.cat([meshes.vertices(row, row + 1) for row in evenly(DENOISED + 2, len(meshes)).tolist()[1:-1]])
-    return _draw(task, judge, targets, judge(inverse(targets)), "a random combination")
+@dataclass(frozen=True)
+class DrawDenoising(Task):
+    """Draw random combinations of blendshapes beside the true rig, posed by their inverse (paper, the denoising figure).
 
-
-def body(task: Task) -> dict[str, Any]:
-    """Frames of a body's motion, or random poses where it has none, beside the poses recovered (paper, the body figure).
-
-    Raises:
-        InputError: the rig's motion does not fit it.
+    Attributes:
+        true_rig: None: the programmatic rig.
     """
-    rig = rig_in_space(task.config["rig"]).rig
-    judge = the_true_rig(task.config["judge"], rig, 1)
-    motion = rig.motion()
-    if motion is not None and motion.vertices.shape[1:] != rig.rest_vertices.shape:
-        raise InputError(f"rig '{rig.name}': its motion has meshes of {motion.vertices.shape[1]} vertices")
-    sets = the_sets(task.config["sets"], task.places, None, rig) if motion is None else {}
-    frames = motion.vertices if motion is not None else _some(next(iter(sets.values())), BODY_FRAMES)
-    targets = frames[evenly(BODIES + 1, len(frames))[1:]]
-    inverse = load_inverse(bundle_of(task.inputs["network"]), rig)
-    return _draw(task, judge, targets, judge(inverse(targets)), "the animation")
+
+    draws: ClassVar[bool] = True
+    true_rig: ClassSpec[RigBackend] | None
+
+    def run(self, at: Workspace) -> Figures:
+        rig = rig_in_space(self.rig).rig
+        reference = true_rig(self.true_rig, rig, 1)
+        sets = mesh_sets(self.sets, at.context.capture, rig)
+        meshes = sets.get(COMBINATIONS) or next(iter(sets.values()))
+        inverse = load_inverse(bundle_of(at.inputs["network"]), rig)
+        targets = torch.cat([meshes.vertices(row, row + 1) for row in evenly(DENOISED + 2, len(meshes)).tolist()[1:-1]])
+        return _draw(at, reference, targets, reference(inverse(targets)), "a random combination")
 
 
-def error_maps(task: Task) -> dict[str, Any]:
-    """The mean error of each vertex on the rest mesh: a row for each set, a head for each method."""
-    rig = rig_in_space(task.config["rig"]).rig
-    camera, pictures, labels = Camera(rig.rest_vertices), [], []
-    camera.half_height *= ROOM  # for labels above
-    columns: Mapping[str, str] = task.config["columns"]
-    errors = {use: read_errors(task.inputs[use]) for use in columns}
-    sets = [name for name in task.config["sets"] if all(f"{name}/vertex" in one for one in errors.values())]
-    for name in sets:
-        by_method = {use: errors[use][f"{name}/vertex"] for use in columns}
-        top = float(torch.stack(list(by_method.values())).quantile(RED_SHARE))
-        for use, by_vertex in by_method.items():
-            pictures.append(camera.picture(rig.rest_vertices, rig.faces, heat_colors(by_vertex, top)))
-            labels += [f"{columns[use]}\n{name.replace('_', ' ')}: red {top:.2g} mm"]
-    _save(task, grid(pictures, labels, len(columns)))
-    return {"sets": sets}
+@dataclass(frozen=True)
+class DrawBody(Task):
+    """Draw frames of a body's motion, or random poses if it has none, beside the recovered poses (paper, the body figure).
+
+    Attributes:
+        true_rig: None: the programmatic rig.
+    """
+
+    draws: ClassVar[bool] = True
+    true_rig: ClassSpec[RigBackend] | None
+
+    def run(self, at: Workspace) -> Figures:
+        """Draw the figure.
+
+        Raises:
+            InputError: the rig's motion does not fit it.
+        """
+        rig = rig_in_space(self.rig).rig
+        reference = true_rig(self.true_rig, rig, 1)
+        motion = rig.motion()
+        if motion is None:
+            meshes = next(iter(mesh_sets(self.sets, at.context.capture, rig).values()))
+            frames = meshes.vertices(0, min(BODY_FRAMES, len(meshes)))
+        else:
+            frames = motion.vertices
+        if frames.shape[1:] != rig.rest_vertices.shape:
+            raise InputError(f"rig '{rig.name}': its motion has meshes of {frames.shape[1]} vertices")
+        targets = frames[evenly(BODIES + 1, len(frames))[1:]]
+        inverse = load_inverse(bundle_of(at.inputs["network"]), rig)
+        return _draw(at, reference, targets, reference(inverse(targets)), "the animation")
 
 
-def _draw(task: Task, rig: RigBackend, targets: Tensor, results: Tensor, label: str) -> dict[str, Any]:
+@dataclass(frozen=True)
+class DrawErrorMaps(Task):
+    """Draw the mean error of each vertex on the rest mesh: a row for each set, a column for each method.
+
+    Attributes:
+        columns: labels, by the use of an input.
+        names: of the sets.
+    """
+
+    draws: ClassVar[bool] = True
+    columns: Mapping[str, str]
+    names: tuple[str, ...]
+
+    def run(self, at: Workspace) -> Figures:
+        rig = rig_in_space(self.rig).rig
+        camera, pictures, labels = Camera(rig.rest_vertices), [], []
+        camera.half_height *= ROOM  # for labels above
+        errors = {use: read_errors(at.inputs[use]) for use in self.columns}
+        names = [name for name in self.names if all(f"{name}/vertex" in one for one in errors.values())]
+        for name in names:
+            by_method = {use: errors[use][f"{name}/vertex"] for use in self.columns}
+            top = float(torch.stack(list(by_method.values())).quantile(RED_SHARE))
+            for use, by_vertex in by_method.items():
+                pictures.append(camera.picture(rig.rest_vertices, rig.faces, heat_colors(by_vertex, top)))
+                labels += [f"{self.columns[use]}\n{name.replace('_', ' ')}: red {top:.2g} mm"]
+        _save(at, grid(pictures, labels, len(self.columns)))
+        return {"sets": names}
+
+
+def _draw(at: Workspace, rig: RigBackend, targets: Tensor, results: Tensor, label: str) -> Figures:
     pairs = [Pair(label, target, result) for target, result in zip(targets, results)]
-    _save(task, comparison(rig, pairs))
-    return {"mean_vertex_error_mm": float((results - targets).norm(dim=2).mean()), "judge": rig.name}
+    _save(at, comparison(rig, pairs))
+    return {"mean_vertex_error_mm": float((results - targets).norm(dim=2).mean()), "true_rig": rig.name}
 
 
-def _some(meshes: MeshSet, count: int) -> Tensor:
-    return meshes.vertices(0, min(count, len(meshes)))
-
-
-def _save(task: Task, picture: Image.Image) -> None:
-    with atomic_write(task.folder / PICTURE) as beside:
-        picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=200).save(beside, format="PNG", optimize=True)
+def _save(at: Workspace, picture: Image.Image) -> None:
+    with atomic_write(at.folder / PICTURE) as partial:
+        picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=200).save(partial, format="PNG", optimize=True)

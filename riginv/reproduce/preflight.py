@@ -1,19 +1,23 @@
-"""What could go wrong an hour in, looked at before anything starts."""
+"""Checks before anything starts, of what would fail later."""
 
 import errno
-import importlib.metadata
 import inspect
 import os
 import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from riginv.config.aliases import upgraded
-from riginv.config.building import ClassSpec, build, class_of
+from riginv.config.building import ClassSpec
 from riginv.errors import InputError
 from riginv.evaluation.optimum import fingerprint
 from riginv.evaluation.results import make_true_rig
-from riginv.reproduce.recipes import ITSELF, Config, test_samples
-from riginv.reproduce.sets import recording
+from riginv.reproduce.machine import DISTRIBUTIONS, version_of
+from riginv.reproduce.rigs import with_workers
+from riginv.reproduce.sets import CaptureSource, captured_data
+from riginv.reproduce.settings import Budget, TrueRigConfig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
@@ -24,7 +28,7 @@ from riginv.tracking.capture import content_key
 
 PACKAGE = Path(__file__).parent.parent
 DRAWING = ("pictures", "plots", "rendering")
-MAKE_NO_FIGURES = (  # files and folders of the package that no result of a step depends on but through its config
+WITHOUT_RESULTS = (  # files and folders of the package that results depend on at most through the config of a step
     *(
         "launch",
         "console",
@@ -40,51 +44,46 @@ MAKE_NO_FIGURES = (  # files and folders of the package that no result of a step
         "templates",
         "wording",
     ),
-    *("report", "tables", "claims", "machine", "preflight", "running", "workers", "plan", "recipes", "expected"),
+    *("report", "tables", "claims", "machine", "preflight", "running", "plan", "recipes", "expected", "settings"),
 )
-DISTRIBUTIONS = ("torch", "numpy", "scipy", "lightning")
-NETWORK_BYTES = 30_000_000  # of the largest network's weights
+NETWORK_BYTES = 30_000_000  # of the weights of the largest network
 SPARE = 1.2
 
 
-def check_budget(budget: Config) -> None:
-    """Raises InputError where a budget's seeds are not usable."""
-    seeds = budget["seeds"]
-    whole = isinstance(seeds, list) and all(
-        isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0 for seed in seeds
-    )
-    if not whole or not seeds or len(set(seeds)) < len(seeds):
-        raise InputError(f"budget.seeds is {seeds!r}, expected different whole numbers of at least 0, such as [0,1,2]")
-    for name, variant in (budget["variants"] or {}).items():
-        if variant["of"] not in ("surrogate", "inverse", "trained"):
-            raise InputError(f"budget.variants.{name}.of is {variant['of']!r}, expected surrogate, inverse or trained")
+@dataclass(frozen=True)
+class TrueRigChoice:
+    """The rig for evaluation.
+
+    Attributes:
+        spec: None: the programmatic rig itself.
+        why_itself: the reason for that; else empty.
+    """
+
+    spec: ClassSpec[RigBackend] | None
+    name: str
+    why_itself: str = ""
 
 
-def choose_true_rig(config: Config, rig: LinearRig) -> tuple[Config, str, str]:
-    """The config of the judge, its name, and why the rig judges itself; the last is empty where it does not.
+def choose_true_rig(config: TrueRigConfig, rig: LinearRig) -> TrueRigChoice:
+    """The true rig, or the programmatic rig where that is chosen or the only one available.
 
     Raises:
-        InputError: the judge that was asked for cannot be had.
+        InputError: the chosen one cannot be built, and is not optional.
     """
-    given = dict(config)
-    optional = given.pop("only_if_here", False)
-    if not given.get("_target_"):
-        return ITSELF, rig.name, "true_rig=same was asked for"
+    if config.rig is None:
+        return TrueRigChoice(None, rig.name, "true_rig=same was chosen")
     try:
-        judge = make_true_rig(
-            ClassSpec.read(given | ({"workers": 1} if "workers" in given else {}), RigBackend, "true_rig"), rig
-        )
+        return TrueRigChoice(config.rig, make_true_rig(with_workers(config.rig, 1), rig).name)
     except InputError as error:
-        if not optional:
+        if not config.only_if_here:
             raise
-        return ITSELF, rig.name, str(error)
-    return given, judge.name, ""
+        return TrueRigChoice(None, rig.name, str(error))
 
 
-def find_folder(path: Path, config: Config, resume: bool) -> tuple[RunFolder, str]:
-    """The folder of a reproduction, and what to say of it.
+def find_folder(path: Path, config: dict[str, Any], resume: bool) -> tuple[RunFolder, str]:
+    """The folder of a reproduction, and a note.
 
-    An unfinished one may be gone on with under another config: what does not depend on the difference is kept.
+    An unfinished reproduction may continue with another config: steps that do not depend on the difference stay valid.
 
     Raises:
         InputError: the folder holds something else, or a finished reproduction of another config.
@@ -96,26 +95,26 @@ def find_folder(path: Path, config: Config, resume: bool) -> tuple[RunFolder, st
         if not (resume and unfinished):
             raise
         reason = str(error).partition(": ")[2].partition(";")[0]
-        return RunFolder(path, config, resumed=False), f"Going on with another config than before ({reason})."
+        return RunFolder(path, config, resumed=False), f"Continues with another config than before ({reason})."
 
 
-def check_capture(config: Config, rig: LinearRig) -> tuple[str | None, MeshSet | None]:
-    """The hash of what the clip of a config's `capture` holds, None where none is given; and the captured data.
-
-    Raises:
-        InputError: the clip cannot be read, or is none of the rig.
-    """
-    meshes = recording(rig, config)
-    return content_key(meshes) if config["capture"] else None, meshes
-
-
-def check_folder(folder: RunFolder, rig: RigInMeshSpace, budget: Config, trainings: int) -> None:
-    """Begin a run's folder: see that it can be written and that its disk has room for `trainings` bundles.
+def check_capture(source: CaptureSource, rig: LinearRig) -> tuple[str | None, MeshSet | None]:
+    """The hash of the content of the captured data, None for simulated ones; and the data.
 
     Raises:
-        InputError: it cannot be written, or there is too little room.
+        InputError: the clip cannot be read, or does not fit the rig.
     """
-    numbers = (rig.space.size + 2 * test_samples(budget) / max(trainings, 1)) * 3 * rig.space.vertex_count
+    meshes = captured_data(rig, source)
+    return content_key(meshes) if source.path and meshes is not None else None, meshes
+
+
+def check_folder(folder: RunFolder, rig: RigInMeshSpace, budget: Budget, trainings: int) -> None:
+    """Create the folder, and check that it can be written and that its disk has enough free space for `trainings` bundles.
+
+    Raises:
+        InputError: it cannot be written, or the space is too little.
+    """
+    numbers = (rig.space.size + 2 * budget.test_samples / max(trainings, 1)) * 3 * rig.space.vertex_count
     needed = SPARE * trainings * (4 * numbers + 4 * rig.linear_map.numel() + NETWORK_BYTES * min(1.0, rig.space.size / 600))
     there = next(path for path in (folder.path.absolute(), *folder.path.absolute().parents) if path.exists())
     free = shutil.disk_usage(there).free
@@ -136,35 +135,17 @@ def check_folder(folder: RunFolder, rig: RigInMeshSpace, budget: Config, trainin
         raise InputError(f"{folder.path} cannot be written: {what}; choose another folder with hydra.run.dir=DIR") from None
 
 
-def code_of(rig: LinearRig, configs: list[Config]) -> tuple[str, str]:
-    """Keys of all that makes figures, and of what draws them.
+def code_hashes(rig: LinearRig, specs: Sequence[ClassSpec[RigBackend] | None]) -> tuple[str, str]:
+    """Hashes of all that results depend on, and of the code that draws figures.
 
-    The former: the code of riginv and of the rigs, the libraries, the rig as it is built, Blender.
+    The former: code of riginv and of the rigs, libraries, the built rig, Blender.
     """
-    left_out = {*MAKE_NO_FIGURES, *DRAWING}
+    left_out = {*WITHOUT_RESULTS, *DRAWING}
     sources = [path for path in sorted(PACKAGE.rglob("*.py")) if not {path.stem, path.parent.name} & left_out]
-    for config in configs:
-        if config.get("_target_"):
-            sources += sorted(Path(inspect.getfile(class_of(config["_target_"]))).parent.rglob("*.py"))
-    blender = os.environ.get("RIGINV_BLENDER", "") if _version("bpy") == "-" else _version("bpy")
+    for spec in specs:
+        if spec is not None:
+            sources += sorted(Path(inspect.getfile(spec.target_class)).parent.rglob("*.py"))
+    bpy = version_of("bpy")
+    blender = os.environ.get("RIGINV_BLENDER", "") if bpy == "-" else bpy
     drawing = [path for path in sorted(PACKAGE.rglob("*.py")) if path.stem in DRAWING]
     return f"{code_key(sources, DISTRIBUTIONS)}-{fingerprint(rig).hex()[:16]}-{blender}", code_key(drawing, ["matplotlib"])
-
-
-def versions() -> dict[str, str]:
-    """The versions of what made the figures."""
-    names = ("riginv", *DISTRIBUTIONS, "hydra-core", "matplotlib", "jinja2", "bpy")
-    return {name: _version(name) for name in names}
-
-
-def check_rig(config: Config) -> None:
-    """Raises InputError where a rig that is only drawn cannot be built."""
-    if config.get("_target_"):
-        build(config, kind=RigBackend)
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "-"

@@ -11,11 +11,12 @@ from rich.console import Console
 
 from riginv.reproduce import measures as paper
 from riginv.reproduce.claims import claims
-from riginv.reproduce.machine import hardware
+from riginv.reproduce.machine import hardware, versions
 from riginv.reproduce.pictures import PICTURE
 from riginv.reproduce.plan import Plan
-from riginv.reproduce.preflight import versions
+from riginv.reproduce.preflight import TrueRigChoice
 from riginv.reproduce.running import duration
+from riginv.reproduce.settings import ReproduceConfig
 from riginv.reproduce.steps import Graph
 from riginv.reproduce.tables import Results, orderings, table_1, table_2, table_3
 from riginv.reproduce.wording import markdown_tables, shown, terminal_tables, with_spread
@@ -24,42 +25,47 @@ from riginv.runs.run_folder import METRICS
 
 HTML, JSON, MARKDOWN = "report.html", "tables.json", "tables.md"
 FIGURES = {
-    "figure-denoising": "Denoising: a random combination of blendshapes, which the rig cannot make, beside what the judge "
-    "makes of its inverse, and the difference.",
+    "figure-denoising": "Denoising: a random combination of blendshapes, which the rig cannot reach, beside the true rig, "
+    "posed by its inverse, and the difference.",
     "figure-body": "The body: frames of an animation beside the poses recovered by an inverse, and the difference.",
     "figure-roughness": "Error against roughness on the clip, for all methods; lower left is better.",
-    "figure-curves": "Training curves of the first seed, as validation saw them; the programmatic rig judged these.",
-    "figure-maps": "Where the errors lie: the mean error of each vertex, drawn on the rest mesh. Each row has its own red.",
-    "figure-controls": "Which controls matter: how far off each comes out on random poses of the rig, against what it moves. "
-    "What moves little may be off: the paper's section on the distribution of parameters.",
+    "figure-curves": "Validation errors over the training of the first seed, evaluated by the programmatic rig.",
+    "figure-maps": "The mean error of each vertex on the rest mesh. Each row has its own scale of red.",
+    "figure-controls": "The error of each control on random poses of the rig, against its effect on the vertices. "
+    "Controls with a small effect may be inexact: the paper's section on the distribution of parameters.",
 }
 
 
 def write_report(
-    folder: Path, config: dict[str, Any], plan: Plan, graph: Graph, judge: str, why_itself: str, jobs: int, seconds: float
+    folder: Path,
+    config: dict[str, Any],
+    settings: ReproduceConfig,
+    plan: Plan,
+    graph: Graph,
+    true_rig: TrueRigChoice,
+    seconds: float,
 ) -> None:
-    """Write `tables.json`, `tables.md`, `report.html`, and at last `metrics.json`, and show the tables' errors.
+    """Write `tables.json`, `tables.md`, `report.html`, and last `metrics.json`, and print the tables.
 
     Args:
-        judge: the name of the rig that judged.
-        why_itself: why the programmatic rig judged itself; empty where it did not.
-        jobs: steps that ran beside each other.
-        seconds: what this run of the command took.
+        config: plain, shown as it is.
+        seconds: duration of this run of the command.
     """
-    results = Results(plan, graph, "capture" if config["capture"] else "simulated_performance")
+    budget = settings.budget
+    results = Results(plan, graph, "capture" if settings.capture else "simulated_performance")
     spent = {name: graph.seconds(name) for name in graph.steps}
     about = {
         "paper": paper.TITLE,
-        "budget": config["budget"]["name"],
-        "budget_about": config["budget"]["about"],
-        "judge": judge,
-        "evaluated_by_itself": why_itself,
-        "captured_data": Path(config["capture"]).name if config["capture"] else "simulated: no recording was given",
-        "seeds": plan.seeds,
+        "budget": budget.name,
+        "budget_about": budget.about,
+        "judge": true_rig.name,
+        "evaluated_by_itself": true_rig.why_itself,
+        "captured_data": Path(settings.capture).name if settings.capture else "simulated: no recording was given",
+        "seeds": list(plan.seeds),
         "made": datetime.datetime.now().astimezone().isoformat(timespec="minutes"),
         "versions": versions(),
         "hardware": hardware(),
-        "jobs": jobs,
+        "jobs": plan.context.jobs,
         "this_run_s": round(seconds, 1),
         "all_steps_s": round(sum(spent.values()), 1),
     }
@@ -75,9 +81,8 @@ def write_report(
         paper_rig=paper.RIG,
         config=yaml.safe_dump(config, sort_keys=False),
         steps=[(name, graph.steps[name].about, f"{seconds:.1f}") for name, seconds in spent.items()],
-        sets=plan.sets,
-        budget=config["budget"],
-        spent=duration(about["all_steps_s"]),
+        budget=budget,
+        spent=duration(sum(spent.values())),
         took=duration(seconds),
     )
     write_text(folder / HTML, page)

@@ -1,39 +1,67 @@
-"""The meshes that a reproduction judges on, and parts of sets."""
+"""The mesh sets of a reproduction, and subsets of them."""
 
 import functools
 import json
-from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.clips.options import clip_options
+from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.performance import simulated_performance
+from riginv.config.typed import to_plain, to_typed
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_sets
 from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
-from riginv.rig.mesh_sets import MeshSet, StoredMeshes
+from riginv.rig.mesh_sets import MeshSet
 from riginv.tracking.capture import open_capture
 
 COMBINATIONS, POSES, CAPTURED, CLIP = "random_combinations", "rig_poses", "captured", "clip"
-CAPTURE_KEYS = ("capture", "reading", "frames")  # of a config: the clip that stands for captured data, and how it is read
 CONTROLS_FILE, VERTICES_FILE = "controls.npy", "vertices.npy"
 
 
-class Rows(MeshSet):
+@dataclass(frozen=True)
+class CaptureSource:
+    """A clip as captured data, and how it is read.
+
+    Attributes:
+        path: None: a simulated performance.
+    """
+
+    path: str | None = None
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    frames: FrameOptions = field(default_factory=FrameOptions)
+
+
+@dataclass(frozen=True)
+class SetSizes:
+    """Sizes of the sets.
+
+    Attributes:
+        meshes: in each set except the clip.
+        frames: of the clip; None: all.
+        capture: hash of the content of the captured data; None: simulated.
+    """
+
+    meshes: int
+    frames: int | None
+    capture: str | None = None
+
+
+class Subset(MeshSet):
     """Some meshes of another set.
 
     Args:
-        rows: which, `(mesh,)`.
-        fps: where they are frames in a row, else None.
+        rows: their indices, `(mesh,)`.
+        fps: None: they are not consecutive frames.
     """
 
     def __init__(self, meshes: MeshSet, rows: Tensor, name: str | None = None, fps: float | None = None) -> None:
-        controls, numbers = (None if values is None else values[rows] for values in (meshes.controls, meshes.frame_numbers))
+        controls = None if meshes.controls is None else meshes.controls[rows]
+        numbers = None if meshes.frame_numbers is None else meshes.frame_numbers[rows]
         super().__init__(name or meshes.name, fps, controls, numbers)
         self.meshes, self.rows = meshes, rows.tolist()
 
@@ -44,71 +72,78 @@ class Rows(MeshSet):
         return torch.cat([self.meshes.vertices(row, row + 1) for row in self.rows[start:stop]])
 
     def known(self, start: int, stop: int) -> Tensor | None:
-        masks = [self.meshes.known(row, row + 1) for row in self.rows[start:stop]]
-        return None if any(mask is None for mask in masks) else torch.cat(masks)
+        masks = [mask for row in self.rows[start:stop] if (mask := self.meshes.known(row, row + 1)) is not None]
+        return torch.cat(masks) if len(masks) == len(self.rows[start:stop]) else None
 
 
-class KeptPoses(StoredMeshes):
-    """Poses that the judge made, kept as files: read as they are asked for, never all at once."""
+class SampledPoses(MeshSet):
+    """Poses of the true rig, memory-mapped from the folder of their step."""
+
+    controls: Tensor
 
     def __init__(self, folder: str | Path) -> None:
-        controls, vertices = (
-            np.load(Path(folder) / name, mmap_mode="r", allow_pickle=False) for name in (CONTROLS_FILE, VERTICES_FILE)
-        )
-        super().__init__(POSES, vertices, controls=torch.from_numpy(np.array(controls)))
+        controls = np.load(Path(folder) / CONTROLS_FILE, allow_pickle=False)
+        super().__init__(POSES, controls=torch.from_numpy(controls))
+        self._vertices = np.load(Path(folder) / VERTICES_FILE, mmap_mode="r", allow_pickle=False)
+
+    def __len__(self) -> int:
+        return len(self._vertices)
 
     def vertices(self, start: int, stop: int) -> Tensor:
-        return torch.from_numpy(np.array(self.meshes[start:stop]))
+        return torch.from_numpy(np.array(self._vertices[start:stop]))
 
 
-def recording(rig: LinearRig, places: Mapping[str, Any]) -> MeshSet | None:
-    """The captured data, read once in a process: the clip given, or a simulated performance; None: the rig has no shapes.
-
-    Args:
-        places: `capture`, the path of the clip or None, and how it is read: `reading` and `frames`.
+def captured_data(rig: LinearRig, source: CaptureSource) -> MeshSet | None:
+    """The captured data, or a simulated performance; read once per process; None: the rig has no blendshapes.
 
     Raises:
-        InputError: the clip cannot be read, is none of the rig, or is shorter than three frames.
+        InputError: the clip cannot be read, does not fit the rig, or has fewer than three frames.
     """
-    return _recording(rig, json.dumps({key: places[key] for key in CAPTURE_KEYS}) if places["capture"] else "")
+    return _captured_data(rig, json.dumps(to_plain(source)) if source.path else "")
 
 
 @functools.lru_cache(maxsize=4)
-def _recording(rig: LinearRig, given: str) -> MeshSet | None:
-    places = json.loads(given) if given else {}
-    whole = open_capture(places["capture"], rig, rig, *clip_options(places)) if places else simulated_performance(rig)
-    if whole is not None and len(whole) < 3:
-        raise InputError(f"{places['capture']}: {len(whole)} frames, expected at least 3: roughness is a second difference")
-    return whole
+def _captured_data(rig: LinearRig, text: str) -> MeshSet | None:
+    if not text:
+        return simulated_performance(rig)
+    source = to_typed(json.loads(text), CaptureSource)
+    path = str(source.path)
+    meshes = open_capture(path, rig, rig, source.reading, source.frames)
+    if len(meshes) < 3:
+        raise InputError(f"{path}: {len(meshes)} frames, expected at least 3: roughness is a second difference")
+    return meshes
 
 
-def captured(rig: LinearRig, places: Mapping[str, Any], meshes: int) -> MeshSet | None:
-    """Some meshes of the captured data, evenly spread over the whole of it."""
-    whole = recording(rig, places)
-    return None if whole is None else Rows(whole, evenly(meshes, len(whole)), CAPTURED)
+def spread_subset(rig: LinearRig, source: CaptureSource, meshes: int) -> MeshSet | None:
+    """Evenly spread meshes of the captured data."""
+    data = captured_data(rig, source)
+    return None if data is None else Subset(data, evenly(meshes, len(data)), CAPTURED)
 
 
-def the_clip(rig: LinearRig, places: Mapping[str, Any], frames: int | None) -> MeshSet | None:
-    """Frames of the captured data in a row, from its middle; None: all of them."""
-    whole = recording(rig, places)
-    if whole is None:
-        return None
-    count = min(frames or len(whole), len(whole))
-    start = (len(whole) - count) // 2
-    return Rows(whole, torch.arange(start, start + count), CLIP, whole.fps)
-
-
-def the_sets(config: Mapping[str, Any], places: Mapping[str, Any], poses: str | None, rig: LinearRig) -> dict[str, MeshSet]:
-    """All sets by name; poses of the rig are those that the judge made (`poses`: their folder).
+def middle_clip(rig: LinearRig, source: CaptureSource, frames: int | None) -> MeshSet | None:
+    """Consecutive frames from the middle of the captured data.
 
     Args:
-        config: `meshes` in each set but the clip, `frames` of the clip, None: all.
-        places: as for `recording`.
+        frames: None: all.
     """
-    sets = [one for one in random_sets(rig, config["meshes"]) if one.name != POSES]
-    data = captured(rig, places, config["meshes"]), the_clip(rig, places, config["frames"])
+    data = captured_data(rig, source)
+    if data is None:
+        return None
+    count = min(frames or len(data), len(data))
+    start = (len(data) - count) // 2
+    return Subset(data, torch.arange(start, start + count), CLIP, data.fps)
+
+
+def mesh_sets(sizes: SetSizes, source: CaptureSource, rig: LinearRig, poses: str | None = None) -> dict[str, MeshSet]:
+    """All sets by name.
+
+    Args:
+        poses: folder of the test poses; None: without these.
+    """
+    sets = [one for one in random_sets(rig, sizes.meshes) if one.name != POSES]
+    data = spread_subset(rig, source, sizes.meshes), middle_clip(rig, source, sizes.frames)
     sets += [one for one in data if one is not None]
     if poses:
-        kept = KeptPoses(poses)
-        sets.append(Rows(kept, torch.arange(min(config["meshes"], len(kept)))))
+        sampled = SampledPoses(poses)
+        sets.append(Subset(sampled, torch.arange(min(sizes.meshes, len(sampled)))))
     return {one.name: one for one in sets}

@@ -1,4 +1,4 @@
-"""The paper's three tables as rows of plain values, from what the steps left (docs/reproduce.md says what each key means)."""
+"""The paper's three tables as rows of plain values, from the figures of the steps; docs/reproduce.md explains the keys."""
 
 import statistics
 from collections.abc import Sequence
@@ -11,45 +11,45 @@ from riginv.reproduce.steps import Graph
 from riginv.reproduce.wording import MAX, MEAN
 
 TableRow = dict[str, Any]
-SMOOTHER = {"programmatic": ("inverse", "direct"), "trained": ("trained", "direct_trained")}  # rows, by the rig they go through
+SMOOTHER = {"programmatic": ("inverse", "direct"), "trained": ("trained", "direct_trained")}  # rows, by rig
 LABELS_3 = {"clip": "whole-clip solver", "optimum": "frame by frame, many starts"}
 
 
 class Results:
-    """The figures of a finished graph, by the rows that they fill.
+    """The figures of a finished graph, by row.
 
     Args:
-        clip_name: what the tables call the clip.
+        clip_name: name of the clip in the tables.
     """
 
     def __init__(self, plan: Plan, graph: Graph, clip_name: str) -> None:
         self.plan, self.graph, self.clip_name = plan, graph, clip_name
 
-    def answered(self, row: str, key: str) -> list[float]:
-        """A figure of a row's answers, for each seed; empty where there is none, as roughness without a clip."""
-        return self._values(self.plan.rows[row].answers, key)
+    def of_inversion(self, row: str, key: str) -> list[float]:
+        """A figure of the inversions of a row, for each seed; empty where there is none, as roughness without a clip."""
+        return self._values(self.plan.rows[row].inversions, key)
 
-    def judged(self, row: str, name: str, key: str = MEAN) -> list[float]:
-        """A figure of a set of a row, as judged, for each seed."""
-        return self._values(self.plan.rows[row].results, f"{name}/{key}")
+    def errors(self, row: str, name: str, key: str = MEAN) -> list[float]:
+        """An error of a row on a set, for each seed."""
+        return self._values(self.plan.rows[row].evaluations, f"{name}/{key}")
 
     def mean(self, row: str, name: str, key: str = MEAN) -> float | None:
-        """The mean over the seeds; None where the row or the set is not there."""
-        values = self.judged(row, name, key) if row in self.plan.rows else []
+        """The mean over the seeds; None: there is no such row or set."""
+        values = self.errors(row, name, key) if row in self.plan.rows else []
         return statistics.fmean(values) if values else None
 
-    def smoother(self, row: str, than: str) -> float | None:
-        """How many times smoother a row's curves are than another's; None without a clip."""
-        rough = [self.answered(one, "roughness") for one in (row, than)]
+    def smoothness_ratio(self, row: str, other: str) -> float | None:
+        """Roughness of the other row over that of the row; None without a clip."""
+        rough = [self.of_inversion(one, "roughness") for one in (row, other)]
         return statistics.fmean(rough[1]) / max(statistics.fmean(rough[0]), 1e-12) if all(rough) else None
 
-    def agreement(self, trained: bool, key: str) -> list[float]:
-        """How far the programmatic rig, or each trained one, lies from the judge's test poses."""
-        names = [f"agree-surrogate-seed{seed}" for seed in self.plan.seeds] if trained else ["agree-programmatic"]
+    def rig_errors(self, trained: bool, key: str) -> list[float]:
+        """Errors of the programmatic rig, or of each trained one, on the test poses."""
+        names = [f"evaluate-surrogate-seed{seed}" for seed in self.plan.seeds] if trained else ["evaluate-programmatic"]
         return self._values(names, key)
 
     def one(self, step: str, key: str) -> float | None:
-        """A figure of a step, or None where there is no such step."""
+        """A figure of a step; None: there is no such step."""
         values = self._values([step], key) if step in self.graph.steps else []
         return values[0] if values else None
 
@@ -59,22 +59,22 @@ class Results:
 
 
 def table_1(results: Results) -> list[TableRow]:
-    """Rigs against the judge on the test poses."""
+    """Rigs against the true rig on the test poses."""
     labels = {"programmatic": "programmatic rig", "trained": "trained rig"}
     rows = []
     for row, label in labels.items():
         trained = row == "trained"
-        figures = {key: results.agreement(trained, key) for key in (MEAN, MAX)}
+        figures = {key: results.rig_errors(trained, key) for key in (MEAN, MAX)}
         rows.append(_row(row, label, results.plan.seeds if trained else [], figures) | _paper(paper.TABLE_1.get(row)))
     return rows
 
 
 def table_2(results: Results) -> list[TableRow]:
-    """Inverses against the meshes that were asked for, set by set."""
+    """Inverses against the inverted meshes, set by set."""
     rows = []
     for name in SETS:
         for row in ("inverse", "trained", "holden", "best", "optimum", "neutral"):
-            figures = {key: results.judged(row, name, key) for key in (MEAN, MAX)}
+            figures = {key: results.errors(row, name, key) for key in (MEAN, MAX)}
             if figures[MEAN]:
                 one = results.plan.rows[row]
                 found = {"set": results.clip_name if name == CAPTURED else name} | _row(row, one.label, one.seeds, figures)
@@ -83,11 +83,11 @@ def table_2(results: Results) -> list[TableRow]:
 
 
 def table_3(results: Results) -> list[TableRow]:
-    """How rough the curves on the clip are, and the errors that the paper leaves out; without a clip, errors alone."""
+    """Roughness of the controls on the clip, and the errors that the paper leaves out; empty without a clip."""
     rows = []
     for row in ("inverse", "trained", "direct", "direct_trained", "clip", "best", "holden", "optimum"):
-        figures = {"roughness": results.answered(row, "roughness")}
-        figures |= {key: results.judged(row, CLIP, key) for key in (MEAN, MAX)}
+        figures = {"roughness": results.of_inversion(row, "roughness")}
+        figures |= {key: results.errors(row, CLIP, key) for key in (MEAN, MAX)}
         if figures["roughness"]:
             one = results.plan.rows[row]
             found = _row(row, LABELS_3.get(row, one.label), one.seeds, figures)
@@ -96,26 +96,27 @@ def table_3(results: Results) -> list[TableRow]:
 
 
 def orderings(results: Results) -> list[dict[str, Any]]:
-    """The orderings of the paper's tables, and whether ours are the same."""
-    found = []
+    """The orderings in the paper's tables, and whether they hold here."""
+    found: list[dict[str, Any]] = []
     for name in SETS[:2]:
-        ours = [results.mean(row, name) for row in ("inverse", "trained", "holden")]
-        if None not in ours:
+        means = [results.mean(row, name) for row in ("inverse", "trained", "holden")]
+        ours = [value for value in means if value is not None]
+        if len(ours) == len(means):
             shown = f"programmatic <= trained < Holden: {' / '.join(f'{value:.3g}' for value in ours)} mm"
             label = results.clip_name if name == CAPTURED else name
             found.append({"ordering": f"{label.replace('_', ' ')}: {shown}", "holds": ours[0] <= ours[1] < ours[2]})
-    for rig, (ours, theirs) in SMOOTHER.items():
-        ratio = results.smoother(ours, theirs)
+    for rig, (row, other) in SMOOTHER.items():
+        ratio = results.smoothness_ratio(row, other)
         if ratio is not None:
             text = f"the inverse is at least 5 times smoother than direct optimisation, {rig} rig: {ratio:.3g} times"
             found.append({"ordering": text, "holds": ratio >= 5})
-    error = results.agreement(False, MEAN)[0]
-    text = f"the programmatic rig is within 0.001 mm of the judge on average: {error:.2g} mm"
+    error = results.rig_errors(False, MEAN)[0]
+    text = f"the programmatic rig is within 0.001 mm of the true rig on average: {error:.2g} mm"
     return [*found, {"ordering": text, "holds": error <= 1e-3}]
 
 
 def _row(row: str, label: str, seeds: Sequence[int], figures: dict[str, list[float]]) -> TableRow:
-    """Each figure as its mean over the seeds, its standard deviation over them, and the values themselves."""
+    """Mean, standard deviation and values over the seeds, of each figure."""
     found: TableRow = {"row": row, "label": label, "seeds": list(seeds)}
     for key, values in figures.items():
         found[key] = statistics.fmean(values) if values else None

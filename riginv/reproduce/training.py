@@ -1,14 +1,15 @@
 """The step that trains a network."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from riginv.config.aliases import upgraded
-from riginv.config.typed import to_typed
+from riginv.config.typed import to_plain
 from riginv.errors import InputError
-from riginv.reproduce.cast import rig_in_space, trained_rig
-from riginv.reproduce.sets import captured
-from riginv.reproduce.steps import Task
+from riginv.reproduce.recipes import through_surrogate
+from riginv.reproduce.rigs import rig_in_space, trained_rig
+from riginv.reproduce.sets import spread_subset
+from riginv.reproduce.steps import Figures, Task, Workspace
 from riginv.runs.files import discard
 from riginv.runs.locks import unlock_folder
 from riginv.runs.run_folder import BUNDLE, RunFolder, find_run_folder
@@ -18,34 +19,40 @@ from riginv.training.config import TrainConfig
 RUN = "run"
 
 
-def train(task: Task) -> dict[str, Any]:
-    """Train a network, through a trained rig where one is among the inputs; what was stopped goes on at its checkpoint.
+@dataclass(frozen=True)
+class TrainNetwork(Task):
+    """Train a network, through a trained rig if `surrogate` is among the inputs; interrupted training resumes.
 
-    Leaves `run/`, a run's folder without its checkpoint: the bundle, and TensorBoard's events.
+    Writes `run/`: the folder of a run without checkpoints.
     """
-    config = dict(task.config["training"])
-    rig = programmatic = rig_in_space(task.config["rig"])
-    if "surrogate" in task.inputs:
-        bundle = str(bundle_of(task.inputs["surrogate"]))
-        rig, config["rig"] = trained_rig(bundle, rig), {**config["rig"], "bundle": bundle}
-    folder = _folder(task.folder / RUN, config)
-    watched = captured(programmatic.rig, task.places, config["judging"]["validation_poses"])
-    try:
-        _, facts = fit_network(to_typed(config, TrainConfig), folder, rig, programmatic.rig, watched)
-    finally:
-        unlock_folder(folder.path)
-    discard(folder.path / "checkpoints")
-    return facts
+
+    training: TrainConfig
+
+    def run(self, at: Workspace) -> Figures:
+        training = self.training
+        rig = programmatic = rig_in_space(self.rig)
+        if "surrogate" in at.inputs:
+            bundle = str(bundle_of(at.inputs["surrogate"]))
+            rig, training = trained_rig(bundle, rig), through_surrogate(training, bundle)
+        folder = _run_folder(at.folder / RUN, training)
+        validation = spread_subset(programmatic.rig, at.context.capture, training.judging.validation_poses)
+        try:
+            _, facts = fit_network(training, folder, rig, programmatic.rig, validation)
+        finally:
+            unlock_folder(folder.path)
+        discard(folder.path / "checkpoints")
+        return facts
 
 
 def bundle_of(folder: str) -> Path:
-    """The bundle that a training step left in its folder."""
+    """The bundle in the folder of a training step."""
     return Path(folder) / RUN / BUNDLE
 
 
-def _folder(path: Path, config: dict[str, Any]) -> RunFolder:
+def _run_folder(path: Path, training: TrainConfig) -> RunFolder:
+    config = to_plain(training)
     try:
         return find_run_folder(path, config, resume=True, upgrade=upgraded)
-    except InputError:  # half-written, or begun before the folder was moved: begun anew
+    except InputError:  # incomplete, or from before the reproduction was moved
         discard(path)
-        return find_run_folder(path, config, resume=True, upgrade=upgraded)
+        return find_run_folder(path, config, resume=True)

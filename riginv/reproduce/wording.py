@@ -6,14 +6,14 @@ from typing import Any
 MEAN, MAX = "mean_vertex_error_mm", "max_vertex_error_mm"
 ERRORS = ((MEAN, "mean, mm"), (MAX, "maximum, mm"))
 TITLES = {
-    "table1": "Table 1. Rigs against the judge, vertex error on random poses",
+    "table1": "Table 1. Rigs against the true rig, vertex error on random poses",
     "table2": "Table 2. Rig inversion, vertex error",
     "table3": "Table 3. Roughness of the controls on the clip, and the vertex errors that the paper leaves out",
 }
 
 
 def shown(value: float | None, figures: int = 3) -> str:
-    """A number as tables show it; `-` for none."""
+    """A number in a table; None: `-`."""
     if value is None:
         return "-"
     if value != 0 and abs(value) < 1e-3:
@@ -31,7 +31,7 @@ Tables = Mapping[str, Sequence[Mapping[str, Any]]]
 
 
 def markdown_tables(about: Mapping[str, Any], tables: Tables) -> str:
-    """The three tables as Markdown, each with the budget and who judged."""
+    """The three tables as Markdown, each with a note on the budget and the true rig."""
     parts = [
         part
         for name, rows in tables.items()
@@ -48,8 +48,11 @@ def terminal_tables(about: Mapping[str, Any], tables: Tables) -> str:
 
 
 def _note(about: Mapping[str, Any]) -> str:
-    judge = f"the programmatic rig itself ({about['evaluated_by_itself']})" if about["evaluated_by_itself"] else about["judge"]
-    note = f"Budget {about['budget']}: {about['budget_about']} Judged by {judge}. Captured data: {about['captured_data']}."
+    itself = about["evaluated_by_itself"]
+    true_rig = f"the programmatic rig itself ({itself})" if itself else about["judge"]
+    note = (
+        f"Budget {about['budget']}: {about['budget_about']} Evaluated by {true_rig}. Captured data: {about['captured_data']}."
+    )
     seeds = f"Mean ± standard deviation over seeds {', '.join(map(str, about['seeds']))}; in brackets what the paper reports."
     return f"{note} {seeds}"
 

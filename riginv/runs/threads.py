@@ -35,7 +35,7 @@ class Cores:
     """
 
     def __init__(self) -> None:
-        self.numbers = _allowed_cores()
+        self.numbers = allowed_cores()
         self.count = max(1, min(len(self.numbers), _container_limit()))
         self._before = self._clocks()
 
@@ -171,7 +171,7 @@ def _alone(work: Callable[[], None], learning: bool) -> None:
         work()
 
 
-def _allowed_cores() -> list[int]:
+def allowed_cores() -> list[int]:
     """The numbers of the cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))

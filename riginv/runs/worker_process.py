@@ -86,23 +86,27 @@ class WorkerProcess:
     """
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
-        self._errors = tempfile.TemporaryFile()
+        self._last_error = ""
         self._folder = None
         if "TMPDIR" not in environment:
             self._folder = tempfile.TemporaryDirectory(prefix="riginv-worker-", ignore_cleanup_errors=True)
             environment = {**environment, "TMPDIR": self._folder.name}
         self._timed_out = False
         self._greeted = False
+        self._has_ended = False
         self._memory_at_first: int | None = None
         self._looked = -math.inf
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env={**os.environ, **environment},
-            start_new_session=True,  # its own process group, so that its children end with it
-        )
+        with contextlib.ExitStack() as stack:
+            self._errors = stack.enter_context(tempfile.TemporaryFile())
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                env={**os.environ, **environment},
+                start_new_session=True,  # its own process group, so that its children end with it
+            )
+            stack.pop_all()
         assert self._process.stdin and self._process.stdout
         self._input, self._output = self._process.stdin, self._process.stdout
 
@@ -154,6 +158,8 @@ class WorkerProcess:
 
     def kill(self) -> None:
         """Kill it and its children; a pending request raises WorkerLostError."""
+        if self._has_ended:  # its id may be that of another process by now
+            return
         if hasattr(os, "killpg"):
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGKILL)
@@ -165,9 +171,14 @@ class WorkerProcess:
         self.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(KILL_TIMEOUT_S)
-        for pipe in (self._input, self._output):
+            self._has_ended = True
+        if not self._errors.closed:
+            self._errors.seek(0)
+            lines = [line for line in self._errors.read().decode(errors="replace").splitlines() if line.strip()]
+            self._last_error = lines[-1].strip() if lines else ""
+        for file in (self._input, self._output, self._errors):
             with contextlib.suppress(OSError):
-                pipe.close()
+                file.close()
         if self._folder is not None:
             self._folder.cleanup()
 
@@ -189,6 +200,4 @@ class WorkerProcess:
             return f"it gave an answer that cannot be read: {error}"
         code = self._process.returncode
         how = "it ended" if code is None else f"it was ended by signal {-code}" if code < 0 else f"it ended with code {code}"
-        self._errors.seek(0)
-        lines = [line for line in self._errors.read().decode(errors="replace").splitlines() if line.strip()]
-        return f"{how}: {lines[-1].strip()}" if lines else how
+        return f"{how}: {self._last_error}" if self._last_error else how

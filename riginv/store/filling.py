@@ -2,12 +2,9 @@
 
 import contextlib
 import importlib.metadata
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
-
-import torch
 
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig
@@ -16,6 +13,7 @@ from riginv.errors import InputError
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.identity import check_rig, describe
 from riginv.rig.interface import LinearRig, RigBackend
+from riginv.runs.threads import allowed_cores, single_threaded
 from riginv.sampling.meshes import MeshSampler
 from riginv.store.checking import StoreCondition, examine
 from riginv.store.layout import Layout, default_chunk
@@ -102,9 +100,9 @@ def fill(settings: SampleConfig) -> FillResult:
     out = str(settings.out)
     location, shard = StoreLocation(out), Shard.parse(settings.shard)
     store = PoseStore.find(location)
-    with one_thread(), contextlib.ExitStack() as stack, SamplingProgress() as progress:
+    with single_threaded(), contextlib.ExitStack() as stack, SamplingProgress() as progress:
         rig = settings.rig.build()
-        jobs = settings.jobs or (cores() if rig.differentiable else 1)
+        jobs = settings.jobs or (len(allowed_cores()) if rig.differentiable else 1)
         workers = None
         if jobs > 1 and (store is None or absent_chunks(store, shard)):  # they build their rig in the meantime
             workers = stack.enter_context(ChunkWorkers(out, settings.rig, settings.sampler, jobs))
@@ -209,19 +207,3 @@ def _flat(config: Facts, prefix: str) -> Facts:
     for key, value in config.items():
         found.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
     return found
-
-
-def cores() -> int:
-    """The CPU cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Compute in one thread, so that poses are the same to the last bit in every process."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

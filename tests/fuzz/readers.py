@@ -17,7 +17,7 @@ from riginv.clips.vertex_map import read_vertex_map
 from riginv.config.folders import check_folder
 from riginv.inference.inverse import load_inverse
 from riginv.methods.comparison import HEADINGS, keep_rows, kept_rows, write_tables
-from riginv.reproduce.answers import read_answers
+from riginv.reproduce.inversion import read_controls
 from riginv.reproduce.steps import read_done, write_done
 from riginv.rig.pairs import read_pairs, write_pairs
 from riginv.runs.cache import cached_tensors
@@ -235,7 +235,7 @@ def _step_tensors(folder: Path) -> Target:
     from safetensors.torch import save_file
 
     save_file({"clip": torch.rand(3, 4)}, folder / "controls.safetensors")
-    return Target([folder / "controls.safetensors"], lambda: read_answers(folder))
+    return Target([folder / "controls.safetensors"], lambda: read_controls(folder))
 
 
 def _cache(folder: Path) -> Target:

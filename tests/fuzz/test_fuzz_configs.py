@@ -21,7 +21,6 @@ from riginv.config.building import DOES_NOT_FIT
 from riginv.config.diagnosis import wrong_kind
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.typed import to_typed
-from riginv.config.validation import validate
 from riginv.contact_sheet import ContactSheetConfig
 from riginv.errors import InputError
 from riginv.evaluate import EvaluateConfig
@@ -29,8 +28,10 @@ from riginv.inspect import InspectConfig, show_clip_file
 from riginv.invert import InvertConfig, build_rigs
 from riginv.launch.command import options_first
 from riginv.methods.base import suited_methods
-from riginv.reproduce.cast import rig_in_space
-from riginv.reproduce.preflight import check_budget, check_capture, check_rig, choose_true_rig
+from riginv.reproduce.preflight import check_capture, choose_true_rig
+from riginv.reproduce.rigs import rig_in_space
+from riginv.reproduce.sets import CaptureSource
+from riginv.reproduce.settings import ReproduceConfig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import RunFolder, plain_config, register_folder_resolvers
 from riginv.tracking.assembly import build_parts
@@ -102,13 +103,12 @@ def before_inspecting(config: DictConfig, folder: Path) -> None:
 
 
 def before_reproducing(config: DictConfig, folder: Path) -> None:
-    plain = plain_config(config)
-    validate(plain)
-    check_budget(plain["budget"])
-    rig = rig_in_space(plain["rig"])
-    check_capture(plain, rig.rig)
-    check_rig(plain["body"])
-    choose_true_rig(plain["true_rig"], rig.rig)
+    settings = to_typed(config, ReproduceConfig)
+    rig = rig_in_space(settings.rig)
+    check_capture(CaptureSource(settings.capture, settings.reading, settings.frames), rig.rig)
+    if settings.body is not None:
+        settings.body.build()
+    choose_true_rig(settings.true_rig, rig.rig)
 
 
 COMMANDS: dict[str, tuple[list[str], Callable]] = {

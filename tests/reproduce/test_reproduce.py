@@ -20,10 +20,13 @@ from PIL import Image
 from safetensors.torch import load_file
 
 from riginv.config.messages import CONFIGS
-from riginv.reproduce.plan import Plan, expected_steps, open_ended
-from riginv.reproduce.sets import Rows, the_clip
+from riginv.config.typed import to_plain, to_typed
+from riginv.reproduce.plan import Plan, expected_steps, is_open_ended
+from riginv.reproduce.sets import CaptureSource, Subset, middle_clip
+from riginv.reproduce.settings import ReproduceConfig
 from riginv.reproduce.steps import DONE
 from riginv.runs.run_folder import register_folder_resolvers
+from riginv.training.config import TrainConfig
 from tests.config.test_bad_input import refused
 from tests.conftest import ROOT
 from tests.support.toys import ToyRig
@@ -103,11 +106,11 @@ def test_every_row_of_the_three_tables_is_there(made):
 
 def test_figures_are_what_the_rig_makes_of_the_controls_that_were_found(made):
     rig = ToyRig()
-    controls = load_file(step(made, "answer-trained-seed1") / "controls.safetensors")["clip"]
-    clip = the_clip(rig, {"capture": None}, 20)
+    controls = load_file(step(made, "invert-trained-seed1") / "controls.safetensors")["clip"]
+    clip = middle_clip(rig, CaptureSource(), 20)
     assert len(controls) == 20
     rows = torch.linspace(0, 19, 12).round().long()
-    distances = (rig(controls[rows]) - Rows(clip, rows).vertices(0, 12)).square().sum(dim=2).sqrt()
+    distances = (rig(controls[rows]) - Subset(clip, rows).vertices(0, 12)).square().sum(dim=2).sqrt()
     second = controls[2:] - 2 * controls[1:-1] + controls[:-2]
     found = next(row for row in tables(made)["table3"] if row["row"] == "trained")
     assert found["mean_vertex_error_mm_values"][1] == pytest.approx(float(distances.mean()), rel=1e-4)
@@ -119,13 +122,13 @@ def test_a_step_that_is_deleted_comes_out_the_same(made, tmp_path):
     """One of each kind; and one whose mark is damaged, and one of another version."""
     folder = tmp_path / "run"
     shutil.copytree(made, folder)
-    gone = ["sample", "surrogate-seed1", "trained-seed1", "holden-seed0", "best-seed2", "answer-direct", "judge-optimum"]
-    gone += ["agree-surrogate-seed0", "lipschitz-noisy", "variant-batch_normalised", "figure-maps"]
+    gone = ["sample", "surrogate-seed1", "trained-seed1", "holden-seed0", "best-seed2", "invert-direct", "evaluate-optimum"]
+    gone += ["evaluate-surrogate-seed0", "lipschitz-noisy", "variant-batch_normalised", "figure-maps"]
     for name in gone:
         shutil.rmtree(step(folder, name))
-    (step(folder, "judge-clip") / DONE).write_text('{"format": 1, "sec')
-    older = step(folder, "judge-neutral")
-    older.rename(older.with_name("judge-neutral-0123456789ab"))
+    (step(folder, "evaluate-clip") / DONE).write_text('{"format": 1, "sec')
+    older = step(folder, "evaluate-neutral")
+    older.rename(older.with_name("evaluate-neutral-0123456789ab"))
     text = finished(start(folder))
     assert "1 kept steps are of another version" in text
     steps = len(list((folder / "steps").iterdir())) - 1
@@ -133,9 +136,9 @@ def test_a_step_that_is_deleted_comes_out_the_same(made, tmp_path):
     assert tables(folder) == tables(made)
 
 
-def test_the_report_is_one_file_that_says_who_judged(made):
+def test_the_report_is_one_file_that_says_who_evaluated(made):
     page = (made / "report.html").read_text()
-    assert "The programmatic rig judged itself" in page and page.index("judged itself") < page.index("Table 1")
+    assert "The programmatic rig evaluated itself" in page and page.index("evaluated itself") < page.index("Table 1")
     assert not re.search(r"(src|href)=[\"'](?!data:)", page) and "http" not in page.split("<body>")[0]
     assert page.count("data:image/png;base64,") == 6
     for word in ("A reduced budget", "seed", "torch", "processor", "samples: 200"):
@@ -143,7 +146,7 @@ def test_the_report_is_one_file_that_says_who_judged(made):
     assert page.count("A reduced budget") >= 3  # on every table
     assert (made / "tables.md").read_text().count("A reduced budget") == 3
     said = (made / "said.txt").read_text()
-    assert "judges itself" in said and re.search(r"\[\d+/\d+\] .*left", said)
+    assert "evaluates itself" in said and re.search(r"\[\d+/\d+\] .*left", said)
 
 
 def test_a_browser_shows_the_report(made, tmp_path):
@@ -178,7 +181,7 @@ def test_a_claim_has_a_verdict_and_its_figures(made):
 
 
 def test_a_killed_run_loses_the_step_in_progress_alone(tmp_path):
-    """And, as there is no toy in Blender, the rig judges itself, which is said first and at the top."""
+    """And, as there is no toy in Blender, the rig evaluates itself, which is said first and at the top."""
     folder = tmp_path / "run"
     process = start(folder, *FEW)
     while process.poll() is None and len(list(folder.glob(f"steps/*/{DONE}"))) < 9:
@@ -192,9 +195,9 @@ def test_a_killed_run_loses_the_step_in_progress_alone(tmp_path):
     assert all((folder / "steps" / name / DONE).stat().st_mtime_ns == when for name, when in done.items())
     assert not list(folder.rglob(".*.part"))
     said = " ".join(text.split())
-    assert re.search(r"^The programmatic rig judges itself: [^.]*Blender", said)
+    assert re.search(r"^The programmatic rig evaluates itself: [^.]*Blender", said)
     page = (folder / "report.html").read_text()
-    assert re.search(r"judged itself</b>[^.]*Blender", page) and page.index("judged itself") < page.index("Table 1")
+    assert re.search(r"evaluated itself</b>[^.]*Blender", page) and page.index("evaluated itself") < page.index("Table 1")
     assert {row["verdict"] for row in tables(folder)["claims"]} >= {"not tested"}
 
 
@@ -204,16 +207,18 @@ def test_figures_do_not_depend_on_how_many_steps_run_beside_each_other(made, tmp
     assert tables(tmp_path / "run") == tables(made)
 
 
-def test_the_papers_budget_is_its_protocol_and_its_time_is_reckoned():
+def test_the_papers_budget_is_its_protocol_and_its_time_is_estimated():
     register_folder_resolvers()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
         plain = OmegaConf.to_container(compose("reproduce", ["budget=paper"]), resolve=True)
-        plan = Plan(plain, {"_target_": None}, None, 1)
+        plan = Plan(to_typed(plain, ReproduceConfig), None, None, 1)
     steps = {step.name: step for step in plan.steps}
-    assert steps["sample"].config["poses"] == 10_000
-    assert steps["surrogate-seed2"].config["training"]["data"]["stored_poses"] == 90_000
-    inverse = steps["trained-seed1"].config["training"]
+    assert steps["sample"].task.count == 10_000
+    assert steps["surrogate-seed2"].task.training.data.stored_poses == 90_000
+    training = steps["trained-seed1"].task.training
+    inverse = to_plain(training)
+    assert to_typed(inverse, TrainConfig) == training
     assert inverse["data"] == {
         "batch_size": 64,
         "steps_per_epoch": 10_000,
@@ -223,8 +228,8 @@ def test_the_papers_budget_is_its_protocol_and_its_time_is_reckoned():
     }
     assert (inverse["model"]["optimizer"]["lr"], inverse["stop_below_lr"]) == (1e-4, 1e-6)
     assert inverse["model"]["network"]["control_map"] == "range_tanh" and inverse["seed"] == 1
-    assert expected_steps(inverse) == 7 * 21 * 10_000  # seven halvings from 1e-4 to below 1e-6, 21 epochs each at the least
-    assert [name for name, step in steps.items() if open_ended(step)][:2] == ["surrogate-seed0", "surrogate-seed1"]
+    assert expected_steps(training) == 7 * 21 * 10_000  # seven halvings from 1e-4 to below 1e-6, 21 epochs each at the least
+    assert [name for name, step in steps.items() if is_open_ended(step)][:2] == ["surrogate-seed0", "surrogate-seed1"]
     plan.expect({"surrogate": 0.001, "inverse": 0.003, "trained": 0.004, "holden": 0.002, "best": 0.005})
     expected = {step.name: step.expected_s for step in plan.steps}
     assert expected["inverse-seed0"] == pytest.approx(1.47e6 * 0.003, rel=0.01)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from riginv.evaluation.evaluation_sets import random_poses
 from riginv.evaluation.optimum import find_optima
 from riginv.evaluation.results import evaluate_controls
 from riginv.reproduce.preflight import check_capture
-from riginv.reproduce.sets import the_sets
+from riginv.reproduce.sets import CaptureSource, SetSizes, mesh_sets
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_sets import WeightedShapes
@@ -136,16 +137,17 @@ def test_commands_judge_on_any_clip(command, run, rig, meshes, tmp_path):
 def test_a_reproduction_takes_any_clip(rig, meshes, tmp_path):
     world, _ = tumbled(meshes)
     world[3, 10:60], world[7] = torch.nan, torch.nan
-    places = {"capture": str(written(tmp_path / "a.npz", world, rig)), "reading": {"unit": "mm"}, "frames": {"last": 20}}
-    key, captured = check_capture(places, rig)
+    path = str(written(tmp_path / "a.npz", world, rig))
+    source = CaptureSource(path, ReadingOptions(unit="mm"), FrameOptions(last=20))
+    key, captured = check_capture(source, rig)
     assert len(key) == 64 and any("rigid motion was removed" in note for note in captured.notes)
-    sets = the_sets({"meshes": 6, "frames": 5}, places, None, rig)
+    sets = mesh_sets(SetSizes(6, 5), source, rig)
     clip, spread = sets["clip"], sets["captured"]
     assert (len(clip), clip.fps, len(spread), spread.fps) == (5, 24, 6, None)
     assert clip.frame_numbers.tolist() == [8, 9, 10, 11, 12] and clip.known(0, 5).all()
     assert (clip.vertices(0, 5) - meshes[8:13]).norm(dim=2).mean() < 0.05
     with pytest.raises(InputError, match="2 frames, expected at least 3"):
-        check_capture({**places, "frames": {"last": 1}}, rig)
+        check_capture(replace(source, frames=FrameOptions(last=1)), rig)
 
 
 def test_advice_about_captures_is_right_for_any_rig(run):
