@@ -40,7 +40,7 @@ PLAN = {
     "rig": {"_target_": "rigs.face.FaceRig"},
     "sampler": {
         "_target_": "riginv.sampling.meshes.RigPoses",
-        "controls": {"_target_": "riginv.rig.random_controls.SparseControls", "most": None},
+        "controls": {"_target_": "riginv.sampling.controls.SparseControls", "max_active": None},
     },
     "seed": 0,
     "dtype": "float32",

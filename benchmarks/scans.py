@@ -84,7 +84,7 @@ class Bench:
     def best(self, truth: Tensor) -> np.ndarray:
         """The error of the best same-topology answers, `(frame,)`."""
         found = solve_meshes(self.objective, self.objective.rig.space.encode(truth), 3, 60, descent_steps=60)
-        return self.errors(self.objective.own_units(found.units), truth)
+        return self.errors(self.objective.to_controls(found.units), truth)
 
     @torch.no_grad()
     def errors(self, controls: Tensor, truth: Tensor) -> np.ndarray:

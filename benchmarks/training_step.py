@@ -22,7 +22,7 @@ from riginv.networks.surrogate import ControlMLP
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.rig.random_controls import SparseControls
+from riginv.sampling.controls import SparseControls
 from riginv.sampling.meshes import random_weights
 from rigs.face import FaceRig
 

@@ -8,6 +8,7 @@ from omegaconf import DictConfig
 
 from riginv.clips.description_text import show_clip
 from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.config.aliases import upgraded
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
@@ -48,7 +49,7 @@ def compare(config: DictConfig) -> None:
     """
     settings = to_typed(config, CompareConfig)
     record = {key: value for key, value in plain_config(config).items() if key != "methods"}  # others may join in later
-    folder = find_run_folder(run_directory(), record, settings.resume)
+    folder = find_run_folder(run_directory(), record, settings.resume, upgrade=upgraded)
     rig = build_rig(settings.rig, settings.mesh_space)
     true_rig = build_true_rig(settings.true_rig, rig)
     if true_rig.held_out is not None:

@@ -7,6 +7,7 @@ import lightning as L
 from omegaconf import DictConfig
 
 from riginv.clips.description_text import show_clip
+from riginv.config.aliases import upgraded
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.evaluation.models import evaluate_model, load_model, surrogate_config, write_results
@@ -40,7 +41,7 @@ def train(config: DictConfig) -> None:
     """Train a network on a rig, evaluate it by the true rig, and leave a bundle, metrics and a table behind."""
     settings = to_typed(config, TrainConfig)
     process = this_process(settings.trainer, settings.data.batch_size)
-    folder = find_run_folder(run_directory(), plain_config(config), settings.resume, process.rank == 0)
+    folder = find_run_folder(run_directory(), plain_config(config), settings.resume, process.rank == 0, upgraded)
     done = folder.finished and not is_damaged(folder.path / BUNDLE)
     if process.must_start_others and not done:
         run_in_processes(process.count, folder.path)
@@ -76,7 +77,7 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
     model = load_model(folder.path / BUNDLE, rig)
     results = evaluate_model(model, true_rig, settings.judging.test_poses, clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": settings.seed}
-    log_results(trainer.logger, write_results(folder.path, results, true_rig, facts), trainer.global_step)
+    log_results(trainer, write_results(folder.path, results, true_rig, facts))
 
 
 def fit_network(
@@ -90,7 +91,7 @@ def fit_network(
     trainer, clock = build_trainer(settings, folder)
 
     folder.begin()
-    log_choices(trainer.logger, folder.config)
+    log_choices(trainer, folder.config)
     speed_up(settings.trainer, module, trainer.strategy.root_device)
     trainer.fit(module, data, ckpt_path=folder.checkpoint, weights_only=True)
 
@@ -104,10 +105,10 @@ def fit_network(
 def train_surrogate_first(config: DictConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> ClassSpec[RigBackend]:
     """Train a surrogate of a rig that gives no gradients, in the run's own folder; the class of that surrogate as a rig."""
     first = as_surrogate(config)
-    inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.written_here)
+    settings = to_typed(first, TrainConfig)
+    inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.written_here, upgraded)
     folder.begin()
     if not inner.finished:
-        settings = to_typed(first, TrainConfig)
         if folder.written_here:
             print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
         fit(settings, inner, rig, true_rig, last=False)

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 
 from torch import nn
 
+from riginv.config.aliases import present_argument, present_class
 from riginv.config.values import check_value, did_you_mean
 from riginv.errors import InputError, in_short
 
@@ -163,6 +164,7 @@ def class_of(target: Any, only: tuple[str, ...] | None = None, kind: type | None
     """
     if not isinstance(target, str) or "." not in target or not all(part.isidentifier() for part in target.split(".")):
         raise InputError(f"a config must name a class as _target_: package.module.Class, found {target!r:.80}")
+    target = present_class(target)
     package = target.partition(".")[0]
     if only is not None and package not in only:
         raise InputError(
@@ -199,6 +201,8 @@ def check_arguments(found: type, config: Mapping[str, Any], prefix: str, may_nam
         if name == "_target_":
             continue
         if names is not None and name not in names:
+            if present := present_argument(config["_target_"], str(name)):
+                raise InputError(f"{prefix}{name} is named {prefix}{present} now")
             raise InputError(f"{prefix}{name}: {config['_target_']} has no such argument{did_you_mean(str(name), names)}")
         if name in hints:
             _check_argument(value, hints[name], f"{prefix}{name}", may_name)

@@ -15,6 +15,7 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from riginv.config.aliases import CHOICES, present_key
 from riginv.config.path_values import quoted
 from riginv.config.values import did_you_mean
 from riginv.errors import InputError, NonFiniteLossError
@@ -39,6 +40,8 @@ def explain(error: BaseException, config_name: str) -> str | None:
                 f"cannot read the argument '{cause.override}': expected KEY=VALUE or GROUP=CHOICE{_in_quotes(cause.override)}"
             )
         if isinstance(cause, ConfigCompositionException) and (key := re.match(r"Could not override '([^']+)'", str(cause))):
+            if present := present_key(key[1]):
+                return f"{key[1]} is named {present} now"
             return f"{key[1]}: there is no such key{did_you_mean(key[1], _known_keys(config_name))} --cfg job shows them all"
     if any(_says_full(cause) for cause in causes):
         return (
@@ -78,6 +81,8 @@ def _unknown_choice(error: MissingConfigException) -> str:
         for one in choices.strip("[]").split(","):
             if f"{typed.partition('@')[0]}/{one}" == path:
                 group, choice = typed.partition("@")[0], one
+    if present := CHOICES.get(group, {}).get(choice):
+        return f"{group}={choice} is named {group}={present} now"
     folder = CONFIGS / group
     files = [] if "/" in choice else list(folder.glob("*.yaml"))  # of choices in folders all are shown
     files = files or list(folder.rglob("*.yaml"))
@@ -104,7 +109,7 @@ def _known_keys(config_name: str) -> set[str]:
 
 
 def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:
-    for key in config:
+    for key in map(str, config):
         inner = None if OmegaConf.is_interpolation(config, key) or OmegaConf.is_missing(config, key) else config[key]
         yield f"{prefix}{key}"
         if isinstance(inner, DictConfig):

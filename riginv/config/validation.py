@@ -78,9 +78,9 @@ RULES: dict[str, Check] = {
     **dict.fromkeys(
         (f"*.network.{key}" for key in ("stages", "width", "gate", "drivers", "parents", "corrective_width")), AT_LEAST_1
     ),
-    "sampler*.most": AT_LEAST_1,
-    "sampler*.faint": NOT_NEGATIVE,
-    "sampler.shares.*": NOT_NEGATIVE,
+    "sampler*.max_active": AT_LEAST_1,
+    "sampler*.weak_fraction": NOT_NEGATIVE,
+    "sampler.fractions.*": NOT_NEGATIVE,
     "checkpoint.*": AT_LEAST_1,
     "pictures.*": AT_LEAST_1,
     "random_poses": AT_LEAST_0,
@@ -108,7 +108,7 @@ RULES: dict[str, Check] = {
 }
 MAY_BE_NULL = (
     *("frames.first", "frames.last"),
-    *("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.most", "pictures.every_n_validations"),
+    *("stop_below_lr", "trainer.max_steps", "data.stored_poses", "sampler*.max_active", "pictures.every_n_validations"),
     *("data.store", "chunk", "expressions"),
     *("jobs", "budget.frames", "budget.networks.*.steps"),
 )

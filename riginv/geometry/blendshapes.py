@@ -71,12 +71,12 @@ def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
     return smallest
 
 
-def screen_pull(activations: Tensor, sources: Tensor, gradient: Tensor) -> Tensor:
+def screen_vjp(activations: Tensor, sources: Tensor, gradient: Tensor) -> Tensor:
     """The vector-Jacobian product of `screen`: a gradient `(batch, shape)` to one `(batch, driver)`."""
     return _pull(activations, sources, gradient, True)
 
 
-def combination_pull(weights: Tensor, members: Tensor, gradient: Tensor) -> Tensor:
+def combination_vjp(weights: Tensor, members: Tensor, gradient: Tensor) -> Tensor:
     """The vector-Jacobian product of `combination_weights`: a gradient `(batch, combination)` to one `(batch, shape)`."""
     return _pull(weights, members, gradient, False)
 

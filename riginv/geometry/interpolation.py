@@ -16,7 +16,7 @@ CANDIDATES = 4000  # vertices to select from, at most
 MORE = 1.0  # further vertices for each selected one, evenly spread: they average out components outside the span
 
 
-def telling_vertices(frame: Tensor) -> Tensor:
+def informative_vertices(frame: Tensor) -> Tensor:
     """Vertices `(row,)`, in ascending order, that determine the coefficients of meshes.
 
     Args:
@@ -34,7 +34,7 @@ def coefficients_from(frame: Tensor, rows: Tensor) -> Tensor:
     """The matrix `(3 * row, coefficient)` from the coordinates of some vertices to coefficients, by least squares.
 
     Args:
-        frame: as for `telling_vertices`.
+        frame: as for `informative_vertices`.
         rows: vertices, `(row,)`.
     """
     return torch.linalg.pinv(frame[:, rows].flatten(1).double()).to(frame)

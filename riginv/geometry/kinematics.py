@@ -60,7 +60,7 @@ def _cycle(parents: Sequence[int], joint: int) -> list[int]:
     return seen[seen.index(joint) :]
 
 
-def turns_against(worlds: Tensor, parents: Sequence[int]) -> Tensor:
+def relative_rotations(worlds: Tensor, parents: Sequence[int]) -> Tensor:
     """The rotation of each joint relative to its parent, from world transforms `(batch, joint, 3, 4)`: `(batch, joint, 3, 3)`.
 
     A root's is its world rotation. Estimated rotations need not be orthogonal.

@@ -20,6 +20,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from riginv.config.aliases import upgraded
 from riginv.config.values import fits, in_words
 from riginv.errors import InputError, in_short
 from riginv.networks.base import RigNetwork
@@ -161,6 +162,7 @@ def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
         found = description.get("format")
         raise InputError(f"{folder / DESCRIPTION}: format {found!r:.40}, expected {FORMAT}: made by another version of riginv")
     _check_description(folder / DESCRIPTION, description)
+    description = upgraded(description)
     try:
         weights, space = load_file(folder / WEIGHTS), load_file(folder / SPACE)
     except (OSError, ValueError, KeyError, SafetensorError) as error:

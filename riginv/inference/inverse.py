@@ -96,7 +96,7 @@ class Inverse(nn.Module):
         coordinates = space.encode(vertices)
         controls = self.network(coordinates)
         start = self.objective.units(controls)
-        return self.objective.own_units(refine_meshes(self.objective, coordinates, start, self.refine).units)
+        return self.objective.to_controls(refine_meshes(self.objective, coordinates, start, self.refine).units)
 
     @functools.cached_property
     def objective(self) -> Objective:

@@ -141,7 +141,7 @@ def wrapped(text: str, width: float) -> list[str]:
 
 
 def _broken(text: str, width: float) -> list[str]:
-    """One line of text, wrapped; nothing of an empty one."""
+    """One line of text, wrapped to a width in pixels; no lines for an empty one."""
     lines = [""]
     for word in BREAKS.findall(text):
         if lines[-1] and _pixels(f"{lines[-1]}{word}".rstrip()) > width:

@@ -47,7 +47,7 @@ class Direct(Method):
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)
         alone = coordinates[:1] if meshes.fps else coordinates  # those that no frame comes before
-        start = self.objective.own_units(first_start(self.objective, alone))
+        start = self.objective.to_controls(first_start(self.objective, alone))
         found = [descend(self.rig, start, alone, self.first_steps, self.lr)]
         for frame in range(len(alone), len(coordinates)):
             found.append(descend(self.rig, found[-1], coordinates[frame : frame + 1], self.steps, self.lr))

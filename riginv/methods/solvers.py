@@ -1,5 +1,7 @@
 """Optimisation in mesh space among the methods."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -57,7 +59,7 @@ class LevenbergMarquardt(Method):
             found = self.frames(coordinates)
         else:
             found = solve_meshes(self.objective, coordinates, self.starts, self.steps, descent_steps=self.descent_steps)
-        return self.objective.own_units(found.units)
+        return self.objective.to_controls(found.units)
 
     def frames(self, coordinates: Tensor, rounds: int = 3) -> Solution:
         """The frames of a clip, each for itself; `rounds` as in `solve_frames`."""
@@ -90,7 +92,7 @@ class Clip(LevenbergMarquardt):
         blur: NonNegativeFloat = 3.0,
         mean_steps: NonNegativeInt = 0,
         bundle: str | None = None,
-        **solver: float,
+        **solver: Any,
     ) -> None:
         super().__init__(rig, **solver)
         self.smoothness, self.clip_steps, self.blur, self.mean_steps = smoothness, clip_steps, blur, mean_steps
@@ -115,7 +117,7 @@ class Clip(LevenbergMarquardt):
             self.mean_steps,
             numbers=meshes.frame_numbers,
         )
-        return self.objective.own_units(found)
+        return self.objective.to_controls(found)
 
 
 class Refined(Network):
@@ -135,4 +137,4 @@ class Refined(Network):
     @torch.no_grad()
     def invert(self, meshes: MeshSet) -> Tensor:
         start = self.objective.units(super().invert(meshes))
-        return self.objective.own_units(refine_meshes(self.objective, self.coordinates(meshes), start, self.steps).units)
+        return self.objective.to_controls(refine_meshes(self.objective, self.coordinates(meshes), start, self.steps).units)

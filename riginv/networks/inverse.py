@@ -13,7 +13,7 @@ from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
 from riginv.networks.correction import Correction
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import Anchored, mlp
-from riginv.rig.interface import Pull
+from riginv.rig.interface import Vjp
 from riginv.rig.mesh_space import RigInMeshSpace
 
 START_GAIN = 0.3  # of the last layer: estimates start close to neutral
@@ -47,9 +47,9 @@ class Answer:
         return self.rig(self.controls)
 
     @functools.cached_property
-    def _posed(self) -> tuple[Tensor, Tensor, Pull]:
+    def _posed(self) -> tuple[Tensor, Tensor, Vjp]:
         controls, derivatives = self.control_map.with_derivatives(self.raw.detach())
-        return derivatives, *self.rig.coordinates_and_pull(controls)
+        return derivatives, *self.rig.coordinates_and_vjp(controls)
 
     @property
     def found(self) -> Tensor:
@@ -66,15 +66,15 @@ class Answer:
         """The squared length of each error, `(batch,)`, without a graph."""
         return self.error.square().sum(dim=1)
 
-    def pull(self, gradient: Tensor) -> Tensor:
+    def vjp(self, gradient: Tensor) -> Tensor:
         """The vector-Jacobian product from coordinates `(batch, coordinate)` to raw outputs, `(batch, control)`; no graph."""
-        derivatives, _, pull = self._posed
-        return derivatives * pull(gradient)
+        derivatives, _, vjp = self._posed
+        return derivatives * vjp(gradient)
 
     @functools.cached_property
     def gradient(self) -> Tensor:
         """The gradient of half the squared error by the raw outputs, `(batch, control)`, without a graph."""
-        return self.pull(self.error)
+        return self.vjp(self.error)
 
 
 class InverseNetwork(RigNetwork, ABC):

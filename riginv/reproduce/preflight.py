@@ -7,6 +7,7 @@ import os
 import shutil
 from pathlib import Path
 
+from riginv.config.aliases import upgraded
 from riginv.config.building import ClassSpec, build, class_of
 from riginv.errors import InputError
 from riginv.evaluation.optimum import fingerprint
@@ -89,7 +90,7 @@ def find_folder(path: Path, config: Config, resume: bool) -> tuple[RunFolder, st
         InputError: the folder holds something else, or a finished reproduction of another config.
     """
     try:
-        return find_run_folder(path, config, resume), ""
+        return find_run_folder(path, config, resume, upgrade=upgraded), ""
     except InputError as error:
         unfinished = (path / "steps").is_dir() and (path / CONFIG).is_file() and not (path / METRICS).is_file()
         if not (resume and unfinished):

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from riginv.config.aliases import upgraded
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.reproduce.cast import rig_in_space, trained_rig
@@ -44,7 +45,7 @@ def bundle_of(folder: str) -> Path:
 
 def _folder(path: Path, config: dict[str, Any]) -> RunFolder:
     try:
-        return find_run_folder(path, config, resume=True)
+        return find_run_folder(path, config, resume=True, upgrade=upgraded)
     except InputError:  # half-written, or begun before the folder was moved: begun anew
         discard(path)
-        return find_run_folder(path, config, resume=True)
+        return find_run_folder(path, config, resume=True, upgrade=upgraded)

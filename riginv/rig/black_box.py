@@ -8,7 +8,7 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.geometry.interpolation import coefficients_from, telling_vertices
+from riginv.geometry.interpolation import coefficients_from, informative_vertices
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.jacobian import Jacobian, forward_jacobian
@@ -66,12 +66,12 @@ class BlackBoxRig(LinearRig):
         squares = basis.flatten(1).square().sum(dim=1)
         self.register_buffer("projection", (basis.flatten(1) / squares[:, None]).T.contiguous(), persistent=False)
         self.some: nn.Module | None = None
-        if rig.poses_some:
+        if rig.poses_subsets:
             lengths = squares.sqrt()
             frame = basis / lengths[:, None, None]
-            rows = telling_vertices(frame)
+            rows = informative_vertices(frame)
             if WORTHWHILE * len(rows) <= len(rig.rest_vertices):
-                self.some = rig.some_vertices(rows)
+                self.some = rig.vertex_subset(rows)
                 self.register_buffer("some_rest", rig.rest_vertices[rows], persistent=False)
                 self.register_buffer("some_projection", coefficients_from(frame, rows) / lengths, persistent=False)
 

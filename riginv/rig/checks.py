@@ -1,4 +1,4 @@
-"""What a rig is made of, checked as it is built."""
+"""Checks of a rig's controls and mesh on construction."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 def _check_names(rig: str, controls: Sequence["Control"]) -> None:
-    """Names end up in terminals, tables and pages: what moves a cursor there, or ends a line, is no name."""
+    """Names are printed in terminals, tables and pages: no control characters or line breaks."""
     for what, name in (("it", rig), *(("a control", control.name) for control in controls)):
         if printable(name) != name:
             raise InputError(f"rig {rig!r:.80}: {what} is named {name!r:.80}, expected printable text: rename it")
 
 
 def check_controls(rig: str, controls: Sequence["Control"]) -> None:
-    """Raises InputError where controls do not make a rig."""
+    """Raises InputError where controls are not valid."""
     _check_names(rig, controls)
     seen: set[str] = set()
     for control in controls:
@@ -39,7 +39,7 @@ def check_controls(rig: str, controls: Sequence["Control"]) -> None:
 
 
 def check_mesh(rig: str, rest_vertices: Tensor, faces: Tensor) -> None:
-    """Raises InputError where a rest mesh `(vertex, 3)` and faces `(face, 3)` do not make a rig."""
+    """Raises InputError where a rest mesh `(vertex, 3)` and faces `(face, 3)` are not valid."""
     if rest_vertices.ndim != 2 or rest_vertices.shape[1] != 3 or not len(rest_vertices):
         raise InputError(f"rig '{rig}': the rest mesh has shape {tuple(rest_vertices.shape)}, expected (vertex, 3)")
     if not torch.isfinite(rest_vertices).all():

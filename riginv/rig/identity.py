@@ -37,7 +37,7 @@ def describe(rig: LinearRig, config: dict[str, Any]) -> dict[str, Any]:
 
 
 def rig_hash(rig: LinearRig) -> str:
-    """SHA-256 of a rig's controls, faces, number of vertices, and coefficient names unless they were fitted."""
+    """SHA-256 of a rig's controls, faces, number of vertices, and coefficient names unless its basis was fitted."""
     names = [] if rig.is_fitted else list(rig.coefficient_names)
     exact = json.dumps([[vars(control) for control in rig.controls], len(rig.rest_vertices), names])
     return hashlib.sha256(exact.encode() + rig.faces.cpu().numpy().astype("<i8").tobytes()).hexdigest()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from riginv.rig.mesh_sets import MeshSet
     from riginv.rig.mesh_space import MeshSpace
 
-Pull = Callable[[Tensor], Tensor]
+Vjp = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class RigBackend(nn.Module, ABC):
         differentiable: whether gradients pass from the vertices to the controls.
         notes: sentences for the user about what was repaired or guessed when the rig was read.
         contents: a short description such as `52 primary shapes, 12 in-betweens`; may be empty.
-        poses_some: whether `some_vertices` is implemented: some vertices can be posed for less than all of them.
-        held_out: recorded poses to evaluate on, of a rig that is known by recorded poses alone; None: it can be posed.
+        poses_subsets: whether `vertex_subset` is implemented: some vertices can be posed for less than all of them.
+        held_out: the evaluation poses of a rig that is known by recorded poses alone; None: the rig can be posed.
 
     Raises:
         InputError: the controls, the mesh or the faces do not make a rig.
@@ -80,7 +80,7 @@ class RigBackend(nn.Module, ABC):
     differentiable: bool = True
     notes: tuple[str, ...] = ()
     contents: str = ""
-    poses_some: bool = False
+    poses_subsets: bool = False
     held_out: "MeshSet | None" = None
     lower: Tensor
     upper: Tensor
@@ -140,11 +140,11 @@ class RigBackend(nn.Module, ABC):
         return None
 
     def true_rig(self) -> "RigBackend":
-        """The rig that evaluates what is trained on this one: itself, or the one that it stands for."""
+        """The rig that evaluates models trained on this one: itself, or the rig that it approximates."""
         return self
 
-    def some_vertices(self, rows: Tensor) -> nn.Module:
-        """A module from controls `(batch, control)` to the vertices `rows` alone, `(batch, row, 3)`, mm; see `poses_some`.
+    def vertex_subset(self, rows: Tensor) -> nn.Module:
+        """A module from controls `(batch, control)` to the vertices `rows` alone, `(batch, row, 3)`, mm; see `poses_subsets`.
 
         Large black-box rigs are posed at these alone in training (`riginv.rig.black_box`).
         """
@@ -166,16 +166,16 @@ class LinearRig(RigBackend):
         coefficient_names: one for each coefficient.
         primary_count: of a blendshape rig, whose coefficients are weights in [0, 1], 0 at rest: the number of primary shapes,
             which controls drive directly; the correctives (in-betweens, combinations) follow them. 0 for other rigs.
-        loose_parts: `(part,)`: standard deviations of rotations that joints may have beside those that controls give them, as
-            in captures; `loose_coefficients` applies them. Empty where a rig has none.
-        is_fitted: whether the basis was fitted to poses: the coefficients have their scale and no names.
-        is_surrogate: whether it was trained to stand for another rig, which is its `true_rig()`.
+        joint_noise: `(part,)`: standard deviations of rotations that joints may have beside those that controls give them, as
+            in captures; `coefficients_with_joint_noise` applies them. Empty where a rig has none.
+        is_fitted: whether the basis was fitted to sampled poses: its coefficients are scaled by their spread and have no names.
+        is_surrogate: whether it is a learned surrogate of another rig, its `true_rig()`.
     """
 
     is_fitted: bool = False
     is_surrogate: bool = False
     basis: Tensor
-    loose_parts: Tensor
+    joint_noise: Tensor
 
     def __init__(
         self,
@@ -193,7 +193,7 @@ class LinearRig(RigBackend):
                 f"rig '{name}': the basis has shape {tuple(basis.shape)}, expected (coefficient, *{tuple(rest_vertices.shape)})"
             )
         self.register_buffer("basis", basis, persistent=False)
-        self.register_buffer("loose_parts", rest_vertices.new_zeros(0), persistent=False)
+        self.register_buffer("joint_noise", rest_vertices.new_zeros(0), persistent=False)
         self.coefficient_names = tuple(coefficient_names or (f"coefficient_{i}" for i in range(len(basis))))
         self.primary_count = primary_count
 
@@ -220,7 +220,7 @@ class LinearRig(RigBackend):
             derivatives = torch.autograd.grad(found, given, rows, is_grads_batched=True)[0]
         return found.detach(), Jacobian(inner=derivatives.transpose(0, 1))
 
-    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
+    def coefficients_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
         """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their vector-Jacobian product.
 
         The latter maps a gradient by the coefficients, `(batch, coefficient)`, to one by the controls, `(batch, control)`.
@@ -228,7 +228,7 @@ class LinearRig(RigBackend):
         """
         if not self.differentiable:
             found, jacobian = self.coefficient_jacobian(controls)
-            return found, jacobian.pull
+            return found, jacobian.vjp
         with torch.enable_grad():
             given = controls.detach().requires_grad_()
             found = self.coefficients(given)
@@ -239,11 +239,11 @@ class LinearRig(RigBackend):
         return self.coefficients(self.neutral_controls[None])
 
     def posing_rig(self) -> RigBackend:
-        """The rig that makes the meshes: itself, or the one that the basis was fitted to."""
+        """The rig that is posed for meshes: itself, or the one that the basis was fitted to."""
         return self
 
     def poses_to_train_on(self, space: "MeshSpace") -> "PoseBatch | None":
-        """The recorded poses to train on, in mesh coordinates; None: a rig that can be posed, at random."""
+        """The recorded poses to train on, in mesh coordinates; None for a rig that can be posed."""
         return None
 
     def features(self, coefficients: Tensor) -> Tensor | None:
@@ -258,7 +258,7 @@ class LinearRig(RigBackend):
         """The difference of features `(batch, feature)`; a rig with angles among them takes the shorter way round."""
         return after - before
 
-    def loose_coefficients(self, controls: Tensor, parts: Tensor) -> Tensor:
+    def coefficients_with_joint_noise(self, controls: Tensor, parts: Tensor) -> Tensor:
         """The coefficients `(batch, coefficient)` of poses whose joints are rotated by noise `parts` `(batch, part)`, too."""
         return self.coefficients(controls)
 

@@ -74,7 +74,7 @@ class Factor:
         result = columns.new_zeros(len(columns), self.pattern.shape[0], columns.shape[2])
         return result.index_add_(1, self.pattern.rows, self.values[..., None] * columns[:, self.pattern.columns])
 
-    def pull(self, gradient: Tensor) -> Tensor:
+    def vjp(self, gradient: Tensor) -> Tensor:
         """The vector-Jacobian product: a gradient `(batch, row)` to one `(batch, column)`."""
         sums = gradient.new_zeros(len(gradient), self.pattern.shape[1])
         return add_to_columns(sums, self.pattern.columns, gradient.index_select(1, self.pattern.rows), self.values)
@@ -110,10 +110,10 @@ class Jacobian:
             rows = (factor.pattern.transposed(factor.values, block_diagonal=False) @ rows.T).T
         return rows if self.inner is None else rows @ self.inner[0]
 
-    def pull(self, gradient: Tensor) -> Tensor:
+    def vjp(self, gradient: Tensor) -> Tensor:
         """The vector-Jacobian product: a gradient `(batch, coefficient)` to one of the controls, `(batch, control)`."""
         for factor in self.factors:
-            gradient = factor.pull(gradient)
+            gradient = factor.vjp(gradient)
         return gradient if self.inner is None else (gradient[:, None] @ self.inner)[:, 0]
 
     def of_controls(self, controls: Tensor) -> "Jacobian":

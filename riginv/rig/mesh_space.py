@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from riginv.errors import InputError
-from riginv.rig.interface import LinearRig, Pull
+from riginv.rig.interface import LinearRig, Vjp
 
 SEARCHED_VERTICES = 3000  # that the search for the number of components evaluates
 RANK_TOLERANCE = 1e-6  # of the largest singular value; directions below it are noise of a float32 basis
@@ -145,10 +145,10 @@ class RigInMeshSpace(nn.Module):
         return self.coordinates_of(self.rig.coefficients(controls))
 
     @torch.no_grad()
-    def coordinates_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
-        """As `forward`, without a graph, and its vector-Jacobian product (`LinearRig.coefficients_and_pull`)."""
-        coefficients, pull = self.rig.coefficients_and_pull(controls)
-        return self.coordinates_of(coefficients), lambda gradient: pull(gradient @ self.linear_map.T)
+    def coordinates_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
+        """As `forward`, without a graph, and its vector-Jacobian product (`LinearRig.coefficients_and_vjp`)."""
+        coefficients, vjp = self.rig.coefficients_and_vjp(controls)
+        return self.coordinates_of(coefficients), lambda gradient: vjp(gradient @ self.linear_map.T)
 
     def coordinates_of(self, coefficients: Tensor) -> Tensor:
         """Coefficients `(batch, coefficient)` to mesh coordinates `(batch, coordinate)`."""

@@ -14,9 +14,10 @@ import hashlib
 import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
@@ -105,12 +106,19 @@ class RunFolder:
             time.sleep(WAIT_SECONDS)
 
 
-def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool, written_here: bool = True) -> RunFolder:
+def find_run_folder(
+    path: str | Path,
+    config: dict[str, Any],
+    resume: bool,
+    written_here: bool = True,
+    upgrade: Callable[[dict[str, Any]], dict[str, Any]] = dict,
+) -> RunFolder:
     """The folder for a run, new or to be resumed; nothing is written before `RunFolder.begin`.
 
     Args:
         config: as from `plain_config`.
         written_here: whether this process is the one that writes there; another one finds it as that one says.
+        upgrade: gives the config of a run to be resumed present names (`riginv.config.aliases.upgraded`).
 
     Raises:
         InputError: the folder holds something else, or a run that was not asked to be resumed or had another config.
@@ -124,7 +132,7 @@ def find_run_folder(path: str | Path, config: dict[str, Any], resume: bool, writ
         raise InputError(f"{path} holds files that are no run of riginv: choose another folder with hydra.run.dir=DIR")
     if not resume:
         raise InputError(f"{path} holds a run already: add resume=true to go on with it, or choose another hydra.run.dir=DIR")
-    before, now = _flat(_read_config(path / CONFIG)), _flat(config)
+    before, now = _flat(upgrade(_read_config(path / CONFIG))), _flat(config)
     differing = sorted(key for key in (before.keys() | now.keys()) - set(HOW_MANY) if before.get(key) != now.get(key))
     if differing:
         key = differing[0]
@@ -143,7 +151,7 @@ def resolved(config: DictConfig) -> dict[str, Any]:
     """
     for key in sorted(OmegaConf.missing_keys(config)):
         raise InputError(f"{key} must be given: add {key}=...")
-    return OmegaConf.to_container(config, resolve=True)
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
 
 
 def plain_config(config: DictConfig) -> dict[str, Any]:

@@ -5,10 +5,12 @@ import re
 import torch
 from torch import Tensor
 
+from riginv.config.values import Fraction, PositiveFloat
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.rig.random_controls import ControlSampler, choose, log_uniform_counts
+from riginv.rig.random_controls import choose, log_uniform_counts
+from riginv.sampling.controls import ControlSampler
 
 SIDES = re.compile(r"left|right", re.IGNORECASE)
 PROBE = 0.1  # displacement that shows which vertices a control moves, as a fraction of its range
@@ -22,9 +24,9 @@ class CorrelatedControls(ControlSampler):
     in a third, as in walking, and independently in the rest. In a fraction of the poses only some controls are active.
 
     Args:
-        reach: the distance at which the correlation has fallen to 0.6, as a share of the mesh's height.
-        spread: the greatest standard deviation, as a share of the range on either side of neutral; each pose draws its own.
-        sparse: the share of poses in which only some controls leave neutral, their number log-uniform.
+        correlation_length: the distance at which the correlation is 0.6, as a fraction of the mesh's height.
+        spread: the greatest standard deviation, as a fraction of the range on either side of neutral; each pose draws its own.
+        sparse_fraction: the fraction of poses in which only some controls are active, their number log-uniform.
 
     Raises:
         InputError: a number is out of range.
@@ -33,21 +35,30 @@ class CorrelatedControls(ControlSampler):
     mixing: Tensor
     other_side: Tensor
 
-    def __init__(self, rig: RigInMeshSpace, reach: float = 0.1, spread: float = 0.5, sparse: float = 0.5) -> None:
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        correlation_length: PositiveFloat = 0.1,
+        spread: PositiveFloat = 0.5,
+        sparse_fraction: Fraction = 0.5,
+    ) -> None:
         super().__init__(rig)
-        if not (reach > 0 and spread > 0 and 0 <= sparse <= 1):
-            raise InputError(f"sampler: reach {reach} and spread {spread} must be above 0, sparse {sparse} a share from 0 to 1")
-        self.spread, self.sparse = spread, sparse
+        if not (correlation_length > 0 and spread > 0 and 0 <= sparse_fraction <= 1):
+            raise InputError(
+                f"sampler: correlation_length {correlation_length} and spread {spread} must be above 0, "
+                f"sparse_fraction {sparse_fraction} from 0 to 1"
+            )
+        self.spread, self.sparse_fraction = spread, sparse_fraction
         positions = control_positions(rig)
         rest = rig.space.rest_vertices
         height = (rest.amax(dim=0) - rest.amin(dim=0)).amax()
-        covariance = torch.exp(-0.5 * (torch.cdist(positions, positions) / (reach * height)).square()).double()
+        covariance = torch.exp(-0.5 * (torch.cdist(positions, positions) / (correlation_length * height)).square()).double()
         values, vectors = torch.linalg.eigh(covariance)
         self.register_buffer("mixing", (vectors * values.clamp_min(0).sqrt()).T.to(rest), persistent=False)
         self.register_buffer("other_side", torch.tensor(other_sides(rig.rig.control_names)), persistent=False)
 
     @classmethod
-    def belongs_to(cls, rig: LinearRig) -> bool:
+    def suits(cls, rig: LinearRig) -> bool:
         return not rig.has_blendshapes
 
     def sample(self, count: int, generator: torch.Generator) -> Tensor:
@@ -58,7 +69,7 @@ class CorrelatedControls(ControlSampler):
         draws = torch.where(self.other_side == torch.arange(controls, device=device), draws, mixed)
         strength = self.spread * torch.rand(count, 1, generator=generator, device=device).to(draws)
         active = choose(log_uniform_counts(count, controls, generator), controls, generator)
-        active = active | (torch.rand(count, 1, generator=generator, device=device) >= self.sparse)
+        active = active | (torch.rand(count, 1, generator=generator, device=device) >= self.sparse_fraction)
         side = torch.where(draws >= 0, self.upper - self.neutral, self.neutral - self.lower)
         change = torch.where(active, strength * draws * side, 0.0)
         return torch.minimum(torch.maximum(self.neutral + change, self.lower), self.upper)

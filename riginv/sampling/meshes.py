@@ -10,19 +10,13 @@ from rich.progress import track
 from torch import Tensor, nn
 
 from riginv.config.building import class_of
-from riginv.config.values import NonNegativeFloat, PositiveInt
+from riginv.config.values import Fraction, PositiveInt
 from riginv.errors import InputError
 from riginv.rig.batches import PoseBatch, map_batches
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.rig.random_controls import (
-    ControlSampler,
-    check_plausible,
-    choose,
-    faint_strength,
-    log_uniform_counts,
-    uniform_counts,
-)
+from riginv.rig.random_controls import choose, log_uniform_counts, uniform_counts
+from riginv.sampling.controls import ControlSampler, check_plausible, random_strength
 from riginv.sampling.noise import CaptureNoise
 
 
@@ -30,7 +24,7 @@ class MeshSampler(nn.Module, ABC):
     """Draws random meshes, in mesh coordinates."""
 
     @classmethod
-    def belongs_to(cls, rig: LinearRig) -> bool:
+    def suits(cls, rig: LinearRig) -> bool:
         """Whether a mixture for this rig includes this sampler (`select_for_rig`)."""
         return True
 
@@ -94,7 +88,7 @@ class BlendshapeSampler(MeshSampler):
         self.rig = rig
 
     @classmethod
-    def belongs_to(cls, rig: LinearRig) -> bool:
+    def suits(cls, rig: LinearRig) -> bool:
         return rig.has_blendshapes
 
 
@@ -116,25 +110,25 @@ class PlausibleCombinations(BlendshapeSampler):
     """Linear combinations of a few primary shapes: near the rig's poses, mostly not among them, like captured faces.
 
     Args:
-        most: the greatest number of shapes at once; the number is log-uniform.
-        faint: the share of meshes that are scaled down as a whole.
+        max_active: the greatest number of active shapes; the number is log-uniform.
+        weak_fraction: the fraction of meshes that are scaled towards neutral.
 
     Raises:
         InputError: the rig has no blendshapes, or a number is out of range.
     """
 
-    def __init__(self, rig: RigInMeshSpace, most: PositiveInt = 60, faint: NonNegativeFloat = 0.5) -> None:
+    def __init__(self, rig: RigInMeshSpace, max_active: PositiveInt = 60, weak_fraction: Fraction = 0.5) -> None:
         super().__init__(rig)
-        check_plausible(most, faint)
-        self.faint = faint
+        check_plausible(max_active, weak_fraction)
+        self.weak_fraction = weak_fraction
         self.shapes = rig.rig.primary_count
-        self.most = min(most, self.shapes)
+        self.max_active = min(max_active, self.shapes)
 
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
-        active = choose(log_uniform_counts(count, self.most, generator), self.shapes, generator)
+        active = choose(log_uniform_counts(count, self.max_active, generator), self.shapes, generator)
         values = torch.rand(count, self.shapes, generator=generator, device=generator.device)
-        weights = torch.where(active, values, 0.0) * faint_strength(count, self.faint, generator)
+        weights = torch.where(active, values, 0.0) * random_strength(count, self.weak_fraction, generator)
         return PoseBatch(coordinates=weights @ self.rig.linear_map[: self.shapes])
 
 
@@ -143,24 +137,24 @@ class Mixture(MeshSampler):
 
     Args:
         samplers: by name.
-        shares: of each, by the same names; they need not add up to 1.
+        fractions: of each, by the same names; they need not add up to 1.
 
     Raises:
-        InputError: the names differ, or a share is negative, or all are zero.
+        InputError: the names differ, or a fraction is negative, or all are zero.
     """
 
-    def __init__(self, rig: RigInMeshSpace | None, samplers: Mapping[str, MeshSampler], shares: Mapping[str, float]) -> None:
+    def __init__(self, rig: RigInMeshSpace | None, samplers: Mapping[str, MeshSampler], fractions: Mapping[str, float]) -> None:
         super().__init__()
-        if set(samplers) != set(shares):
-            raise InputError(f"sampler.shares names {sorted(shares)}, expected {sorted(samplers)} as in sampler.samplers")
-        for name, share in shares.items():
-            if not share >= 0:
-                raise InputError(f"sampler.shares.{name} is {share}, expected at least 0")
-        total = sum(shares.values())
+        if set(samplers) != set(fractions):
+            raise InputError(f"sampler.fractions names {sorted(fractions)}, expected {sorted(samplers)} as in sampler.samplers")
+        for name, fraction in fractions.items():
+            if not fraction >= 0:
+                raise InputError(f"sampler.fractions.{name} is {fraction}, expected at least 0")
+        total = sum(fractions.values())
         if not total > 0:
-            raise InputError("sampler.shares are all 0: at least one must be above 0")
+            raise InputError("sampler.fractions are all 0: at least one must be above 0")
         self.samplers = nn.ModuleDict(samplers)
-        self.shares = {name: shares[name] / total for name in samplers}
+        self.fractions = {name: fractions[name] / total for name in samplers}
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         parts = [sampler.sample(size, generator) for sampler, size in self._sizes(count)]
@@ -171,12 +165,12 @@ class Mixture(MeshSampler):
 
     def reading(self, stored: MeshSampler) -> MeshSampler:
         samplers: dict[str, MeshSampler] = {}
-        shares: dict[str, float] = {}
+        fractions: dict[str, float] = {}
         for name, sampler in self._parts().items():
             found = sampler.reading(stored)
             key = "stored" if found is stored else name
-            samplers[key], shares[key] = found, shares.get(key, 0.0) + self.shares[name]
-        return Mixture(None, samplers, shares)
+            samplers[key], fractions[key] = found, fractions.get(key, 0.0) + self.fractions[name]
+        return Mixture(None, samplers, fractions)
 
     def at_step(self, step: int) -> None:
         for sampler in self._parts().values():
@@ -187,7 +181,7 @@ class Mixture(MeshSampler):
 
     def _sizes(self, count: int) -> list[tuple[MeshSampler, int]]:
         """The samplers that draw some of a batch, and how many meshes each."""
-        ends = torch.tensor(list(self.shares.values())).cumsum(0).mul(count).round().long().tolist()
+        ends = torch.tensor(list(self.fractions.values())).cumsum(0).mul(count).round().long().tolist()
         sizes = zip(self._parts().values(), [0, *ends], ends)
         return [(sampler, end - start) for sampler, start, end in sizes if end > start]
 
@@ -257,11 +251,12 @@ def select_for_rig(config: Config, rig: LinearRig) -> Config:
     if "samplers" not in config:
         return config
     parts = {name: part for name, part in config["samplers"].items() if _belongs(part, rig, MeshSampler)}
-    shares = {name: share for name, share in config["shares"].items() if name in parts or name not in config["samplers"]}
-    return {**config, "samplers": parts, "shares": shares}
+    given = config["fractions"].items()
+    fractions = {name: fraction for name, fraction in given if name in parts or name not in config["samplers"]}
+    return {**config, "samplers": parts, "fractions": fractions}
 
 
 def _belongs(part: Config, rig: LinearRig, kind: type[MeshSampler | ControlSampler]) -> bool:
     inner = part.get("controls")
-    found = cast(type[MeshSampler | ControlSampler], class_of(part.get("_target_"), kind=kind))
-    return found.belongs_to(rig) and (inner is None or _belongs(inner, rig, ControlSampler))
+    found: Any = class_of(part.get("_target_"), kind=kind)
+    return found.suits(rig) and (inner is None or _belongs(inner, rig, ControlSampler))

@@ -43,7 +43,7 @@ def solve_meshes(
             if not len(open_rows):
                 break
             if number == 1 and descent_steps:
-                given = objective.own_units(first[open_rows])
+                given = objective.to_controls(first[open_rows])
                 start = objective.units(descend(rig, given, target[open_rows], descent_steps, DESCENT_RATE))
             else:
                 start = start_at_random(objective, first, number)[open_rows]

@@ -125,7 +125,7 @@ class Objective:
         """Controls as fractions of their ranges."""
         return (controls.to(self.map) - self.lower) / self.span
 
-    def own_units(self, units: Tensor) -> Tensor:
+    def to_controls(self, units: Tensor) -> Tensor:
         """The inverse of `units`, exactly within the limits of the rig."""
         rig = self.rig.rig
         return (self.lower + self.span * units).to(rig.dtype).clamp(rig.lower, rig.upper)
@@ -144,9 +144,9 @@ class Objective:
     @torch.no_grad()
     def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
         """The gradient `(mesh, control)` of the objective."""
-        found, pull = self.rig.rig.coefficients_and_pull(self.lower + self.span * units)
+        found, vjp = self.rig.rig.coefficients_and_vjp(self.lower + self.span * units)
         by_residual = self.distance(self._residual(found, coordinates)).gradient
-        return self.span * pull(by_residual @ self.map.T) + self._prior(units)[1]
+        return self.span * vjp(by_residual @ self.map.T) + self._prior(units)[1]
 
     @torch.no_grad()
     def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
@@ -158,7 +158,7 @@ class Objective:
         hessian = jacobian.gram(self.metric)
         if relative is not None:
             hessian = relative[:, None, None] * hessian
-        derivative = jacobian.pull(by_residual @ self.map.T)
+        derivative = jacobian.vjp(by_residual @ self.map.T)
         if weights is not None:
             distance, derivative, hessian = weights * distance, weights[:, None] * derivative, weights[:, None, None] * hessian
         hessian.diagonal(dim1=1, dim2=2).add_(curvature)

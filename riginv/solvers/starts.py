@@ -72,7 +72,7 @@ def descend(rig: RigInMeshSpace, start: Tensor, coordinates: Tensor, steps: int,
     with torch.no_grad():
         for step in range(steps + 1):
             controls = backend.lower + span * unit
-            found, pull = rig.coordinates_and_pull(controls)
+            found, vjp = rig.coordinates_and_vjp(controls)
             residual = found - coordinates
             errors = residual.square().sum(dim=1)
             better = errors < least
@@ -80,7 +80,7 @@ def descend(rig: RigInMeshSpace, start: Tensor, coordinates: Tensor, steps: int,
             least = torch.where(better, errors, least)
             if step == steps:
                 break
-            unit.grad = (2 / rig.space.vertex_count * span * pull(residual)).nan_to_num_()
+            unit.grad = (2 / rig.space.vertex_count * span * vjp(residual)).nan_to_num_()
             optimizer.step()
             unit.clamp_(0, 1)
     return best.clamp(backend.lower, backend.upper)

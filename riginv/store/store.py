@@ -12,6 +12,7 @@ import torch
 import zarr
 from zarr.storage import LocalStore
 
+from riginv.config.aliases import upgraded
 from riginv.errors import InputError
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
@@ -72,7 +73,7 @@ class PoseStore:
             )
         if attributes.get(SUM) != description_sum(facts):
             raise DamagedError(f"{place}/zarr.json: altered since it was written (SHA-256 differs): sample another store")
-        return cls(place, group, facts)
+        return cls(place, group, upgraded(facts))
 
     @classmethod
     def begin(cls, place: Place, layout: Layout, facts: dict[str, Any], rig: LinearRig) -> "PoseStore":

@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from riginv.runs.tables import new_table
 from riginv.store.layout import CONTROL_RANGE, COST, ERRORS
 from riginv.store.store import PoseStore
 
@@ -44,9 +44,8 @@ def finish(store: PoseStore) -> None:
 def table(store: PoseStore, rows: dict[str, Any]) -> Table:
     """A store and what is to be said about it."""
     layout, rig = store.layout, store.facts["rig"]
-    found = Table(title=str(store), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=False)
-    found.add_column("what", no_wrap=True)
-    found.add_column("value", overflow="fold")
+    found = new_table(["", ""], str(store), text_columns=(0, 1))
+    found.columns[0].no_wrap = True
     arrays = f"{layout.controls} controls, {layout.coefficients} coefficients"
     found.add_row("poses", f"{layout.samples:,} of rig '{rig['name']}': {arrays}{', vertices' if layout.vertices else ''}")
     found.add_row("chunks", f"{layout.chunks:,} of {layout.chunk:,} poses, {layout.dtype}, seed {store.facts['seed']}")

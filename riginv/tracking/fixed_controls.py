@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from riginv.rig.interface import LinearRig, Pull
+from riginv.rig.interface import LinearRig, Vjp
 from riginv.rig.jacobian import Jacobian
 
 
@@ -36,9 +36,9 @@ class FixedControlsRig(LinearRig):
         found, jacobian = self.rig.coefficient_jacobian(self.all_controls(controls))
         return found, jacobian.of_controls(self.free)
 
-    def coefficients_and_pull(self, controls: Tensor) -> tuple[Tensor, Pull]:
-        found, pull = self.rig.coefficients_and_pull(self.all_controls(controls))
-        return found, lambda gradient: pull(gradient).index_select(1, self.free)
+    def coefficients_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
+        found, vjp = self.rig.coefficients_and_vjp(self.all_controls(controls))
+        return found, lambda gradient: vjp(gradient).index_select(1, self.free)
 
     def neutral_coefficients(self) -> Tensor:
         """Those of the rest mesh, which the held controls may not be at."""

@@ -46,6 +46,6 @@ def with_reach(errors: FrameErrors, clip: Clip, found: Inversion, judge: FrameJu
         solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS),
         refine_meshes(objective, coordinates, objective.units(found.controls[rows]), STEPS),
     )
-    each = [mean_distance(rig(objective.own_units(answer.units)), vertices, counted) for answer in answers]
+    each = [mean_distance(rig(objective.to_controls(answer.units)), vertices, counted) for answer in answers]
     least = torch.stack([*each, errors.mean_mm[rows]]).amin(dim=0)
     return replace(errors, reach=Reach(rows, least))

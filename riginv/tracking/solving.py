@@ -80,7 +80,7 @@ class BySolver(Solving):
 
     def controls(self, units: Tensor) -> Tensor:
         """The reverse, with the held controls where they are held."""
-        return self.held.all_controls(self.objective.own_units(units))
+        return self.held.all_controls(self.objective.to_controls(units))
 
     def first(self, vertices: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)

@@ -44,9 +44,9 @@ def refused(outcome, *says: str) -> None:
         (["model.network.stages=0"], "model.network.stages is 0"),
         (["model.network.activation=sine"], "activation 'sine'"),
         (["noise.vertex_mm=-0.1"], "noise.vertex_mm is -0.1"),
-        (["sampler.shares.sparse_poses=-1"], "sampler.shares.sparse_poses is -1"),
-        (["sampler=plausible_poses", "sampler.controls.faint=2"], "faint is 2"),
-        (["sampler=sparse_poses", "sampler.controls.most=8"], "most is 8, expected 1 to 7"),
+        (["sampler.fractions.sparse_poses=-1"], "sampler.fractions.sparse_poses is -1"),
+        (["sampler=plausible_poses", "sampler.controls.weak_fraction=2"], "weak_fraction is 2"),
+        (["sampler=sparse_poses", "sampler.controls.max_active=8"], "max_active is 8, expected 1 to 7"),
         (["seed=-1"], "seed is -1"),
         (["checkpoint.every_n_steps=0"], "checkpoint.every_n_steps is 0"),
     ],
@@ -94,6 +94,6 @@ def test_a_loss_that_becomes_nan_stops_the_run_and_keeps_the_last_good_checkpoin
 
 
 def test_a_bug_is_not_passed_off_as_a_users_mistake(run, monkeypatch):
-    monkeypatch.setattr("riginv.train.build_rig", lambda config: 1 / 0)
+    monkeypatch.setattr("riginv.train.build_rig", lambda *arguments: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run("train")

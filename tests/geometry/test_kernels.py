@@ -7,7 +7,7 @@ import sys
 import pytest
 import torch
 
-from riginv.geometry.blendshapes import add_to_columns, combination_pull, combination_weights, screen, screen_pull
+from riginv.geometry.blendshapes import add_to_columns, combination_vjp, combination_weights, screen, screen_vjp
 from riginv.geometry.curves import curves_and_derivatives, evaluate_curves, pack_curves
 from riginv.geometry.kernels.build import LEVELS, CompilationError, compile_library, find_compiler
 from riginv.geometry.kernels.library import kernels, kernels_for, pure_torch
@@ -59,13 +59,13 @@ def test_nan_stays_nan_and_infinity_is_an_end():
 
 @needs_kernels
 @pytest.mark.parametrize("members", [MEMBERS, TRIPLES], ids=["four slots", "three slots"])
-@pytest.mark.parametrize(("combine", "pull"), [(screen, screen_pull), (combination_weights, combination_pull)])
-def test_products_equal_those_of_pure_torch(combine, pull, members):
+@pytest.mark.parametrize(("combine", "vjp"), [(screen, screen_vjp), (combination_weights, combination_vjp)])
+def test_products_equal_those_of_pure_torch(combine, vjp, members):
     factors = torch.rand(9, 10, dtype=torch.float64)
     factors[:, ::3] = 0  # a product of which one factor is 0 still has a gradient
     for found, expected in (
         both(combine, factors, members),
-        both(pull, factors, members, torch.randn(9, len(members), dtype=torch.float64)),
+        both(vjp, factors, members, torch.randn(9, len(members), dtype=torch.float64)),
     ):
         torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-14)
 
@@ -96,12 +96,12 @@ def test_the_face_equals_pure_torch_and_its_pull_equals_automatic_differentiatio
     controls = (face.lower + torch.rand(24, 137) * (face.upper - face.lower)).double()
     controls = torch.where(torch.rand(24, 137) < torch.linspace(0, 1, 24)[:, None], controls, face.neutral_controls.double())
     gradient = torch.randn(24, 628, dtype=torch.float64)
-    found, pull = face.coefficients_and_pull(controls)
+    found, vjp = face.coefficients_and_vjp(controls)
     with pure_torch():
-        expected, by_autograd = LinearRig.coefficients_and_pull(face, controls)
-        _, in_torch = face.coefficients_and_pull(controls)
+        expected, by_autograd = LinearRig.coefficients_and_vjp(face, controls)
+        _, in_torch = face.coefficients_and_vjp(controls)
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
-        for pulled in (pull(gradient), in_torch(gradient)):
+        for pulled in (vjp(gradient), in_torch(gradient)):
             torch.testing.assert_close(pulled, by_autograd(gradient), rtol=1e-10, atol=1e-10)
     torch.testing.assert_close(face.coefficients(controls), expected, rtol=0, atol=1e-12)
 

@@ -6,7 +6,7 @@ import roma
 import torch
 
 from riginv.errors import InputError
-from riginv.geometry.kinematics import compose, forward_kinematics, invert, transform_from, tree_levels, turns_against
+from riginv.geometry.kinematics import compose, forward_kinematics, invert, relative_rotations, transform_from, tree_levels
 
 PARENTS = [2, 0, -1, 2, 1, -1, 5, 4]  # children before parents, and two roots
 
@@ -41,7 +41,7 @@ def test_world_transforms_are_products_up_the_tree():
 def test_turns_against_the_parent_are_the_local_rotations():
     local = random_transforms(3, len(PARENTS))
     worlds = forward_kinematics(local, PARENTS, tree_levels(PARENTS))
-    torch.testing.assert_close(turns_against(worlds, PARENTS), local[..., :3])
+    torch.testing.assert_close(relative_rotations(worlds, PARENTS), local[..., :3])
 
 
 def test_gradients_pass():

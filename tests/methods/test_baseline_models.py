@@ -12,7 +12,7 @@ from riginv.methods.baselines.measured import pose_coordinates, ramps, tables, w
 from riginv.methods.baselines.model_objective import ModelObjective
 from riginv.methods.baselines.sides import Sides
 from riginv.rig.batches import generator_at
-from riginv.rig.random_controls import SparseControls
+from riginv.sampling.controls import SparseControls
 
 MODELS = {
     "linear": lambda rig: ramps(rig, squares=False),

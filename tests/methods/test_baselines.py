@@ -22,7 +22,7 @@ from riginv.rig.contract import check_rig
 from riginv.rig.interface import Control, LinearRig
 from riginv.rig.mesh_sets import PosedRig, WeightedShapes
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.rig.random_controls import PlausibleControls, SparseControls
+from riginv.sampling.controls import PlausibleControls, SparseControls
 from riginv.sampling.meshes import RandomCombinations, RigPoses
 from tests.conftest import ROOT
 from tests.support.toys import ToyRig
@@ -199,6 +199,6 @@ def toy_configs() -> list[str]:
 
 
 def test_plausible_poses_are_fitted_too(toy):
-    method = HoldenGaussianProcess(toy, RigPoses(toy, PlausibleControls(toy, most=7)), drawn=400, poses=100)
+    method = HoldenGaussianProcess(toy, RigPoses(toy, PlausibleControls(toy, max_active=7)), drawn=400, poses=100)
     method.prepare(0)
     assert share_left(method.invert(poses_of(toy, 30)), toy, poses_of(toy, 30)) < 0.2

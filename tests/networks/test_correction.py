@@ -1,4 +1,4 @@
-"""A correction: nothing left, nothing changed; what it does shrinks with what is left."""
+"""A refinement step is zero for a zero residual, and shrinks with it."""
 
 import torch
 
@@ -8,24 +8,24 @@ from riginv.networks.inverse import StagedInverse
 
 def correction() -> Correction:
     torch.manual_seed(0)
-    return Correction(left=12, controls=7, width=32, gate=16)
+    return Correction(residual=12, controls=7, width=32, gate=16)
 
 
-def test_where_nothing_is_left_nothing_changes():
+def test_a_zero_residual_gives_a_zero_step():
     change = correction()(torch.zeros(3, 12), torch.zeros(3, 7), torch.randn(3, 7))
     assert change.shape == (3, 7) and (change == 0).all()
 
 
-def test_it_is_linear_in_what_is_left_as_long_as_the_gate_sees_the_same():
-    step, left, gradient, raw = correction(), torch.randn(5, 12), torch.randn(5, 7), torch.randn(5, 7)
+def test_it_is_linear_in_the_residual_for_equal_gates():
+    step, residual, gradient, raw = correction(), torch.randn(5, 12), torch.randn(5, 7), torch.randn(5, 7)
     with torch.no_grad():
-        step.gate[0].weight[:, -1] = 0  # the gate's one number that knows how long the gradient is
-    whole = step(left, gradient, raw)
-    torch.testing.assert_close(step(left / 8, gradient / 8, raw), whole / 8, rtol=1e-3, atol=1e-6)
-    assert (step(left, gradient, -raw) - whole).abs().max() > 1e-3  # the matrix depends on where the controls stand
+        step.gate[0].weight[:, -1] = 0  # the gate's input for the gradient's size
+    change = step(residual, gradient, raw)
+    torch.testing.assert_close(step(residual / 8, gradient / 8, raw), change / 8, rtol=1e-3, atol=1e-6)
+    assert (step(residual, gradient, -raw) - change).abs().max() > 1e-3  # the matrix depends on the controls
 
 
-def test_corrections_mend_what_the_perceptron_left(toy):
+def test_corrections_reduce_the_residual_of_the_mlp(toy):
     torch.manual_seed(0)
     network = StagedInverse(toy, stages=1, hidden=[32], corrections=4, width=32, gate=16)
     optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)

@@ -9,7 +9,7 @@ from riginv.geometry.neighbours import differential_coordinates, spread_points
 from riginv.networks.differential_subspace import DifferentialSubspace, reconstruction
 from riginv.rig.batches import generator_at
 from riginv.rig.contract import check_rig
-from riginv.rig.random_controls import SparseControls
+from riginv.sampling.controls import SparseControls
 from riginv.sampling.meshes import RigPoses
 from riginv.training.forward import ForwardModule
 from riginv.training.losses import SquaredVertexLoss

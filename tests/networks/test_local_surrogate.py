@@ -6,7 +6,7 @@ import torch
 from riginv.networks.dependencies import find_dependencies
 from riginv.networks.local import LocalMlps, LocalSurrogate
 from riginv.rig.batches import generator_at
-from riginv.rig.random_controls import SparseControls
+from riginv.sampling.controls import SparseControls
 from riginv.sampling.meshes import RigPoses
 from riginv.training.forward import ForwardModule
 from riginv.training.losses import VertexDistanceLoss

@@ -72,8 +72,8 @@ def test_a_table_reads_as_it_was_written(table, tmp_path, form):
 
 def test_what_is_held_out_is_not_trained_on(table, tmp_path):
     rig = PairsRig(str(write(table, tmp_path / "table.npz")))
-    assert len(rig.held_out) == 20 and len(rig.training) == 180
-    seen = {tuple(row) for row in rig.training.controls.tolist()}
+    assert len(rig.held_out) == 20 and len(rig.training_set) == 180
+    seen = {tuple(row) for row in rig.training_set.controls.tolist()}
     assert not any(tuple(row) in seen for row in rig.held_out.controls.tolist())
     basis = rig.basis.flatten(1).numpy()
     left = table["vertices"].reshape(200, -1) - table["rest_vertices"].reshape(-1)

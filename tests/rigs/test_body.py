@@ -13,7 +13,7 @@ from riginv.geometry.skinning import skin
 from riginv.networks.inverse import StagedInverse
 from riginv.rig.batches import generator_at
 from riginv.rig.contract import contract
-from riginv.rig.random_controls import SparseControls
+from riginv.sampling.controls import SparseControls
 from riginv.training.assembly import build_clip
 from rigs.body import BodyRig
 from rigs.body.build import body_geometry

@@ -16,14 +16,14 @@ PARTS = {
     "combinations": {"_target_": "riginv.sampling.meshes.RandomCombinations"},
     "poses": {
         "_target_": "riginv.sampling.meshes.RigPoses",
-        "controls": {"_target_": "riginv.rig.random_controls.SparseControls"},
+        "controls": {"_target_": "riginv.sampling.controls.SparseControls"},
     },
     "correlated": {
         "_target_": "riginv.sampling.meshes.RigPoses",
         "controls": {"_target_": "riginv.sampling.correlated.CorrelatedControls"},
     },
 }
-MIXTURE = {"_target_": "riginv.sampling.meshes.Mixture", "samplers": PARTS, "shares": dict.fromkeys(PARTS, 1)}
+MIXTURE = {"_target_": "riginv.sampling.meshes.Mixture", "samplers": PARTS, "fractions": dict.fromkeys(PARTS, 1)}
 
 
 class Row(LinearRig):
@@ -51,7 +51,7 @@ def test_places_are_where_controls_act(row):
 
 
 def test_neighbours_go_together_and_far_ones_do_not(row):
-    controls = CorrelatedControls(row, reach=0.15, sparse=0).sample(20000, generator_at(0, "row"))
+    controls = CorrelatedControls(row, correlation_length=0.15, sparse_fraction=0).sample(20000, generator_at(0, "row"))
     correlation = torch.corrcoef(controls.T)
     assert correlation[0, 1] > 0.5 > correlation[0, 2] > 0.1 and correlation[0, 5].abs() < 0.05
     assert (controls >= -20).all() and (controls <= 10).all()
@@ -59,18 +59,20 @@ def test_neighbours_go_together_and_far_ones_do_not(row):
 
 
 def test_left_and_right_go_alike_oppositely_or_alone(row):
-    controls = CorrelatedControls(row, reach=1e-3, sparse=0, spread=0.1).sample(3000, generator_at(0, "row"))
+    controls = CorrelatedControls(row, correlation_length=1e-3, sparse_fraction=0, spread=0.1).sample(
+        3000, generator_at(0, "row")
+    )
     left, right = (torch.where(side > 0, side / 10, side / 20) for side in (controls[:, 6], controls[:, 7]))
     alike, opposite = ((left - right).abs() < 1e-5).float().mean(), ((left + right).abs() < 1e-5).float().mean()
     assert 0.28 < alike < 0.39 and 0.28 < opposite < 0.39
 
 
 def test_a_share_of_the_poses_is_sparse(row):
-    controls = CorrelatedControls(row, sparse=0.5).sample(4000, generator_at(0, "row"))
+    controls = CorrelatedControls(row, sparse_fraction=0.5).sample(4000, generator_at(0, "row"))
     assert 0.45 < ((controls != 0).sum(dim=1) < 8).float().mean() < 0.6
 
 
-@pytest.mark.parametrize("wrong", [{"reach": 0}, {"spread": -1}, {"sparse": 2}])
+@pytest.mark.parametrize("wrong", [{"correlation_length": 0}, {"spread": -1}, {"sparse_fraction": 2}])
 def test_numbers_out_of_range_are_named(row, wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         CorrelatedControls(row, **wrong)
@@ -83,7 +85,7 @@ def test_sides_are_found_in_any_spelling():
 
 def test_a_mixture_holds_what_belongs_to_the_rig():
     selected = select_for_rig(MIXTURE, ToyRig())
-    assert list(selected["samplers"]) == list(selected["shares"]) == ["combinations", "poses"]
+    assert list(selected["samplers"]) == list(selected["fractions"]) == ["combinations", "poses"]
     assert list(select_for_rig(MIXTURE, Row())["samplers"]) == ["poses", "correlated"]
     assert select_for_rig(PARTS["combinations"], Row()) == PARTS["combinations"]  # its constructor refuses the rig
 

@@ -6,7 +6,8 @@ import torch
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_sets
 from riginv.rig.batches import generator_at
-from riginv.rig.random_controls import PlausibleControls, SparseControls, choose
+from riginv.rig.random_controls import choose
+from riginv.sampling.controls import PlausibleControls, SparseControls
 from riginv.sampling.meshes import (
     Mixture,
     PlausibleCombinations,
@@ -58,7 +59,7 @@ def test_the_papers_combinations_have_uniform_counts_and_uniform_weights():
 
 
 def test_plausible_controls_are_few_and_often_faint(face_in_space):
-    controls = PlausibleControls(face_in_space, most=40, faint=0.5).sample(COUNT, generator())
+    controls = PlausibleControls(face_in_space, max_active=40, weak_fraction=0.5).sample(COUNT, generator())
     counts = (controls != 0).sum(dim=1)
     assert counts.max() <= 40 and counts.median() <= 8
     assert ks_distance(counts.clamp(1, 40).float().log(), lambda x: x / torch.tensor(40.0).log()) < 0.12  # log-uniform, rounded
@@ -81,7 +82,7 @@ def test_meshes_are_what_they_say(face_in_space):
     assert torch.equal(batch["coordinates"], face_in_space(batch["controls"]))
     meshes = RandomCombinations(face_in_space).sample(5, generator())["coordinates"]
     torch.testing.assert_close(meshes, random_weights(628, 5, generator()) @ face_in_space.linear_map)
-    few = PlausibleCombinations(face_in_space, most=1, faint=0).sample(200, generator())["coordinates"]
+    few = PlausibleCombinations(face_in_space, max_active=1, weak_fraction=0).sample(200, generator())["coordinates"]
     primaries = torch.nn.functional.normalize(face_in_space.linear_map[:134], dim=1)
     aligned = (torch.nn.functional.normalize(few, dim=1) @ primaries.T).amax(dim=1)
     assert aligned.min() > 1 - 1e-4

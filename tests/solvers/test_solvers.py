@@ -85,7 +85,7 @@ def test_jacobians_agree_with_finite_differences(name, face, toy, body):
     gram = torch.einsum("bki,kl,blj->bij", jacobian.dense(), metric, jacobian.dense())
     torch.testing.assert_close(jacobian.gram(metric), gram, atol=1e-7, rtol=1e-10)
     pulled = torch.einsum("bk,bkj->bj", found, jacobian.dense())
-    torch.testing.assert_close(jacobian.pull(found), pulled, atol=1e-9, rtol=1e-10)
+    torch.testing.assert_close(jacobian.vjp(found), pulled, atol=1e-9, rtol=1e-10)
 
 
 def test_the_gradient_is_that_of_the_cost(face_in_space):
@@ -106,13 +106,13 @@ def test_a_pose_of_the_rig_is_recovered_from_a_start_near_it(face_in_space):
     controls = poses(rig, 6)
     near = objective.units(controls) + 0.01 * torch.randn(controls.shape, generator=generator_at(0, "near"))
     found = levenberg_marquardt(objective, face_in_space(controls), near, 80, 1e-9)
-    assert mesh_error_mm(rig, objective.own_units(found.units), controls).max() < 1e-3
+    assert mesh_error_mm(rig, objective.to_controls(found.units), controls).max() < 1e-3
 
 
 def test_bounds_hold_exactly_even_where_the_mesh_lies_beyond_them(face_in_space):
     rig, objective = face_in_space.rig, Objective(face_in_space)
     weights = 3 * torch.randn(8, len(face_in_space.linear_map), generator=generator_at(0, "beyond"))
-    found = objective.own_units(solve_meshes(objective, weights @ face_in_space.linear_map, 1, 15).units)
+    found = objective.to_controls(solve_meshes(objective, weights @ face_in_space.linear_map, 1, 15).units)
     assert (found >= rig.lower).all() and (found <= rig.upper).all()
     assert ((found == rig.lower) | (found == rig.upper)).any()
 
@@ -142,7 +142,7 @@ def test_a_rank_deficient_rig_and_an_idle_control(face):
     assert space.space.size < len(rig.basis)
     objective, controls = Objective(space), poses(rig, 20)
     found = solve_meshes(objective, space(controls), 3)
-    assert mesh_error_mm(rig, objective.own_units(found.units), controls).median() < 5e-2
+    assert mesh_error_mm(rig, objective.to_controls(found.units), controls).median() < 5e-2
     assert torch.isfinite(found.units).all()
     torch.testing.assert_close(found.units[:, 7], torch.zeros(20), atol=1e-3, rtol=0)  # the prior keeps it at neutral
 
@@ -234,7 +234,7 @@ def test_weights_say_what_a_mesh_counts_against_the_prior(toy):
     found = levenberg_marquardt(objective, coordinates, start, 40, weights=weights)
     torch.testing.assert_close(found.units[:3], plain.units[:3], atol=1e-5, rtol=0)
     torch.testing.assert_close(found.units[3], objective.neutral, atol=1e-3, rtol=0)
-    missed = [(toy(objective.own_units(one.units)) - coordinates).norm(dim=1) for one in (plain, found)]
+    missed = [(toy(objective.to_controls(one.units)) - coordinates).norm(dim=1) for one in (plain, found)]
     assert missed[1][4] < 0.5 * missed[0][4] and missed[1][5] > missed[0][5]
 
 
@@ -276,9 +276,9 @@ def test_the_mean_distance_is_what_it_says_and_so_is_its_gradient(toy):
     rig = ToyRig().double()
     objective = Objective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), prior=0.0).by_mean_distance(corner_mm=0.2)
     units = 0.1 + 0.8 * torch.rand(3, 7, generator=generator_at(0, "units"), dtype=torch.float64)
-    target = rig(objective.own_units(units.flip(0)))
+    target = rig(objective.to_controls(units.flip(0)))
     coordinates = objective.rig.space.encode(target)
-    distance = (rig(objective.own_units(units)) - target).norm(dim=2)
+    distance = (rig(objective.to_controls(units)) - target).norm(dim=2)
     expected = (0.2 * ((distance.square() + 0.2**2).sqrt() - 0.2)).sum(dim=1)
     torch.testing.assert_close(objective.cost(units, coordinates), expected)
     gradient, step = objective.gradient(units, coordinates), 1e-6
@@ -298,7 +298,7 @@ def test_steps_on_the_mean_distance_lower_it(toy):
     start = objective.units(controls)
 
     def mean_distance_mm(units):
-        return (toy.rig(objective.own_units(units)) - toy.space.decode(coordinates)).norm(dim=2).mean()
+        return (toy.rig(objective.to_controls(units)) - toy.space.decode(coordinates)).norm(dim=2).mean()
 
     squares = solve_clip(objective, coordinates, start, 1e-3, 12)
     means = solve_clip(objective, coordinates, start, 1e-3, 12, mean_steps=12)

@@ -5,7 +5,7 @@ import torch
 
 from riginv.rig.batches import generator_at
 from riginv.solvers.every_mesh import solve_meshes
-from riginv.solvers.levenberg_marquardt import REACH, levenberg_marquardt
+from riginv.solvers.levenberg_marquardt import LONGEST_STEP, levenberg_marquardt
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import descend, first_start, start_at_random, start_by_derivative
 from tests.solvers.test_solvers import Degenerate, in_space, poses
@@ -17,7 +17,7 @@ def body_objective(body_in_space):
 
 
 def rms_mm(objective, units, coordinates):
-    found = objective.rig(objective.own_units(units))
+    found = objective.rig(objective.to_controls(units))
     return ((found - coordinates).square().sum(dim=1) / objective.vertex_count).sqrt()
 
 
@@ -74,7 +74,7 @@ def test_no_step_is_longer_than_its_reach(toy):
     objective = Objective(toy)
     start = objective.units(toy.rig.neutral_controls).expand(5, -1).contiguous()
     once = levenberg_marquardt(objective, toy(torch.ones(5, 7)), start, 1)
-    assert 0.5 * REACH < (once.units - start).abs().max() <= REACH + 1e-6
+    assert 0.5 * LONGEST_STEP < (once.units - start).abs().max() <= LONGEST_STEP + 1e-6
 
 
 def test_a_start_from_descent_finds_what_newton_steps_miss(face_in_space):

@@ -17,7 +17,7 @@ from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.rig.random_controls import PlausibleControls, SparseControls
+from riginv.sampling.controls import PlausibleControls, SparseControls
 from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
 from riginv.store.checking import examine
 from riginv.store.filling import SampleConfig, Shard, fill
@@ -31,7 +31,7 @@ from tests.support.toys import BlackBox, ToyRig
 
 SPARSE = {
     "_target_": "riginv.sampling.meshes.RigPoses",
-    "controls": {"_target_": "riginv.rig.random_controls.SparseControls", "most": None},
+    "controls": {"_target_": "riginv.sampling.controls.SparseControls", "max_active": None},
 }
 PLAN = {
     "rig": {"_target_": "tests.support.toys.ToyRig"},
@@ -178,7 +178,7 @@ def test_damaged_descriptions_are_named(copy, damage, name):
         ({"seed": 4}, "seed was 3, now 4"),
         ({"samples": 300}, "samples was 250, now 300"),
         ({"dtype": "float16"}, "dtype was 'float32'"),
-        ({"sampler": {**SPARSE, "controls": {**SPARSE["controls"], "most": 3}}}, "sampler.controls.most was None, now 3"),
+        ({"sampler": {**SPARSE, "controls": {**SPARSE["controls"], "max_active": 3}}}, "max_active was None, now 3"),
         ({"rig": {"_target_": "tests.support.toys.ToyRig", "last_name": "other"}}, "instead of"),
         ({"rig": {"_target_": "tests.support.toys.ToyRig", "detail": 3}}, "642 vertices instead of 162"),
         ({"rig": {"_target_": "tests.store.test_store.Louder"}}, "makes other meshes"),
@@ -361,7 +361,7 @@ def test_stored_poses_take_the_share_of_those_that_ask_the_rig(whole, toy):
     parts["plausible"] = RigPoses(toy, PlausibleControls(toy))
     stored = StoreSampler(toy, str(whole), seed=0)
     mixed = Mixture(toy, parts, {"drawn": 2, "sparse": 1, "plausible": 1}).reading(stored)
-    assert mixed.shares == {"drawn": 0.5, "stored": 0.5}
+    assert mixed.fractions == {"drawn": 0.5, "stored": 0.5}
     mixed.at_step(3)
     batch = mixed.sample(64, torch.Generator())
     expected = stored.reader.poses(3 * 32, 32)

@@ -13,12 +13,13 @@ from hydra import compose, initialize_config_dir
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from riginv.config.validation import validate
+from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.networks.base import use_bfloat16
 from riginv.networks.inverse import StagedInverse
 from riginv.runs.run_folder import plain_config
-from riginv.training.devices import this_process
+from riginv.training.config import TrainConfig
+from riginv.training.devices import Process, this_process
 from tests.config.test_bad_input import refused
 from tests.conftest import ROOT, SMALL
 from tests.training.test_resume import heed_interrupts, same_weights, saved_step
@@ -40,6 +41,11 @@ def on_its_own(monkeypatch):
 def composed(*arguments: str) -> dict:
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         return plain_config(compose("train", list(arguments)))
+
+
+def process_of(config: dict) -> Process:
+    settings = to_typed(config, TrainConfig)
+    return this_process(settings.trainer, settings.data.batch_size)
 
 
 def curves(folder: Path) -> dict[str, list[float]]:
@@ -107,14 +113,14 @@ def test_the_trainers_compose_to_what_they_say(monkeypatch):
     assert (gpu["accelerator"], gpu["devices"], gpu["max_steps"], gpu["starts_processes"]) == ("gpu", 1, 40000, True)
     ddp = composed("trainer=ddp", "trainer.devices=4")
     assert (ddp["trainer"]["accelerator"], ddp["trainer"]["max_steps"]) == ("auto", ddp["model"]["cpu_steps"])
-    assert this_process(ddp).count == 4 and this_process(ddp).must_start_others
+    assert process_of(ddp).count == 4 and process_of(ddp).must_start_others
     monkeypatch.setenv("SLURM_NTASKS_PER_NODE", "4")
     monkeypatch.setenv("SLURM_NNODES", "2")
     slurm = composed("trainer=slurm")["trainer"]
     assert (slurm["accelerator"], slurm["devices"], slurm["num_nodes"], slurm["starts_processes"]) == ("gpu", 4, 2, False)
     for name in ("auto", "cpu", "gpu", "ddp", "slurm"):
         config = composed(f"trainer={name}")
-        validate(config)
+        to_typed(config, TrainConfig)
         assert config["trainer"].keys() == gpu.keys()
 
 
@@ -122,14 +128,14 @@ def test_processes_that_srun_has_started_know_each_other(monkeypatch):
     job = {"NTASKS": 8, "NTASKS_PER_NODE": 4, "NNODES": 2, "PROCID": 5, "LOCALID": 1, "NODEID": 1, "JOB_ID": 77}
     for name, value in job.items():
         monkeypatch.setenv(f"SLURM_{name}", str(value))
-    process = this_process(composed("trainer=slurm"))
+    process = process_of(composed("trainer=slurm"))
     assert (process.rank, process.count, process.must_start_others, process.shows) == (5, 8, False, False)
     assert process.environment.local_rank() == 1 and not process.environment.auto_requeue
     with pytest.raises(InputError, match="8 processes were started, trainer.devices=3 x trainer.num_nodes=2 asks for 6"):
-        this_process(composed("trainer=slurm", "trainer.devices=3"))
+        process_of(composed("trainer=slurm", "trainer.devices=3"))
     monkeypatch.delenv("SLURM_NTASKS_PER_NODE")
     with pytest.raises(InputError, match="ntasks-per-node"):
-        this_process(composed("trainer=slurm"))
+        process_of(composed("trainer=slurm"))
 
 
 def test_processes_started_apart_need_a_folder_that_all_name(run, monkeypatch):

@@ -10,7 +10,7 @@ from riginv.errors import InputError, NonFiniteLossError
 from riginv.networks.inverse import DirectInverse, StagedInverse
 from riginv.networks.surrogate import ControlMLP
 from riginv.rig.batches import generator_at
-from riginv.rig.random_controls import PlausibleControls
+from riginv.sampling.controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
 from riginv.training.forward import ForwardModule
 from riginv.training.holden import HoldenModule
@@ -39,7 +39,7 @@ def make(name: str, toy):
 @pytest.mark.parametrize(("name", "share"), [("inverse", 0.03), ("inverse, paper", 0.4), ("holden", 0.15), ("forward", 0.05)])
 def test_a_module_learns_64_poses_by_heart(name, share, toy):
     module = make(name, toy)
-    batch = RigPoses(toy, PlausibleControls(toy, most=7, faint=0.0)).sample(64, generator_at(0, "overfit"))
+    batch = RigPoses(toy, PlausibleControls(toy, max_active=7, weak_fraction=0.0)).sample(64, generator_at(0, "overfit"))
     module.log = lambda *args, **kwargs: None
     if hasattr(module.network, "calibrate"):
         module.network.calibrate(batch["coordinates"])

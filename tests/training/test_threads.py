@@ -12,8 +12,8 @@ import torch
 from riginv.networks.ablations import NormalisedInverse
 from riginv.networks.inverse import StagedInverse
 from riginv.rig.batches import generator_at
-from riginv.rig.random_controls import PlausibleControls
 from riginv.runs.threads import Workers, single_threaded
+from riginv.sampling.controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
 from riginv.training.halves import can_be_halved, worth_halving
 from riginv.training.inverse import InverseModule

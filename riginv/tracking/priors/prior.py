@@ -13,7 +13,7 @@ from riginv.solvers.objective import GaussianPrior
 
 RIDGE = 1e-4  # added to every variance: a control that never moved may still move by a hundredth of its range
 RADIUS_MM = 6.0  # within which measurements share their errors
-MOST_POINTS = 4000  # that are counted; of more every so-manieth tells as much
+MOST_POINTS = 4000  # at most that are used; of more, evenly spaced ones
 
 
 @dataclass(frozen=True)

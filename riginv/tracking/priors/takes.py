@@ -76,4 +76,4 @@ def _inverted(take: Path, rig: LinearRig, part: slice) -> Tensor:
     objective = Objective(in_space)
     coordinates = torch.cat([in_space.space.encode(vertices) for _, vertices in clip.batches()])
     found = solve_frames(objective, coordinates, rounds=0)
-    return objective.own_units(solve_clip(objective, coordinates, smoothed(found, BLUR), SMOOTHNESS, STEPS))
+    return objective.to_controls(solve_clip(objective, coordinates, smoothed(found, BLUR), SMOOTHNESS, STEPS))

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.geometry.interpolation import coefficients_from, telling_vertices
+from riginv.geometry.interpolation import coefficients_from, informative_vertices
 from riginv.rig.arkit import ARKIT_NAMES
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.contract import check_rig, random_controls
@@ -141,7 +141,7 @@ def test_a_blendshape_head_is_a_blendshape_rig(tmp_path):
 
 def test_many_joints_are_fitted_by_the_vertices_that_tell_most(tmp_path, caplog):
     rig = DnaRig(written(tmp_path / "many.dna", many_joints().file()))
-    assert not isinstance(rig, LinearRig) and rig.differentiable and rig.poses_some
+    assert not isinstance(rig, LinearRig) and rig.differentiable and rig.poses_subsets
     check_rig(rig)
     with caplog.at_level("INFO"):
         fitted = BlackBoxRig.sampled(rig, samples=150, residual_mm=0.05)
@@ -173,12 +173,12 @@ def test_some_vertices_are_those_of_the_whole_mesh(tmp_path):
     rig = DnaRig(written(tmp_path / "many.dna", many_joints().file()))
     rows = torch.tensor([0, 7, 31, 200])
     controls = random_controls(rig, 3, 0)
-    torch.testing.assert_close(rig.some_vertices(rows)(controls), rig(controls)[:, rows])
+    torch.testing.assert_close(rig.vertex_subset(rows)(controls), rig(controls)[:, rows])
 
 
 def test_telling_vertices_tell_the_coefficients_of_meshes():
     frame = torch.linalg.qr(torch.randn(900, 12, dtype=torch.float64))[0].T.reshape(12, 300, 3)
-    rows = telling_vertices(frame)
+    rows = informative_vertices(frame)
     coefficients = torch.randn(5, 12, dtype=torch.float64)
     meshes = torch.einsum("bk,kvc->bvc", coefficients, frame)
     assert len(rows) <= 24

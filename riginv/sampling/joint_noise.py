@@ -10,14 +10,15 @@ from riginv.errors import InputError
 from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.rig.random_controls import ControlSampler, choose, log_uniform_counts
+from riginv.rig.random_controls import choose, log_uniform_counts
+from riginv.sampling.controls import ControlSampler
 from riginv.sampling.meshes import MeshSampler
 
 WEAKEST = 0.1  # of the strongest
 
 
-class LoosePoses(MeshSampler):
-    """Poses of the rig with random rotations of joints that no control makes (`LinearRig.loose_coefficients`).
+class JointNoisePoses(MeshSampler):
+    """Poses of the rig with random rotations of joints that no control makes (`LinearRig.coefficients_with_joint_noise`).
 
     Captured and retargeted bodies have such rotations: a wrist that twists without its forearm, a knee that bends sideways. A
     network trained on exact poses attributes each of them to some control.
@@ -35,26 +36,26 @@ class LoosePoses(MeshSampler):
         super().__init__()
         if not strength > 0:
             raise InputError(f"sampler: strength is {strength}, expected a number above 0")
-        if not self.belongs_to(rig.rig):
+        if not self.suits(rig.rig):
             raise InputError(f"rig '{rig.rig.name}' has no joint noise: choose sampler=rig_poses")
         self.rig, self.controls, self.strength = rig, controls, strength
 
     @classmethod
-    def belongs_to(cls, rig: LinearRig) -> bool:
-        return len(rig.loose_parts) > 0
+    def suits(cls, rig: LinearRig) -> bool:
+        return len(rig.joint_noise) > 0
 
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         controls = self.controls.sample(count, generator)
-        parts = loose_parts(self.rig.rig, count, generator, self.strength)
-        coefficients = self.rig.rig.loose_coefficients(controls, parts)
+        parts = random_joint_noise(self.rig.rig, count, generator, self.strength)
+        coefficients = self.rig.rig.coefficients_with_joint_noise(controls, parts)
         return PoseBatch(coordinates=self.rig.coordinates_of(coefficients))
 
 
-def loose_parts(rig: LinearRig, count: int, generator: torch.Generator, strength: float = 1.0) -> Tensor:
+def random_joint_noise(rig: LinearRig, count: int, generator: torch.Generator, strength: float = 1.0) -> Tensor:
     """Random joint noise `(count, part)`: the number of active parts is log-uniform, and so is the strength of each mesh."""
-    size, device = len(rig.loose_parts), generator.device
+    size, device = len(rig.joint_noise), generator.device
     active = choose(log_uniform_counts(count, size, generator), size, generator)
     weakness = (math.log(WEAKEST) * torch.rand(count, 1, generator=generator, device=device)).exp()
-    draws = torch.randn(count, size, generator=generator, device=device).to(rig.loose_parts)
-    return torch.where(active, strength * weakness.to(draws) * draws * rig.loose_parts, 0.0)
+    draws = torch.randn(count, size, generator=generator, device=device).to(rig.joint_noise)
+    return torch.where(active, strength * weakness.to(draws) * draws * rig.joint_noise, 0.0)
