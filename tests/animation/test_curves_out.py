@@ -362,12 +362,12 @@ def test_the_script_keys_the_curves_in_blender(toy_written, tmp_path):
 
 def test_what_a_rig_cannot_give_is_refused_before_anything_is_written(tmp_path, face):
     animation = moving(BlackBox())
-    for name, words in (("glb", "neither"), ("usd", "neither"), ("bvh", "tells of none"), ("livelink", "ARKit")):
+    for name, words in (("glb", "neither"), ("usd", "neither"), ("bvh", "has none"), ("livelink", "ARKit")):
         with pytest.raises(InputError, match=words):
             write_formats(tmp_path, animation, errors_of(animation), ["csv", name])
     with pytest.raises(InputError, match="'fbx' is not known; choose from csv, livelink"):
         check_formats(face, ["fbx"])
-    with pytest.raises(InputError, match="formats: bvh holds joints, and rig 'face' tells of none"):
+    with pytest.raises(InputError, match="formats: bvh holds joints, and rig 'face' has none"):
         check_formats(face, [name for name in FORMATS if name != "usd"])  # which takes a package of its own
     assert not list(tmp_path.iterdir())
 
