@@ -1,4 +1,4 @@
-"""A finished store, made once, and a copy of it to damage."""
+"""A complete store, and copies of it."""
 
 import shutil
 from pathlib import Path
@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from riginv.store.summary import finish
-from tests.store.test_store import filled
+from tests.store.support import filled
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("store") / "whole.zarr"
     finish(filled(path))

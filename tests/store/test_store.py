@@ -1,4 +1,4 @@
-"""Stores of poses: what a stranger reads there, what is missing or damaged, and the order in which training reads."""
+"""Stores of poses: what a stranger reads there, and what is missing or damaged."""
 
 import json
 import os
@@ -13,33 +13,15 @@ import torch
 import zarr
 from filelock import FileLock
 
-from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.store.checking import examine
-from riginv.store.filling import SampleConfig, Shard, fill
-from riginv.store.place import Place
+from riginv.store.filling import Shard, fill
+from riginv.store.location import StoreLocation
 from riginv.store.store import PoseStore
 from riginv.store.summary import finish
 from riginv.store.training import finished_store
+from tests.store.support import PLAN, SPARSE, arrays, filled, flip, plan, same
 from tests.support.toys import BlackBox, ToyRig
-
-SPARSE = {
-    "_target_": "riginv.sampling.meshes.RigPoses",
-    "controls": {"_target_": "riginv.sampling.controls.SparseControls", "max_active": None},
-}
-PLAN = {
-    "rig": {"_target_": "tests.support.toys.ToyRig"},
-    "sampler": SPARSE,
-    "samples": 250,
-    "seed": 3,
-    "shard": "0/1",
-    "dtype": "float32",
-    "vertices": False,
-    "chunk": 20,
-    "jobs": 1,
-    "recheck": True,
-    "mesh_space": {"samples": 40, "residual_mm": 0.01},
-}
 
 
 class NotANumber(ToyRig):
@@ -48,24 +30,6 @@ class NotANumber(ToyRig):
     def coefficients(self, controls):
         found = super().coefficients(controls)
         return torch.where(controls[:, :1] > 0.5, torch.nan, found) if len(controls) > 1 else found
-
-
-def plan(values: dict) -> SampleConfig:
-    return to_typed(values, SampleConfig)
-
-
-def filled(out: Path | str, **changes) -> PoseStore:
-    return fill(plan({**PLAN, "out": str(out), **changes})).store
-
-
-def arrays(path: Path) -> dict[str, np.ndarray]:
-    group = zarr.open_group(path, mode="r")
-    return {name: group[name][:] for name in group.array_keys()}
-
-
-def same(one: Path, other: Path) -> bool:
-    a, b = arrays(one), arrays(other)
-    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
 
 
 def test_a_stranger_reads_what_the_rig_says(whole):
@@ -108,12 +72,6 @@ def break_off(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-9])
 
 
-def flip(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 4
-    path.write_bytes(content)
-
-
 def empty(path: Path) -> None:
     path.write_bytes(b"")
 
@@ -122,23 +80,23 @@ def empty(path: Path) -> None:
 @pytest.mark.parametrize("name", ["controls", "coefficients", "control_range", "errors", "ledger"])
 def test_damage_is_named_and_made_good(whole, copy, damage, name):
     damage(next(path for path in (copy / name / "c/3").rglob("*") if path.is_file()))
-    found = examine(PoseStore.find(Place(str(copy))))
-    assert found.holes == [3]
+    found = examine(PoseStore.find(StoreLocation(str(copy))))
+    assert found.incomplete == [3]
     assert (name, damage) == ("ledger", Path.unlink) or f"chunk 3 of '{name}'" in found.damaged[3]
     assert fill(plan({**PLAN, "out": str(copy)})).made == 20
-    assert same(whole, copy) and examine(PoseStore.find(Place(str(copy)))).whole
+    assert same(whole, copy) and examine(PoseStore.find(StoreLocation(str(copy)))).complete
 
 
 @pytest.mark.parametrize("damage", [flip, Path.unlink])
 def test_damage_in_other_shards_is_named_at_the_end(copy, damage):
     damage(copy / "control_range/c/3/0/0")
     with pytest.raises(InputError, match="'control_range' is .*again, which makes it anew, for all shards"):
-        finish(PoseStore.find(Place(str(copy))))
+        finish(PoseStore.find(StoreLocation(str(copy))))
 
 
 def test_a_chunk_in_the_place_of_another_is_noticed(copy):
     shutil.copy(copy / "coefficients/c/4/0", copy / "coefficients/c/5/0")
-    assert list(examine(PoseStore.find(Place(str(copy)))).damaged) == [5]
+    assert list(examine(PoseStore.find(StoreLocation(str(copy)))).damaged) == [5]
 
 
 def alter(path: Path) -> None:
@@ -274,8 +232,8 @@ def test_urls_are_places_too(whole, tmp_path, form):
     url = form.format(tmp_path)
     filled(url, shard="0/2")
     filled(url, shard="1/2")
-    store = PoseStore.find(Place(url))
-    assert examine(store).whole
+    store = PoseStore.find(StoreLocation(url))
+    assert examine(store).complete
     for name, values in arrays(whole).items():
         np.testing.assert_array_equal(store.arrays[name][:], values)
     with pytest.raises(InputError, match="seed was 3"):

@@ -1,4 +1,4 @@
-"""Reading a store: epochs, windows, what training gets."""
+"""Reading stores: the order of poses, damage, and training on them."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
 from riginv.store.layout import Layout
 from riginv.store.training import StoreSampler, finished_store
 from riginv.store.windows import WindowOrder, WindowReader
-from tests.store.test_store import filled, flip
+from tests.store.support import filled, flip
 from tests.support.toys import ToyRig
 
 
