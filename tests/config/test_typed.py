@@ -121,6 +121,14 @@ def test_a_class_is_built_once_with_its_arguments():
     assert settings.rig.target == TOY and settings.rig.build().control_names[-1] == "whole"
 
 
+def test_first_keys_of_other_commands_are_left_out():
+    assert to_typed({**USUAL, "checkpoint": {"every_n_steps": 5}, "true_rig": None, "trainer": {}}, Config) == to_typed(
+        USUAL, Config
+    )
+    with pytest.raises(InputError, match="sed: there is no such key; did you mean seed?"):
+        to_typed({**USUAL, "sed": 3}, Config)
+
+
 def test_what_must_be_given_is_named():
     with pytest.raises(InputError, match="data.size must be given: add data.size="):
         to_typed(OmegaConf.create({**USUAL, "data": {"size": "???"}}), Config)
