@@ -66,7 +66,7 @@ def to_typed(config: DictConfig | Mapping[str, Any], kind: type[T]) -> T:
 
 
 def keys_of_commands() -> set[str]:
-    """The first keys of all commands: a user's `local/default.yaml` holds values for several, and each takes those that it has."""
+    """The first keys of all commands: a user's `local/default.yaml` holds values for several, each takes its own."""
     keys: set[str] = set()
     for path in CONFIGS.glob("*.yaml"):
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
