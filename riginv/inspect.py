@@ -25,7 +25,7 @@ from riginv.rig.size import show_rig
 from riginv.runs.console import show_lines
 from riginv.runs.files import is_file
 from riginv.runs.run_folder import BUNDLE
-from riginv.store.place import Place
+from riginv.store.location import StoreLocation
 from riginv.store.store import PoseStore
 from riginv.store.summary import show as show_store
 
@@ -50,7 +50,7 @@ def inspect(config: DictConfig) -> None:
     path = Path(settings.clip)
     names = None if config.get("verbose") else NAMES
     if is_file(path / STORE):
-        store = PoseStore.find(Place(settings.clip))
+        store = PoseStore.find(StoreLocation(settings.clip))
         if store is None:
             raise InputError(f"{path}: no store of poses of riginv")
         show_store(store, {})

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 import torch
 from torch import Tensor, nn
 
-from riginv.rig.interface import RigBackend
+from riginv.rig.interface import RigBackend, Vjp
 
 FULL, TINY = 0.995, 1e-12  # `raw_of` stops at this fraction of the range: closer to a limit the gradient vanishes
 DEPTH = 1.0  # of a one-sided control: where on tanh's axis its limit lies, negated
@@ -29,13 +29,12 @@ class ControlMap(nn.Module, ABC):
         self.register_buffer("upper", rig.upper, persistent=False)
         self.register_buffer("neutral", rig.neutral_controls, persistent=False)
 
-    def with_derivatives(self, raw: Tensor) -> tuple[Tensor, Tensor]:
-        """The controls and their derivatives by their own raw outputs, both `(batch, control)`, without a graph."""
+    def with_vjp(self, raw: Tensor) -> tuple[Tensor, Vjp]:
+        """The controls `(batch, control)` without a graph, and their vector-Jacobian product to raw outputs."""
         with torch.enable_grad():
             given = raw.detach().requires_grad_()
             controls = self.forward(given)
-            derivatives = torch.autograd.grad(controls.sum(), given)[0]
-        return controls.detach(), derivatives
+        return controls.detach(), lambda gradient: torch.autograd.grad(controls, given, gradient, retain_graph=True)[0]
 
     @abstractmethod
     def raw_of(self, controls: Tensor) -> Tensor:
@@ -50,10 +49,10 @@ class RangeTanh(ControlMap):
         return middle + half * torch.tanh(raw)
 
     @torch.no_grad()
-    def with_derivatives(self, raw: Tensor) -> tuple[Tensor, Tensor]:
+    def with_vjp(self, raw: Tensor) -> tuple[Tensor, Vjp]:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
         squashed = torch.tanh(raw)
-        return middle + half * squashed, half * (1 - squashed.square())
+        return middle + half * squashed, lambda gradient: _through_tanh(gradient * half, squashed)
 
     def raw_of(self, controls: Tensor) -> Tensor:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
@@ -72,6 +71,7 @@ class NeutralStart(ControlMap):
     direction: Tensor
     depth: Tensor
     edge: Tensor
+    norm: Tensor
     least: Tensor
     above: Tensor
     below: Tensor
@@ -80,31 +80,33 @@ class NeutralStart(ControlMap):
         super().__init__(rig)
         one_way = torch.where(self.neutral <= self.lower, 1.0, torch.where(self.neutral >= self.upper, -1.0, 0.0))
         self.register_buffer("one_way", one_way.to(self.lower), persistent=False)
-        # Both cases in one: scale * max(tanh(direction * raw - depth) + edge, least), with a scale for either sign of raw.
+        # Both cases in one: scale * max((tanh(direction * raw - depth) + edge) / norm, least), one scale for each sign of raw.
         two_sided, edge = one_way == 0, math.tanh(DEPTH)
-        one_sided_scale = one_way * (self.upper - self.lower) / (1 + edge)
+        above, below = self.upper - self.neutral, self.neutral - self.lower
+        one_sided_scale = one_way * (above + below)
         buffers = {
             "direction": torch.where(two_sided, 1.0, one_way),
             "depth": torch.where(two_sided, 0.0, DEPTH),
             "edge": torch.where(two_sided, 0.0, edge),
+            "norm": torch.where(two_sided, 1.0, 1 + edge),
             "least": torch.where(two_sided, -torch.inf, 0.0),
-            "above": torch.where(two_sided, self.upper - self.neutral, one_sided_scale),
-            "below": torch.where(two_sided, self.neutral - self.lower, one_sided_scale),
+            "above": torch.where(two_sided, above, one_sided_scale),
+            "below": torch.where(two_sided, below, one_sided_scale),
         }
         for name, values in buffers.items():
             self.register_buffer(name, values.to(self.lower), persistent=False)
 
     def forward(self, raw: Tensor) -> Tensor:
-        squashed = torch.tanh(self.direction * raw - self.depth) + self.edge
+        squashed = (torch.tanh(self.direction * raw - self.depth) + self.edge) / self.norm
         limited = squashed + (torch.maximum(squashed, self.least) - squashed).detach()
         return self.neutral + torch.where(raw >= 0, self.above, self.below) * limited
 
     @torch.no_grad()
-    def with_derivatives(self, raw: Tensor) -> tuple[Tensor, Tensor]:
+    def with_vjp(self, raw: Tensor) -> tuple[Tensor, Vjp]:
         tail = torch.tanh(self.direction * raw - self.depth)
         scale = torch.where(raw >= 0, self.above, self.below)
-        controls = self.neutral + scale * torch.maximum(tail + self.edge, self.least)
-        return controls, scale * self.direction * (1 - tail.square())
+        controls = self.neutral + scale * torch.maximum((tail + self.edge) / self.norm, self.least)
+        return controls, lambda gradient: _through_tanh(gradient * scale / self.norm, tail) * self.direction
 
     def raw_of(self, controls: Tensor) -> Tensor:
         above, below = self.upper - self.neutral, self.neutral - self.lower
@@ -114,6 +116,11 @@ class NeutralStart(ControlMap):
         tail = (self.one_way * change / (above + below)).clamp(0, FULL)
         one_sided = self.one_way * (torch.atanh(tail * (1 + edge) - edge) + DEPTH)
         return torch.where(self.one_way == 0, two_sided, one_sided)
+
+
+def _through_tanh(gradient: Tensor, outputs: Tensor) -> Tensor:
+    """The vector-Jacobian product of tanh, by its outputs; rounds as automatic differentiation does."""
+    return torch.ops.aten.tanh_backward(gradient, outputs)
 
 
 CONTROL_MAPS: dict[str, type[ControlMap]] = {"neutral_start": NeutralStart, "range_tanh": RangeTanh}

@@ -47,14 +47,16 @@ class Answer:
         return self.rig(self.controls)
 
     @functools.cached_property
-    def _posed(self) -> tuple[Tensor, Tensor, Vjp]:
-        controls, derivatives = self.control_map.with_derivatives(self.raw.detach())
-        return derivatives, *self.rig.coordinates_and_vjp(controls)
+    def _posed(self) -> tuple[Tensor, Vjp]:
+        """`found`, and the vector-Jacobian product from coordinates to raw outputs."""
+        controls, to_raw = self.control_map.with_vjp(self.raw.detach())
+        found, to_controls = self.rig.coordinates_and_vjp(controls)
+        return found, lambda gradient: to_raw(to_controls(gradient))
 
     @property
     def found(self) -> Tensor:
         """As `coordinates`, without a graph."""
-        return self._posed[1]
+        return self._posed[0]
 
     @functools.cached_property
     def error(self) -> Tensor:
@@ -68,8 +70,7 @@ class Answer:
 
     def vjp(self, gradient: Tensor) -> Tensor:
         """The vector-Jacobian product from coordinates `(batch, coordinate)` to raw outputs, `(batch, control)`; no graph."""
-        derivatives, _, vjp = self._posed
-        return derivatives * vjp(gradient)
+        return self._posed[1](gradient)
 
     @functools.cached_property
     def gradient(self) -> Tensor:

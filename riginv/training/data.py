@@ -84,7 +84,7 @@ class PoseDataModule(L.LightningDataModule):
 
     @property
     def rows(self) -> slice:
-        """Of a batch, those of this process: every so manieth, so that the parts of a mixture are spread evenly."""
+        """The rows of a batch for this process: every n-th of n processes, so that the parts of a mixture are spread evenly."""
         return slice(self.running.global_rank, None, self.running.world_size)
 
 

@@ -8,9 +8,9 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
+from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.interpreter import find_interpreter, script_command
 from rigs.blender.pool import PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefusedError
 
 TIMEOUT_S = 300.0  # for a chunk of frames, or for the import
 FORMATS = {".abc": "Alembic", ".fbx": "FBX"}

@@ -12,9 +12,10 @@ from torch import Tensor
 from riginv.errors import InputError
 from riginv.rig.arkit import ArkitParts
 from riginv.rig.interface import Control, Motion, RigBackend
+from riginv.runs.worker_pool import GROWTH_MB
+from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.interpreter import find_interpreter, script_command
-from rigs.blender.pool import GROWTH_MB, PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefusedError
+from rigs.blender.pool import PoseLostError, WorkerPool
 from rigs.blender.selection import Selection, select
 from rigs.blender.twin import twin_file
 

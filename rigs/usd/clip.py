@@ -10,8 +10,8 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
+from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.pool import PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefusedError
 
 TIMEOUT_S = 120.0  # for a chunk of frames, or for opening the stage
 SCRIPT = Path(__file__).parent / "play_usd.py"

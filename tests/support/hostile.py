@@ -68,7 +68,7 @@ def yaml_run(mark: Path) -> str:
 
 def script_of(mark: Path) -> dict:
     """A class of ours that starts a program, as a config would name it."""
-    return {"_target_": "rigs.blender.process.WorkerProcess", "command": ["touch", str(mark)]}
+    return {"_target_": "riginv.runs.worker_process.WorkerProcess", "command": ["touch", str(mark)]}
 
 
 def sentence(read: Callable[[], Any], says: str = ".") -> None:
