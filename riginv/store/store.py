@@ -212,9 +212,7 @@ def _make(store: Any, layout: Layout, facts: dict[str, Any], constants: dict[str
         array = plan.create_in(group, name)
         if name in constants:
             array[:] = constants[name]
-    group.update_attributes(
-        {ATTRIBUTE: facts, SUM: text_sha256(json.dumps(facts, sort_keys=True))}
-    )  # last: marks it as created
+    group.update_attributes({ATTRIBUTE: facts, SUM: text_sha256(json.dumps(facts, sort_keys=True))})  # last: now it is begun
 
 
 def _planned(location: StoreLocation, group: zarr.Group, name: str, plan: Any) -> zarr.Array:
