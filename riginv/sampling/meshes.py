@@ -248,11 +248,11 @@ def select_for_rig(config: Config, rig: LinearRig) -> Config:
     Raises:
         InputError: a part names a class that does not exist.
     """
-    if "samplers" not in config:
+    samplers, given = config.get("samplers"), config.get("fractions", {})
+    if samplers is None:
         return config
-    parts = {name: part for name, part in config["samplers"].items() if _belongs(part, rig, MeshSampler)}
-    given = config["fractions"].items()
-    fractions = {name: fraction for name, fraction in given if name in parts or name not in config["samplers"]}
+    parts = {name: part for name, part in samplers.items() if _belongs(part, rig, MeshSampler)}
+    fractions = {name: fraction for name, fraction in given.items() if name in parts or name not in samplers}
     return {**config, "samplers": parts, "fractions": fractions}
 
 
