@@ -10,12 +10,11 @@ from rich.console import Console
 from rich.table import Table
 
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
 from rigs.face import FaceRig
-from tests.support.clips import obj_sequence, ply_sequence, write_mdd, write_npz, write_pc2
+from tests.support.clips import obj_sequence, ply_sequence, reading_options, write_mdd, write_npz, write_pc2
 
 FRAMES = 60
-OPTIONS = ReadingOptions()
+OPTIONS = reading_options()
 
 
 def main() -> None:

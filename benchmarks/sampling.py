@@ -25,9 +25,9 @@ from riginv.config.messages import CONFIGS
 from riginv.config.typed import to_typed
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.store.filling import SampleConfig, planned
+from riginv.store.filling import SampleConfig, plan_store
+from riginv.store.location import StoreLocation
 from riginv.store.making import ChunkMaker, build_sampler
-from riginv.store.place import Place
 from riginv.store.store import PoseStore
 from riginv.store.windows import WindowReader
 from riginv.training.assembly import build_module, calibrate
@@ -73,8 +73,8 @@ class SlowFace(FaceRig):
 def overhead(folder: Path) -> float:
     """The time that sampling takes beyond the rig's own, as a share of that, of a rig of 200 poses a second."""
     rig = SlowFace()
-    layout, facts = planned(to_typed({**PLAN, "samples": SLOW_POSES}, SampleConfig), rig)
-    store = PoseStore.begin(Place(str(folder / "slow.zarr")), layout, facts, rig)
+    layout, facts = plan_store(to_typed({**PLAN, "samples": SLOW_POSES}, SampleConfig), rig)
+    store = PoseStore.begin(StoreLocation(str(folder / "slow.zarr")), layout, facts, rig)
     maker = ChunkMaker(store, rig, build_sampler(PLAN["sampler"], rig))
     rig.spent, began = 0.0, time.perf_counter()
     for chunk in range(layout.chunks):
@@ -164,7 +164,7 @@ def main() -> None:
 
         store = folder / "poses.zarr"
         whole = seconds_of(command("sample", f"samples={given.samples}", f"out={store}"))
-        opened = PoseStore.find(Place(str(store)))
+        opened = PoseStore.find(StoreLocation(str(store)))
         rate = steady(store, opened.layout.chunk)
         said = f"{given.samples / whole:,.0f} poses/s with the start, {rate:,.0f} without"
         say(f"the face, {given.samples:,} poses, a process for each core", said, ">= 20,000 on 2 cores")

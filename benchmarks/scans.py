@@ -33,8 +33,8 @@ from riginv.solvers.every_mesh import solve_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import ControlPrior, blended, learn_prior
-from riginv.tracking.priors.takes import controls_of
-from riginv.tracking.stillness import stillness
+from riginv.tracking.priors.takes import read_take
+from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.clip import ScanSmoothness, smooth_scans
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
 from riginv.tracking.surfaces.triangles import TriangleMesh
@@ -72,9 +72,9 @@ class Bench:
         self.clip, self.faces = live_link_clip(take, self.rig), self.rig.faces.numpy()
         self.half = len(self.clip) // 2
         self.without = default_prior(self.rig)
-        learned = learn_prior(self.rig, controls_of(take, self.rig, 0, self.half - 1), "the first half")
+        learned = learn_prior(self.rig, read_take(take, self.rig, 0, self.half - 1).controls, "the first half")
         self.learned = blended(learned, self.without)
-        self.stillness = stillness(self.rig).numpy()
+        self.stability = stability_weights(self.rig).numpy()
         self.objective = Objective(RigInMeshSpace(self.rig, MeshSpace.from_rig(self.rig)))
 
     def truth(self, frames: np.ndarray) -> Tensor:
@@ -91,7 +91,7 @@ class Bench:
         return (self.rig(controls) - truth).norm(dim=2).mean(dim=1).numpy()
 
     def solver(self, prior: ControlPrior) -> ScanSolver:
-        return ScanSolver(self.rig, prior, stillness=self.stillness)
+        return ScanSolver(self.rig, prior, stability=self.stability)
 
     def run(self, name: str) -> None:
         """Measure a row and print it."""

@@ -17,7 +17,6 @@ from riginv.evaluation.results import EvaluationResult, evaluate_rig, make_true_
 from riginv.inference.inverse import Inverse
 from riginv.launch.command import command, run_directory
 from riginv.rig.interface import RigBackend
-from riginv.rig.mesh_sets import PosedRig
 from riginv.runs.console import show_lines
 from riginv.runs.run_folder import METRICS, POSES, find_run_folder, plain_config
 from riginv.runs.tables import print_results
@@ -54,11 +53,12 @@ def evaluate_bundle(settings: EvaluateConfig, bundle: str) -> tuple[str, RigBack
     """Evaluate the model of a bundle: a title, the true rig and the results."""
     rig = settings.rig.build() if settings.rig else None
     model = load_model(bundle, rig, settings.refine)
-    is_inverse = isinstance(model, Inverse)
-    true_rig = build_true_rig(settings.true_rig, rig or (model.rig if isinstance(model, Inverse) else model))
-    clip = build_clip(settings.capture, settings.reading, settings.frames, model.rig, true_rig) if is_inverse else None
+    trained_on = model.rig if isinstance(model, Inverse) else model
+    true_rig, clip = build_true_rig(settings.true_rig, rig or trained_on), None
+    if isinstance(model, Inverse):
+        clip = build_clip(settings.capture, settings.reading, settings.frames, trained_on, true_rig)
     show_clip(clip)
-    if settings.capture and not is_inverse:
+    if settings.capture and not isinstance(model, Inverse):
         show_lines([], ["capture= was left out: a surrogate is evaluated on random poses, a clip evaluates an inverse"])
     title = bundle + (f" + {settings.refine} steps" if settings.refine else "")
     return title, true_rig, evaluate_model(model, true_rig, settings.poses, clip)
@@ -74,7 +74,7 @@ def compare_rigs(settings: EvaluateConfig) -> tuple[str, RigBackend, list[Evalua
         raise InputError("nothing to evaluate: name a bundle with bundle=DIR, or two rigs with rig=NAME true_rig=NAME")
     rig = settings.rig.build()
     true_rig = make_true_rig(settings.true_rig, rig)
-    poses = PosedRig("rig_agreement", true_rig, random_poses(true_rig, settings.poses).controls)
+    poses = random_poses(true_rig, settings.poses).named("rig_agreement")
     return f"rig {rig.name} against {true_rig.name}", true_rig, [evaluate_rig(rig, poses)]
 
 

@@ -13,10 +13,7 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
-from rich import box
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 from torch import Tensor, nn
 
 from riginv.config.building import ClassSpec
@@ -31,6 +28,7 @@ from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
 from riginv.runs.files import atomic_write, discard
 from riginv.runs.locks import exclusive_lock
+from riginv.runs.tables import new_table
 
 OPSET = 18
 TRACED = 11  # meshes: a number that nothing else in a rig is likely to have, which would be taken for it
@@ -77,10 +75,8 @@ def export_onnx(config: DictConfig) -> None:
         console.status("tracing the network, through the rig's own derivative where it has one; up to minutes"),
     ):
         parity = write_onnx(out, inverse, settings.poses)
-    table = Table(title=f"{escape(str(out))}: {out.stat().st_size / 1e6:.1f} MB", box=box.SIMPLE, title_justify="left")
-    table.add_column("")
-    for column in ("largest difference\nof a vertex", "of a control,\nof its range", "a mesh in\nPyTorch", "in onnx-\nruntime"):
-        table.add_column(column, justify="right")
+    headings = ["", "largest difference\nof a vertex", "of a control,\nof its range", "a mesh in\nPyTorch", "in onnx-\nruntime"]
+    table = new_table(headings, f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     times = [f"{ms:.2f} ms" for ms in (parity.torch_ms, parity.onnx_ms)]
     table.add_row(f"{settings.poses} random poses", f"{parity.vertex_mm:.5f} mm", f"{parity.control_share:.1e}", *times)
     console.print(table)
@@ -173,6 +169,9 @@ class _Plain(nn.Module):
 class _Whole(nn.Module):
     """The encoding of meshes, then a traced network."""
 
+    rest: Tensor
+    frame: Tensor
+
     def __init__(self, inverse: Inverse, traced: nn.Module) -> None:
         super().__init__()
         space = inverse.network.rig.space
@@ -197,8 +196,15 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
             traced.recompile()
             dynamic = ({0: torch.export.Dim("mesh", min=1)},)
             program = torch.export.export(_Whole(inverse, traced), (meshes,), dynamic_shapes=dynamic, strict=False)
-            names = {"input_names": ["vertices"], "output_names": ["controls"]}
-            return torch.onnx.export(program, dynamo=True, opset_version=OPSET, optimize=False, verbose=False, **names)
+            return torch.onnx.export(
+                program,
+                input_names=["vertices"],
+                output_names=["controls"],
+                dynamo=True,
+                opset_version=OPSET,
+                optimize=False,
+                verbose=False,
+            )
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(

@@ -1,8 +1,8 @@
 """python -m riginv.inspect PATH: what a clip, a bundle or a store of poses holds, and whether a clip fits a rig."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from omegaconf import DictConfig
 from rich.console import Console
@@ -10,13 +10,12 @@ from rich.text import Text
 
 from riginv.clips.clip import Clip
 from riginv.clips.description import describe
-from riginv.clips.description_text import NAMES, named, rows
+from riginv.clips.description_text import NAMES, listed, rows
 from riginv.clips.live_link import Recording, read_live_link
-from riginv.clips.open import open_clip, open_exclusively
-from riginv.clips.options import FrameOptions, ReadingOptions, clip_options
-from riginv.clips.units import meaning_without_rig
-from riginv.config.building import build
-from riginv.config.validation import validate
+from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
+from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.config.building import ClassSpec
+from riginv.config.typed import to_typed
 from riginv.errors import InputError, printable
 from riginv.inference.bundle import DESCRIPTION, read_bundle
 from riginv.inference.inverse import load_inverse
@@ -25,8 +24,8 @@ from riginv.rig.interface import RigBackend
 from riginv.rig.size import show_rig
 from riginv.runs.console import show_lines
 from riginv.runs.files import is_file
-from riginv.runs.run_folder import BUNDLE, plain_config
-from riginv.store.place import Place
+from riginv.runs.run_folder import BUNDLE
+from riginv.store.location import StoreLocation
 from riginv.store.store import PoseStore
 from riginv.store.summary import show as show_store
 
@@ -34,75 +33,79 @@ STORE = "zarr.json"
 Row = tuple[str, str]
 
 
+@dataclass(frozen=True)
+class InspectConfig:
+    """The config of `riginv.inspect`; conf/inspect.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend] | None
+    reading: ReadingOptions
+    frames: FrameOptions
+    clip: str
+    bundle: str | None
+
+
 def inspect(config: DictConfig) -> None:
-    """Print what `config.clip` holds; of a clip also whether it fits the rig, where one is named."""
-    plain = plain_config(config)
-    validate(plain)
-    path = Path(str(plain["clip"]))
+    """Print what `config.clip` holds; of a clip also whether it fits the rig, if one is named."""
+    settings = to_typed(config, InspectConfig)
+    path = Path(settings.clip)
     names = None if config.get("verbose") else NAMES
     if is_file(path / STORE):
-        show_store(PoseStore.find(Place(str(path))), {})
+        store = PoseStore.find(StoreLocation(settings.clip))
+        if store is None:
+            raise InputError(f"{path}: no store of poses of riginv")
+        show_store(store, {})
     elif any(is_file(folder / DESCRIPTION) for folder in (path, path / BUNDLE)):
         show_rows(path.name, bundle_rows(path, names))
     else:
-        show_clip_file(plain, names)
+        show_clip_file(settings, names)
 
 
-def show_clip_file(config: dict[str, Any], names: int | None) -> None:
-    """Print what the file of a clip holds, and then whether it fits the rig.
+def show_clip_file(settings: InspectConfig, names: int | None) -> None:
+    """Print what the file of a clip holds, and whether it fits the rig.
 
     Args:
-        names: how many are named in a row, at most; None: all.
+        names: meshes, animations or shapes listed in a row, at most; None: all.
 
     Raises:
         InputError: it cannot be read, or does not fit.
     """
-    path, rig = str(config["clip"]), named_rig(config)
-    reading, frames = clip_options(config)
-    if rig is None and path.lower().endswith(".csv"):
-        show_rows(Path(path).name, recording_rows(read_live_link(path), names))
+    path, rig = settings.clip, build_named_rig(settings)
+    is_table = path.lower().endswith(TABLE)
+    if rig is None:
+        if is_table:
+            show_rows(Path(path).name, recording_rows(read_live_link(path), names))
+        else:
+            show_sequence(*open_clip_without_rig(path, settings.reading, settings.frames), names)
         return
+    config = settings.rig.config if settings.rig else None
     try:
-        clip, notes = open_clip(path, rig, reading, frames) if rig else open_without_rig(path, reading, frames)
+        clip, notes = open_clip(path, rig, settings.reading, settings.frames)
     except InputError as misfit:
-        if rig is None or path.lower().endswith(".csv"):
+        if is_table:
             raise
-        show_sequence(*open_without_rig(path, reading, frames), names)  # what it holds helps to see why
-        show_rig(rig, config["rig"], Console())
+        show_sequence(*open_clip_without_rig(path, settings.reading, settings.frames), names)  # helps to see why
+        show_rig(rig, config, Console())
         raise misfit from None
     show_sequence(clip, notes, names)
-    if rig is not None:
-        show_rig(rig, config["rig"], Console())
-        show_lines([f"the clip fits rig '{rig.name}'"], console=Console())
+    show_rig(rig, config, Console())
+    show_lines([f"the clip fits rig '{rig.name}'"], console=Console())
 
 
-def named_rig(config: dict[str, Any]) -> RigBackend | None:
-    """The rig that the clip should be a mesh of, or None where none is named."""
-    rig = build(config["rig"], kind=RigBackend) if config["rig"].get("_target_") else None
-    return load_inverse(config["bundle"], rig).rig if config["bundle"] else rig
-
-
-def open_without_rig(path: str, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
-    """A clip in its own unit, where the file says none, and notes about what was guessed.
-
-    Raises:
-        InputError: as `open_exclusively` and `meaning_without_rig`.
-    """
-    sequence = open_exclusively(path, reading)
-    meaning = meaning_without_rig(sequence, reading.unit, reading.scale, reading.up, reading.fps)
-    clip = Clip(sequence, meaning, frames.first, frames.last, frames.exclude)
-    return clip, [*sequence.facts.notes, *meaning.notes]
+def build_named_rig(settings: InspectConfig) -> RigBackend | None:
+    """The rig that the clip should fit, or None where neither a rig nor a bundle is named."""
+    rig = settings.rig.build() if settings.rig else None
+    return load_inverse(settings.bundle, rig).rig if settings.bundle else rig
 
 
 def show_sequence(clip: Clip, notes: Sequence[str], names: int | None) -> None:
-    """Print what was read of a clip."""
+    """Print the description of a clip."""
     found = describe(clip)
     show_rows(found.file, rows(found, names))
     show_lines([], notes, found.warnings, Console())
 
 
 def recording_rows(recording: Recording, names: int | None) -> list[Row]:
-    """What a Live Link Face recording holds."""
+    """The contents of a Live Link Face recording, as table rows."""
     least, most = recording.weights.amin(dim=0), recording.weights.amax(dim=0)
     span = most - least
     order = span.argsort(descending=True).tolist()
@@ -115,13 +118,13 @@ def recording_rows(recording: Recording, names: int | None) -> list[Row]:
         ("columns", f"{len(recording.names):,} shapes"),
         ("rate", f"{recording.fps:g} frames a second"),
         ("length", f"{(count - 1) / recording.fps:.4g} s"),
-        ("shapes that move", f"{len(moving):,}: {named(moving, names)}" if moving else "none: it never moves"),
-        ("shapes that do not", f"{len(still):,}: {named(still, names)}" if still else "none"),
+        ("shapes that move", f"{len(moving):,}: {listed(moving, names)}" if moving else "none: it never moves"),
+        ("shapes that do not", f"{len(still):,}: {listed(still, names)}" if still else "none"),
     ]
 
 
 def bundle_rows(path: Path, names: int | None) -> list[Row]:
-    """What a bundle, or the run that holds it, was trained on."""
+    """The contents of a bundle, or of the run that holds it, as table rows."""
     bundle = read_bundle(path)
     rig, training = bundle.description["rig"], bundle.description["training"]
     controls = [control.name for control in bundle.controls]
@@ -129,7 +132,7 @@ def bundle_rows(path: Path, names: int | None) -> list[Row]:
     return [
         ("bundle", kind),
         ("rig", f"{rig['name']}, {len(bundle.space['rest_vertices']):,} vertices ({rig['config'].get('_target_', '')})"),
-        ("controls", f"{len(controls):,}: {named(controls, names)}"),
+        ("controls", f"{len(controls):,}: {listed(controls, names)}"),
         ("network", str(bundle.description["network"].get("_target_", ""))),
         ("mesh space", f"{len(bundle.space['frame']):,} coordinates"),
         ("training", ", ".join(f"{key} {value}" for key, value in training.items())),
@@ -137,7 +140,7 @@ def bundle_rows(path: Path, names: int | None) -> list[Row]:
 
 
 def show_rows(title: str, found: Sequence[Row]) -> None:
-    """Print a table of two columns, whose values are never cut."""
+    """Print a table of two columns; values are not truncated."""
     console, width = Console(), max(len(name) for name, _ in found)
     console.print(Text(printable(title), "bold"), soft_wrap=True)
     for name, value in found:

@@ -1,146 +1,173 @@
-"""python -m riginv.invert: a clip of meshes in, animation curves out, judged frame by frame by the true rig."""
+"""python -m riginv.invert: a clip of meshes in, animation curves out, evaluated frame by frame by the true rig."""
 
 import importlib.metadata
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from omegaconf import DictConfig
 
 from riginv.animation.animation import Animation
 from riginv.animation.formats import check_formats
+from riginv.clips.clip import Clip
 from riginv.clips.description import describe
-from riginv.clips.description_text import show_clip
+from riginv.clips.description_text import line, show_clip
 from riginv.clips.open import open_clip
-from riginv.clips.options import clip_options
+from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.config.building import ClassSpec
-from riginv.config.typed import MeshSpaceConfig, convert
-from riginv.config.validation import validate
+from riginv.config.typed import MeshSpaceConfig, to_typed
+from riginv.config.values import Bound, NonNegativeInt
 from riginv.errors import InputError
-from riginv.inference.bundle import SUMS, read_bundle
-from riginv.inference.inverse import load_inverse
+from riginv.inference.bundle import read_bundle
+from riginv.inference.inverse import Inverse, load_inverse
 from riginv.launch.command import command
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.size import show_rig
-from riginv.runs.files import atomic_write, sha256
+from riginv.runs.checksums import SUMS, sha256
+from riginv.runs.console import show_lines
+from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
-from riginv.runs.run_folder import plain_config
-from riginv.tracking.assembly import WHOLE_CLIP, build_parts, chosen_method
-from riginv.tracking.reach import with_reach
+from riginv.tracking.assembly import build_parts
+from riginv.tracking.clip_optimum import with_optimum
+from riginv.tracking.correspondence import by_surface
+from riginv.tracking.options import AfterOptions, LookOptions, TrackingOptions
 from riginv.tracking.report import InversionProgress, show
-from riginv.tracking.results import check_after, write_results
-from riginv.tracking.run import Smoothness, invert_clip, invert_smoothly
-from riginv.tracking.scans import (
-    SURFACE,
-    PreparedScans,
-    chosen_correspondence,
-    frame_errors,
-    prepare_scans,
-    remarks_of,
-    write_scan_table,
-)
+from riginv.tracking.results import write_curves, write_views
+from riginv.tracking.run import invert_clip, invert_smoothly
+from riginv.tracking.surfaces.assembly import build_scan_parts
+from riginv.tracking.surfaces.results import frame_errors, remarks_of, write_scan_table
 from riginv.tracking.surfaces.tracking import track_scans
 from riginv.training.assembly import build_rig, build_true_rig
 
+Formats = Annotated[Sequence[str], Bound("a list: formats=[csv,glb]", lambda value: True)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InvertConfig(TrackingOptions):
+    """The config of `riginv.invert`; conf/invert.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend] | None
+    true_rig: ClassSpec[RigBackend] | None
+    reading: ReadingOptions
+    frames: FrameOptions
+    clip: str
+    out: str
+    bundle: str | None
+    formats: Formats
+    after: AfterOptions
+    look: LookOptions
+    seed: NonNegativeInt
+    mesh_space: MeshSpaceConfig
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.resolved_method(bool(self.bundle))
+        if self.bundle and self.correspondence == "surface":
+            raise InputError("correspondence=surface needs no network: give rig=NAME in place of bundle=DIR")
+        if not self.bundle and self.rig is None:
+            raise InputError("give bundle=DIR, a trained inverse, or rig=NAME: what is the clip a mesh of?")
+
 
 def invert(config: DictConfig) -> None:
-    """Invert `config.clip` and leave a folder `config.out` with its curves, and how good each frame is."""
-    plain = plain_config(config)
-    validate(plain)
-    chosen_method(plain)
-    out = free_folder(plain["out"])
-    named = named_rig(plain) if plain["bundle"] else None
-    inverse = load_inverse(plain["bundle"], named) if plain["bundle"] else None
-    rig = inverse.rig if inverse else build_rig(named_in(plain), convert(plain["mesh_space"], MeshSpaceConfig, "mesh_space"))
-    judge = plain["true_rig"] if plain["true_rig"].get("_target_") else None
-    true_rig = build_true_rig(ClassSpec.read(judge, RigBackend, "true_rig") if judge else None, named or rig)
-    true_rig = true_rig if true_rig.held_out is None else rig
-    if not isinstance(plain["formats"], list):
-        raise InputError(f"formats is {plain['formats']!r}, expected a list: formats=[csv,glb]")
-    check_formats(true_rig, plain["formats"])
-    check_after(plain["after"], plain["look"])
-    reading, frames = clip_options(plain)
-    correspondence, said = chosen_correspondence(plain, true_rig, reading)
-    if correspondence == SURFACE:
-        show_rig(true_rig, plain["rig"])
-        invert_surface(plain, rig, true_rig, prepare_scans(plain, rig, reading, frames, said), out)
+    """Invert `config.clip` into a folder `config.out` of curves, errors of each frame, and views of the result."""
+    settings = to_typed(config, InvertConfig)
+    out = free_folder(settings.out)
+    inverse, rig, true_rig = build_rigs(settings)
+    check_formats(true_rig, settings.formats)
+    is_surface, notes = by_surface(settings.clip, settings, true_rig, settings.reading, inverse is not None)
+    if is_surface:
+        invert_surface(settings, rig, true_rig, notes, out)
         return
-    clip, notes = open_clip(str(plain["clip"]), true_rig, reading, frames)
+    clip, read_notes = open_clip(settings.clip, true_rig, settings.reading, settings.frames)
+    invert_vertices(settings, clip, rig, true_rig, inverse, [*notes, *read_notes], out)
+
+
+def build_rigs(settings: InvertConfig) -> tuple[Inverse | None, LinearRig, RigBackend]:
+    """The trained inverse, if any, the rig to solve for, and the true rig."""
+    inverse, named = None, None
+    if settings.bundle:
+        named = settings.rig.build() if settings.rig else None
+        inverse = load_inverse(settings.bundle, named)
+        rig = inverse.rig
+    else:
+        assert settings.rig is not None
+        rig = build_rig(settings.rig, settings.mesh_space)
+    true_rig = build_true_rig(settings.true_rig, named or rig)
+    return inverse, rig, rig if true_rig.held_out is not None else true_rig
+
+
+def invert_vertices(
+    settings: InvertConfig,
+    clip: Clip,
+    rig: LinearRig,
+    true_rig: RigBackend,
+    inverse: Inverse | None,
+    notes: list[str],
+    out: Path,
+) -> None:
+    """Invert a clip of the rig's own mesh, and write the folder `out`."""
     described = show_clip(clip)
-    show_rig(true_rig, plain["rig"])
-    notes = [*said, *notes]
-    parts = build_parts(plain, clip, rig, true_rig, inverse)
+    show_rig(true_rig, settings.rig.config if settings.rig else None)
+    parts = build_parts(settings, clip, rig, true_rig, inverse)
     with exclusive_lock(out), InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
-        free_folder(out)
-        arguments = (clip, parts.inverter, parts.judge, plain["window"], progress.advance)
-        if parts.method == WHOLE_CLIP:
-            solver = plain["solver"]
-            how = Smoothness(*(solver[key] for key in ("smoothness", "clip_steps", "blur", "mean_steps")))
-            found = invert_smoothly(*arguments, how)
-        else:
-            found = invert_clip(*arguments)
-        progress.advance("the rig's reach", 0)
-        errors = with_reach(found.errors, clip, found, parts.judge)
-        facts = made_by(plain, parts.method)
-        source = Path(plain["clip"]).name
+        free_folder(settings.out)
+        arguments = (clip, parts.inverter, parts.evaluator, settings.window, progress.advance)
+        found = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
+        progress.advance("the optimum", 0)
+        errors = with_optimum(found.errors, clip, found, parts.evaluator)
+        facts, source = made_by(settings, parts.method), Path(settings.clip).name
         animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
-        with atomic_write(out) as beside:
-            beside.mkdir()
-            files, remarks = write_results(beside, clip, animation, errors, plain, progress.advance)
-    remarks += [f"warning: {warning}" for warning in describe(clip).new_warnings(described)]
-    show(animation, errors, true_rig, out, files, remarks)
+        with atomic_write(out) as folder:
+            folder.mkdir()
+            curves = (describe(clip), settings.formats, settings.after, progress.advance)
+            files, remarks = write_curves(folder, animation, errors, *curves)
+            views, more = write_views(folder, clip, animation, errors, settings.look, progress.advance)
+    warnings = describe(clip).new_warnings(described) if described else []
+    remarks += [*more, *(f"warning: {warning}" for warning in warnings)]
+    show(animation, errors, true_rig, out, [*files, *views], remarks)
 
 
-def invert_surface(config: dict[str, Any], rig: LinearRig, true_rig: RigBackend, scans: PreparedScans, out: Path) -> None:
-    """Invert a clip of scans by their surfaces, and leave the folder `out`."""
-    numbers = scans.frame_numbers
-    with exclusive_lock(out), InversionProgress(len(numbers), scans.notes) as progress:
-        free_folder(out)
-        track = track_scans(scans.solver, scans.scans, scans.meaning, scans.rows, scans.smoothness, progress.advance)
-        facts, source = made_by(config, SURFACE), Path(config["clip"]).name
-        motion = track.motion if scans.solver.moves else None
-        animation = Animation(true_rig, track.controls, scans.meaning.fps, numbers, motion, source, facts)
-        errors, remarks = frame_errors(track, numbers), remarks_of(track)
-        with atomic_write(out) as beside:
-            beside.mkdir()
-            files, more = write_results(beside, None, animation, errors, config, progress.advance)
-            files += write_scan_table(beside, track, numbers)
+def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend, notes: list[str], out: Path) -> None:
+    """Invert a clip of scans by their surfaces, and write the folder `out`."""
+    parts = build_scan_parts(settings.clip, settings, rig, settings.reading, settings.frames)
+    described = parts.describe()
+    show_lines([line(described)])
+    show_rig(true_rig, settings.rig.config if settings.rig else None)
+    numbers = parts.frame_numbers
+    with exclusive_lock(out), InversionProgress(len(numbers), [*notes, *parts.notes]) as progress:
+        free_folder(settings.out)
+        track = track_scans(parts.solver, parts.scans, parts.units, parts.rows, parts.smoothness, progress.advance)
+        facts, source = made_by(settings, "surface"), Path(settings.clip).name
+        motion = track.motion if parts.solver.moves else None
+        animation = Animation(true_rig, track.controls, parts.units.fps, numbers, motion, source, facts)
+        errors = frame_errors(track, numbers)
+        with atomic_write(out) as folder:
+            folder.mkdir()
+            curves = (described, settings.formats, settings.after, progress.advance)
+            files, more = write_curves(folder, animation, errors, *curves)
+            files += write_scan_table(folder, track, numbers)
     rows = ("scan's points from the rig", "rig's skin from the scan")
-    show(animation, errors, true_rig, out, files, [*remarks, *more], "mean surface distances", rows)
+    show(animation, errors, true_rig, out, files, [*remarks_of(track), *more], "mean surface distances", rows)
 
 
-def free_folder(out: Any) -> Path:
+def free_folder(out: str) -> Path:
     """The folder for the results.
 
     Raises:
-        InputError: something is there already.
+        InputError: it exists and is not an empty folder.
     """
-    path = Path(str(out))
+    path = Path(out)
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise InputError(f"out={out}: it is there already; give another folder, or remove it")
     return path
 
 
-def named_rig(config: dict[str, Any]) -> Any:
-    """The rig that was named beside a bundle, or None: the bundle's own."""
-    return ClassSpec.read(config["rig"], RigBackend, "rig").build() if config["rig"].get("_target_") else None
-
-
-def named_in(config: dict[str, Any]) -> ClassSpec[RigBackend]:
-    """The rig that a config names.
-
-    Raises:
-        InputError: it names neither a bundle nor a rig.
-    """
-    if not config["rig"].get("_target_"):
-        raise InputError("give bundle=DIR, a trained inverse, or rig=NAME: what is the clip a mesh of?")
-    return ClassSpec.read(config["rig"], RigBackend, "rig")
-
-
-def made_by(config: dict[str, Any], method: str) -> dict[str, Any]:
-    """What made the curves, for their sidecar."""
-    facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": config["refine"]}
-    if config["bundle"]:
-        facts["bundle"] = sha256(read_bundle(config["bundle"]).folder / SUMS)
+def made_by(settings: InvertConfig, method: str) -> dict[str, Any]:
+    """How the curves were made, for curves.json."""
+    facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": settings.refine}
+    if settings.bundle:
+        facts["bundle"] = sha256(read_bundle(settings.bundle).folder / SUMS)
     return facts
 
 

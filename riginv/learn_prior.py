@@ -1,52 +1,70 @@
-"""python -m riginv.learn_prior: which controls of a rig go together, learned from takes that were inverted before."""
+"""python -m riginv.learn_prior: a prior on a rig's controls, learned from earlier takes."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import torch
 from omegaconf import DictConfig
 from rich.console import Console
 
 from riginv.config.building import ClassSpec
-from riginv.config.typed import MeshSpaceConfig, convert
-from riginv.errors import InputError
+from riginv.config.typed import MeshSpaceConfig, to_typed
+from riginv.config.values import Bound, NonNegativeInt
 from riginv.invert import free_folder
 from riginv.launch.command import command
 from riginv.rig.interface import RigBackend
+from riginv.runs.console import show_lines
 from riginv.runs.locks import exclusive_lock
-from riginv.runs.run_folder import plain_config
 from riginv.tracking.priors.files import save_prior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
-from riginv.tracking.priors.takes import controls_of
+from riginv.tracking.priors.takes import read_take
 from riginv.training.assembly import build_rig
 
-NAMED = 5  # controls that are named as the freest
+LISTED = 5  # controls with the largest standard deviations
+
+Takes = Annotated[Sequence[str], Bound("a list of files: takes=[monday/curves.csv,live_link.csv]", lambda value: True)]
+TakeFraction = Annotated[float, Bound("a number above 0 and up to 1: of the takes in the prior", lambda value: 0 < value <= 1)]
+
+
+@dataclass(frozen=True)
+class LearnPriorConfig:
+    """The config of `riginv.learn_prior`; conf/learn_prior.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend]
+    out: str
+    takes: Takes
+    first: NonNegativeInt | None
+    last: NonNegativeInt | None
+    fraction: TakeFraction
+    mesh_space: MeshSpaceConfig
+    seed: NonNegativeInt
 
 
 def learn(config: DictConfig) -> None:
-    """Learn a prior from `config.takes` and leave it as the folder `config.out`."""
-    plain = plain_config(config)
-    out, takes, fraction = free_folder(plain["out"]), plain["takes"], plain["fraction"]
-    if not isinstance(takes, list) or not all(isinstance(take, str) for take in takes):
-        raise InputError(f"takes is {takes!r}, expected a list of files: takes=[monday/curves.csv,live_link.csv]")
-    if not isinstance(fraction, int | float) or isinstance(fraction, bool) or not 0 < fraction <= 1:
-        raise InputError(f"fraction is {fraction!r}, expected a number above 0 and up to 1: of the takes in the prior")
-    rig = build_rig(
-        ClassSpec.read(plain["rig"], RigBackend, "rig"), convert(plain["mesh_space"], MeshSpaceConfig, "mesh_space")
-    )
+    """Learn a prior from `config.takes` and write it as the folder `config.out`."""
+    settings = to_typed(config, LearnPriorConfig)
+    out = free_folder(settings.out)
+    rig = build_rig(settings.rig, settings.mesh_space)
     with exclusive_lock(out):
         prior, frames = default_prior(rig), 0
-        if takes:
-            controls = torch.cat([controls_of(Path(take), rig, plain["first"], plain["last"]) for take in takes])
-            taken = learn_prior(rig, controls, ", ".join(Path(take).name for take in takes))
-            prior, frames = blended(taken, prior, fraction), len(controls)
+        if settings.takes:
+            takes = [read_take(Path(take), rig, settings.first, settings.last) for take in settings.takes]
+            show_lines([], [f"{path}: {note}" for path, take in zip(settings.takes, takes) for note in take.notes])
+            controls = torch.cat([take.controls for take in takes])
+            learned = learn_prior(rig, controls, ", ".join(Path(take).name for take in settings.takes))
+            prior, frames = blended(learned, prior, settings.fraction), len(controls)
         save_prior(out, prior, rig, frames)
-    freest = sorted(zip(prior.deviation.tolist(), prior.names), reverse=True)[:NAMED]
+    freest = sorted(zip(prior.deviation.tolist(), prior.names), reverse=True)[:LISTED]
     names = ", ".join(f"{name} ({deviation:.2f})" for deviation, name in freest)
-    console = Console()
-    console.print(f"  {len(prior.names)} controls, {frames or 'no'} frames: {prior.source}", highlight=False, markup=False)
-    console.print(f"  freest, by standard deviation in fractions of their ranges: {names}", highlight=False, markup=False)
-    console.print(f"  {out}: riginv.invert takes it with prior={out}", highlight=False, markup=False)
+    lines = [
+        f"  {len(prior.names)} controls, {frames or 'no'} frames: {prior.source}",
+        f"  largest standard deviations, in fractions of the ranges: {names}",
+        f"  {out}: riginv.invert takes it with prior={out}",
+    ]
+    show_lines(lines, console=Console())
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.launch.command import command
 from riginv.store.checking import examine
-from riginv.store.filling import Filled, SampleConfig, fill
-from riginv.store.place import Place
+from riginv.store.filling import FillResult, SampleConfig, fill
+from riginv.store.location import StoreLocation
 from riginv.store.store import PoseStore
 from riginv.store.summary import findings, finish, show
 from riginv.store.training import SamplingProgress
@@ -38,7 +38,7 @@ def sample(config: DictConfig) -> None:
     show(filled.store, said(filled, time.perf_counter() - began))
 
 
-def said(filled: Filled, seconds: float) -> dict[str, str]:
+def said(filled: FillResult, seconds: float) -> dict[str, str]:
     """What a run did, for the table."""
     rows = {}
     if filled.found.damaged:
@@ -53,7 +53,7 @@ def said(filled: Filled, seconds: float) -> dict[str, str]:
 
 def verify(path: str) -> None:
     """Read every chunk of a store, name those that are absent or damaged, and exit with 1 where there are any."""
-    store = PoseStore.find(Place(path))
+    store = PoseStore.find(StoreLocation(path))
     if store is None:
         raise InputError(f"verify={path}: there is no store of poses")
     with SamplingProgress() as progress:
@@ -64,7 +64,7 @@ def verify(path: str) -> None:
         rows["absent"] = f"{len(found.absent)} chunks: {_some(found.absent)}"
     for number, fault in enumerate(list(found.damaged.values())[:NAMED]):
         rows[f"damaged ({number + 1} of {len(found.damaged)})"] = fault
-    if found.whole:
+    if found.complete:
         show(store, {**findings(store), "state": "finished, and every chunk is what was written"})
         return
     show(store, {**rows, "state": "give the command that sampled it once more: it makes these chunks anew"})
@@ -79,7 +79,7 @@ class ShardsEnd(Callback):
     """After a multirun: how the store stands that its jobs have filled."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        store = PoseStore.find(Place(str(config.out))) if config.out else None
+        store = PoseStore.find(StoreLocation(str(config.out))) if config.out else None
         if store is not None:
             absent = int((store.ledger()[0][:, 0] == 0).sum())
             state = (

@@ -32,8 +32,8 @@ from riginv.training.assembly import (
     speed_up,
 )
 from riginv.training.config import TrainConfig
+from riginv.training.dashboard import log_choices, log_results
 from riginv.training.devices import part, this_process
-from riginv.training.pictures import log_choices, log_results
 from riginv.training.summary import show
 
 
@@ -77,7 +77,7 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
     model = load_model(folder.path / BUNDLE, rig)
     results = evaluate_model(model, true_rig, settings.judging.test_poses, clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": settings.seed}
-    log_results(trainer.logger, write_results(folder.path, results, true_rig, facts), trainer.global_step)
+    log_results(trainer, write_results(folder.path, results, true_rig, facts))
 
 
 def fit_network(
@@ -91,7 +91,7 @@ def fit_network(
     trainer, clock = build_trainer(settings, folder)
 
     folder.begin()
-    log_choices(trainer.logger, folder.config)
+    log_choices(trainer, folder.config)
     speed_up(settings.trainer, module, trainer.strategy.root_device)
     trainer.fit(module, data, ckpt_path=folder.checkpoint, weights_only=True)
 
@@ -105,10 +105,10 @@ def fit_network(
 def train_surrogate_first(config: DictConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend) -> ClassSpec[RigBackend]:
     """Train a surrogate of a rig that gives no gradients, in the run's own folder; the class of that surrogate as a rig."""
     first = as_surrogate(config)
+    settings = to_typed(first, TrainConfig)
     inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.written_here, upgraded)
     folder.begin()
     if not inner.finished:
-        settings = to_typed(first, TrainConfig)
         if folder.written_here:
             print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
         fit(settings, inner, rig, true_rig, last=False)

@@ -1,7 +1,7 @@
 """python -m riginv.wrap: the mesh of a rig fitted to a scan of somebody's neutral face."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -10,65 +10,86 @@ from PIL import Image
 from rich.console import Console
 
 from riginv.clips.options import ReadingOptions
-from riginv.config.building import build
+from riginv.clips.units import ClipUnits
+from riginv.config.building import ClassSpec
+from riginv.config.typed import to_typed
+from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
 from riginv.launch.command import command
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
+from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write, write_text
-from riginv.runs.run_folder import plain_config
-from riginv.tracking.surfaces.meaning import meaning_of_scans
-from riginv.tracking.surfaces.scans import FileScans, Scan
-from riginv.tracking.surfaces.triangles import TriangleMesh
+from riginv.tracking.surfaces.scan_files import FileScans
+from riginv.tracking.surfaces.scans import Scan
+from riginv.tracking.surfaces.triangles import Surface, TriangleMesh
+from riginv.tracking.surfaces.units import resolve_scan_units
 from riginv.tracking.surfaces.wrap import Wrapped, WrapSettings, wrap
 
 RED_MM = 1.0  # the distance that the picture shows as dark red
 
 
+@dataclass(frozen=True)
+class WrapConfig:
+    """The config of `riginv.wrap`; conf/wrap.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend]
+    scan: str
+    out: str
+    unit: str | float
+    up: str
+    seed: NonNegativeInt
+
+    def __post_init__(self) -> None:
+        if Path(self.out).suffix.lower() != ".obj":
+            raise InputError(f"out={self.out}: expected a file that ends in .obj")
+
+
 def run(config: DictConfig) -> None:
-    """Wrap the mesh of `config.rig` onto `config.scan`, and leave `config.out` and a picture of the distances beside it."""
-    plain = plain_config(config)
-    out, console = Path(str(plain["out"])), Console()
-    if out.suffix.lower() != ".obj":
-        raise InputError(f"out={out}: expected a file that ends in .obj")
-    rig = build(plain["rig"], kind=RigBackend)
-    scan, meaning = _scan(plain, rig)
-    for note in meaning.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
-    surface = scan.surface(meaning.mm, meaning.axes.double().numpy())
+    """Wrap the mesh of `config.rig` onto `config.scan`; write `config.out` and a picture of the distances."""
+    settings = to_typed(config, WrapConfig)
+    rig = settings.rig.build()
+    scan, units = read_scan(settings.scan, ReadingOptions(unit=settings.unit, up=settings.up, fps=1.0), rig)
+    show_lines([], units.notes, console=Console())
+    surface = scan.surface(units.mm, units.axes.double().numpy())
     found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface, WrapSettings())
+    out = Path(settings.out)
     write_text(out, obj_text(found.vertices, rig.faces.cpu().numpy()))
     picture = out.with_suffix(".png")
-    with atomic_write(picture) as beside:
-        distance_map(rig, found, surface).save(beside, format="PNG", optimize=True)
+    with atomic_write(picture) as file:
+        distance_map(rig, found, surface).save(file, format="PNG", optimize=True)
     mean = float(np.nanmean(found.distance_mm))
-    console.print(
+    lines = [
         f"  {found.usable:.1%} of the outer skin lies on the scan, at {mean:.3g} mm on average; scale {found.scale:.3f}",
-        highlight=False,
-    )
-    console.print(f"  {out}, {picture}", highlight=False, markup=False)
+        f"  {out}, {picture}",
+    ]
+    show_lines(lines, console=Console())
 
 
-def _scan(plain: dict[str, Any], rig: RigBackend) -> tuple[Scan, Any]:
-    reading = ReadingOptions(unit=plain["unit"], up=plain["up"], fps=1.0)
-    scans = FileScans(str(plain["scan"]), reading)
+def read_scan(path: str, reading: ReadingOptions, rig: RigBackend) -> tuple[Scan, ClipUnits]:
+    """A single scan and its units.
+
+    Raises:
+        InputError: there are several files, or too few points.
+    """
+    scans = FileScans(path, reading)
     if len(scans) != 1:
-        raise InputError(f"scan={plain['scan']}: {len(scans)} files, expected one scan of a neutral face")
+        raise InputError(f"scan={path}: {len(scans)} files, expected one scan of a neutral face")
     scan = scans.scan(0)
     cleaned = None if scan is None else scan.cleaned()
     if cleaned is None:
-        raise InputError(f"scan={plain['scan']}: fewer than 50 points: there is nothing to fit")
-    return cleaned, meaning_of_scans(scans, rig, reading)
+        raise InputError(f"scan={path}: fewer than 50 points: there is nothing to fit")
+    return cleaned, resolve_scan_units(scans, rig, reading)
 
 
 def obj_text(vertices: np.ndarray, faces: np.ndarray) -> str:
-    """A Wavefront OBJ of vertices `(vertex, 3)` and faces `(face, 3)`, in their order."""
+    """A Wavefront OBJ of vertices `(vertex, 3)` and faces `(face, 3)`."""
     lines = ["# millimetres, y up", *(f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in vertices.tolist())]
     return "\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist())]) + "\n"
 
 
-def distance_map(rig: RigBackend, found: Wrapped, surface: Any) -> Image.Image:
-    """The scan, the wrapped mesh, and its distance as heat: dark red from 1 mm, and where it is off the scan."""
+def distance_map(rig: RigBackend, found: Wrapped, surface: Surface) -> Image.Image:
+    """A picture of the scan, the wrapped mesh, and its distance from the scan: dark red from 1 mm, and off the scan."""
     vertices = torch.from_numpy(found.vertices)
     camera = Camera(vertices)
     heat = heat_colors(torch.from_numpy(np.nan_to_num(found.distance_mm, nan=RED_MM)), RED_MM)

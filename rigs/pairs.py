@@ -1,4 +1,4 @@
-"""A rig that exists only as sampled pairs of controls and vertices: `rig=pairs rig.file=TABLE`."""
+"""Recorded rigs: sampled pairs of controls and vertices, `rig=pairs rig.file=TABLE`."""
 
 from riginv.config.values import PositiveFloat
 from riginv.rig.pairs import read_pairs
@@ -6,15 +6,15 @@ from riginv.rig.recorded import RecordedRig
 
 
 class PairsRig(RecordedRig):
-    """A table of pairs (`riginv.rig.pairs`), a share of which is held out to judge by.
+    """A table of pairs (`riginv.rig.pairs`), of which a fraction is held out for evaluation.
 
     Args:
         file: the table: `.npz`, a folder of `.npy` files, or a zarr group.
-        held_out: the share of poses that training never sees.
-        residual_mm: the mean vertex distance that the mesh space may leave of the poses trained on.
+        held_out: fraction of the poses that is not trained on.
+        residual_mm: greatest mean vertex distance of the training poses from the mesh space.
 
     Raises:
-        InputError: the table is missing or wrong, or too small to hold anything out.
+        InputError: the table is missing, damaged, or too small to hold out poses.
     """
 
     def __init__(self, file: str, held_out: float = 0.1, residual_mm: PositiveFloat = 0.01) -> None:

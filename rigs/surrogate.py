@@ -1,4 +1,4 @@
-"""A trained forward model as a rig: differentiable whatever the rig that it stands for."""
+"""Trained forward models as differentiable rigs."""
 
 from torch import Tensor
 
@@ -15,7 +15,7 @@ class SurrogateRig(LinearRig):
         bundle: the bundle's folder.
 
     Attributes:
-        true_rig_config: what builds the rig that it was trained on, and that judges what is trained through it.
+        true_rig_config: config of the rig that it was trained on, the true rig of what is trained through it.
 
     Raises:
         InputError: the bundle is missing, damaged, or not a surrogate's.

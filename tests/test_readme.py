@@ -68,6 +68,8 @@ def test_docs_name_files_that_are_there():
     for page in PAGES:
         for path in re.findall(r"`((?:riginv|rigs|conf|tests|benchmarks|examples|hydra_plugins)/[\w/.]+)`", page.read_text()):
             assert (ROOT / path).exists(), f"{page.name}: {path}"
+        for module in re.findall(r"^::: ([\w.]+)$", page.read_text(), re.MULTILINE):
+            assert (ROOT / module.replace(".", "/")).with_suffix(".py").is_file(), f"{page.name}: {module}"
 
 
 @pytest.mark.slow

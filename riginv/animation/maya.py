@@ -1,6 +1,6 @@
-"""Maya .anim: a curve for each control, to be pasted onto a node that has the controls as attributes.
+"""Maya .anim: a curve for each control, for a node that has the controls as attributes.
 
-The format is documented in Maya's manual, "ANIM file format", version 1.1.
+Source: Maya's manual, "ANIM file format", version 1.1.
 """
 
 import re
@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from riginv.animation.animation import Animation
-from riginv.animation.text import digits, moves_and_turns
+from riginv.animation.text import digits, rigid_motion_columns
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from riginv.runs.files import write_text
 
 FILE = "curves.anim"
-TIME_UNITS = {15: "game", 24: "film", 25: "pal", 30: "ntsc", 48: "show", 50: "palf", 60: "ntscf"}
+TIME_UNITS: dict[float, str] = {15: "game", 24: "film", 25: "pal", 30: "ntsc", 48: "show", 50: "palf", 60: "ntscf"}
 OUTPUTS = {"": "unitless", "deg": "angular", "mm": "linear"}
 MOTION = ("translateX", "translateY", "translateZ", "rotateX", "rotateY", "rotateZ")
 
 
 def check(rig: RigBackend) -> None:
-    """Raises InputError where two controls would have one name in Maya."""
+    """Raise InputError if two controls would have the same name in Maya."""
     names: dict[str, str] = {}
     for name in rig.control_names:
         other = names.setdefault(legal(name), name)
@@ -35,7 +35,7 @@ def check(rig: RigBackend) -> None:
 def write(path: Path, animation: Animation) -> None:
     """Write a curve for each control on the node `RIG_controls`, and the rigid motion, if any, on `RIG_motion`.
 
-    Times are frames where Maya knows the frame rate, else seconds. Tangents are linear.
+    Times are frames if Maya has a unit for the frame rate, else seconds. Tangents are linear.
     """
     rig, unit = animation.rig, TIME_UNITS.get(animation.fps, "sec")
     if unit == "sec":
@@ -51,7 +51,7 @@ def write(path: Path, animation: Animation) -> None:
         name = legal(control.name)
         lines += _curve(name, name, f"{legal(rig.name)}_controls", number, OUTPUTS.get(control.unit, "unitless"))
         lines += _keys(times, values, rows)
-    motion = moves_and_turns(animation)
+    motion = rigid_motion_columns(animation)
     if motion is not None:
         for number, (name, values) in enumerate(zip(MOTION, digits(np.ascontiguousarray(motion.T)))):
             full = f"{name[:-1]}.{name}"
@@ -61,7 +61,7 @@ def write(path: Path, animation: Animation) -> None:
 
 
 def legal(name: str) -> str:
-    """A name as Maya allows it."""
+    """A name with the characters that Maya allows."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     return f"_{plain}" if plain[:1].isdigit() or not plain else plain
 

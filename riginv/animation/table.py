@@ -1,4 +1,4 @@
-"""curves.csv, curves.json and frames.csv: what every other format can be made from."""
+"""curves.csv, curves.json and frames.csv, from which every other format can be made."""
 
 import csv
 import io
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from riginv.animation.animation import Animation, FrameErrors
-from riginv.animation.text import MOVE_COLUMNS, TURN_COLUMNS, digits, moves_and_turns
+from riginv.animation.text import ROTATION_COLUMNS, TRANSLATION_COLUMNS, digits, rigid_motion_columns
 from riginv.runs.files import write_json, write_text
 
 CURVES, SIDECAR, FRAMES = "curves.csv", "curves.json", "frames.csv"
@@ -20,12 +20,12 @@ SPACE = "millimetres, y up; motion turns about x, then y, then z (axes that stay
 
 
 def write_curves(path: Path, animation: Animation) -> None:
-    """Write a row for each frame: its number, its time, every control, and the rigid motion where some was removed."""
+    """Write a row for each frame: number, time, controls, and rigid motion if it was removed."""
     columns = ["frame", "seconds", *animation.rig.control_names]
     values = animation.controls.detach().cpu().double().numpy()
-    motion = moves_and_turns(animation)
+    motion = rigid_motion_columns(animation)
     if motion is not None:
-        columns += [*MOVE_COLUMNS, *TURN_COLUMNS]
+        columns += [*TRANSLATION_COLUMNS, *ROTATION_COLUMNS]
         values = np.concatenate([values, motion], axis=1)
     times = [f"{seconds:.6f}" for seconds in animation.seconds.tolist()]
     numbers = animation.frame_numbers.tolist()
@@ -33,7 +33,7 @@ def write_curves(path: Path, animation: Animation) -> None:
 
 
 def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: Mapping[str, Any] | None = None) -> None:
-    """Write what the columns of curves.csv mean, how large the errors are, and what was read of the clip."""
+    """Write the meaning of the columns of curves.csv, the errors, and the description of the clip."""
     numbers = animation.frame_numbers.tolist()
     content: dict[str, Any] = {
         "source": animation.source,
@@ -45,13 +45,13 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: M
         "made_by": animation.made_by,
         "errors": {key: round(value, 6) for key, value in errors.summary().items() if math.isfinite(value)},
     }
-    if errors.reach is not None:
-        judged = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
-        content["errors"]["least_error_frames"] = judged[errors.reach.rows].tolist()
+    if errors.optimum is not None:
+        evaluated = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
+        content["errors"]["least_error_frames"] = evaluated[errors.optimum.rows].tolist()
     if clip is not None:
         content["clip"] = clip
     if animation.motion is not None:
-        content["motion"] = [*MOVE_COLUMNS, *TURN_COLUMNS]
+        content["motion"] = [*TRANSLATION_COLUMNS, *ROTATION_COLUMNS]
     if animation.keys is not None:
         names, keys = animation.rig.control_names, animation.keys
         content["keys"] = {name: animation.frame_numbers[rows].tolist() for name, rows in zip(names, keys)}
@@ -59,13 +59,13 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: M
 
 
 def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:
-    """Write a row for each frame that was judged."""
+    """Write a row for each evaluated frame."""
     numbers = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
     columns = ["frame", "mean_error_mm", "max_error_mm", "worst_vertex", "worst_region", "flags"]
     columns += ["neutral_error_mm", "least_error_mm"]
     least: list[str] = [""] * len(numbers)
-    if errors.reach is not None:
-        for row, (value,) in zip(errors.reach.rows.tolist(), digits(errors.reach.least_mm[:, None].cpu().numpy())):
+    if errors.optimum is not None:
+        for row, (value,) in zip(errors.optimum.rows.tolist(), digits(errors.optimum.least_mm[:, None].cpu().numpy())):
             least[row] = value
     neutral = [[""]] * len(numbers) if errors.neutral_mm is None else digits(errors.neutral_mm[:, None].cpu().numpy())
     rows = zip(
@@ -86,15 +86,15 @@ def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:
 
 
 def as_text(cell: str) -> str:
-    """A cell that no spreadsheet takes for a formula: an apostrophe stands before what would be one.
+    """A cell that no spreadsheet evaluates as a formula: an apostrophe is put before what would be one.
 
-    Source: OWASP, CSV Injection. Numbers, negative ones too, stay as they are.
+    Source: OWASP, CSV Injection. Numbers stay as they are.
     """
     return f"'{cell}" if cell[:1] in FORMULA and not NUMBER.fullmatch(cell) else cell
 
 
 def write_rows(path: Path, columns: list[str], rows: list[list[Any]]) -> None:
-    """Write a CSV whole or not at all."""
+    """Write a CSV atomically."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([as_text(column) for column in columns])

@@ -1,4 +1,4 @@
-"""What stands beside the vertices in an .npz: faces, the rate, times, the numbers of frames."""
+"""The arrays beside the vertices in an .npz: faces, frame rate, times, frame numbers."""
 
 import re
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.clips.times import FrameTimes, frames_of
+from riginv.clips.times import FrameTimes, frames_from_times
 from riginv.errors import InputError
 from riginv.meshes.polygons import Polygons
 from riginv.meshes.text_numbers import number_of
@@ -14,15 +14,15 @@ from riginv.runs.files import opened
 
 
 def read_numbers(path: Path, dtype: np.dtype, shape: tuple[int, ...], offset: int) -> np.ndarray:
-    """Numbers that lie in a row in a file, from a byte on.
+    """An array of a file's raw numbers, which start at byte `offset`.
 
     Raises:
-        InputError: the file is shorter than that, or cannot be read.
+        InputError: the file is too short, or cannot be read.
     """
     values = np.empty(shape, dtype)
     with opened(path) as file:
         file.seek(offset)
-        found = file.readinto(memoryview(values).cast("B")) if values.size else 0
+        found = file.readinto(values.view(np.uint8).data) if values.size else 0  # type: ignore[attr-defined]  # of files
     if found < values.nbytes:
         raise InputError(f"{path}: it ends {values.nbytes - found} bytes early: truncated; copy it or export it again")
     return values
@@ -32,9 +32,9 @@ FACES = ("faces", "triangles", "tris")
 RATES = ("fps", "frame_rate", "framerate", "mocap_framerate", "mocap_frame_rate")
 TIMES = ("times", "time", "timestamps")
 NUMBERS = ("frame_numbers",)
-BESIDE = (*FACES, *RATES, *TIMES, *NUMBERS)
+METADATA = (*FACES, *RATES, *TIMES, *NUMBERS)
 FRACTION = re.compile(r"([\d.]+)\s*/\s*([\d.]+)")
-SAME_RATE = 1e-3  # of a rate, within which another is the same
+SAME_RATE = 1e-3  # relative difference below which two rates are the same
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -57,25 +57,25 @@ def faces_of(path: Path, arrays: Arrays) -> Polygons | None:
 
 
 def frame_times(path: Path, arrays: Arrays, count: int, notes: list[str]) -> FrameTimes:
-    """The numbers of the frames and their rate, from the arrays that tell them; what contradicts itself is noted.
+    """Frame numbers and frame rate; contradictions between arrays are added to `notes`.
 
     Raises:
-        InputError: an array is something else than its name says.
+        InputError: an array does not hold what its name promises.
     """
-    said, said_by = _rate(path, arrays)
-    found = _timed(path, arrays, count)
+    fps, source = _rate(path, arrays)
+    found = _from_times(path, arrays, count)
     notes.extend(found.notes)
     numbers = _numbers(path, arrays, count)
-    if said is None:
+    if fps is None:
         return found._replace(numbers=found.numbers if numbers is None else numbers)
-    if found.fps and not abs(found.fps - said) <= SAME_RATE * abs(said):
-        notes.append(f"{said_by} is {said:g}, and {found.rate_source} tell {found.fps:g} frames a second: {said_by} was taken.")
+    if found.fps and not abs(found.fps - fps) <= SAME_RATE * abs(fps):
+        notes.append(f"{source} is {fps:g}, and {found.rate_source} give {found.fps:g} frames a second: {source} was taken.")
         found = FrameTimes(np.arange(count))
-    return FrameTimes(found.numbers if numbers is None else numbers, said, f"its array {said_by}")
+    return FrameTimes(found.numbers if numbers is None else numbers, fps, f"its array {source}")
 
 
-def _timed(path: Path, arrays: Arrays, count: int) -> FrameTimes:
-    """By an array of times, where there is one."""
+def _from_times(path: Path, arrays: Arrays, count: int) -> FrameTimes:
+    """Frame numbers and rate of an array of times, where there is one."""
     name = next((name for name in TIMES if name in arrays), None)
     if name is None:
         return FrameTimes(np.arange(count))
@@ -84,11 +84,11 @@ def _timed(path: Path, arrays: Arrays, count: int) -> FrameTimes:
         raise InputError(
             f"{path}: {name} are {times.dtype} of shape {times.shape}, expected a number for each of {count} frames"
         )
-    return frames_of(times.reshape(-1) if times.dtype.kind == "f" else times.reshape(-1).astype(np.float64), name)
+    return frames_from_times(times.reshape(-1) if times.dtype.kind == "f" else times.reshape(-1).astype(np.float64), name)
 
 
 def _rate(path: Path, arrays: Arrays) -> tuple[float | None, str]:
-    """Frames a second, and the array that says it: a number, or a text as `24`, `29.97 fps` or `30000/1001`."""
+    """Frames per second, and the name of the array: a number, or a text such as `24`, `29.97 fps` or `30000/1001`."""
     name = next((name for name in RATES if name in arrays), None)
     if name is None:
         return None, ""
@@ -99,9 +99,9 @@ def _rate(path: Path, arrays: Arrays) -> tuple[float | None, str]:
     if text is not None:
         text = text.strip().lower().removesuffix("fps").removesuffix("hz").strip()
         fraction = FRACTION.fullmatch(text)
-        parts = [number_of(part) for part in (fraction.groups() if fraction else (text,))]
-        if None not in parts and (len(parts) == 1 or parts[1]):
-            return parts[0] / (parts[1] if len(parts) > 1 else 1.0), name
+        top, bottom = (number_of(part) for part in (fraction.groups() if fraction else (text, "1")))
+        if top is not None and bottom:
+            return top / bottom, name
     found = repr(text)[:60] if text is not None else f"{value.dtype} of shape {value.shape}"
     raise InputError(f"{path}: {name} is {found}, expected one number: save it as {name}=24.0, or give reading.fps=...")
 
@@ -109,8 +109,8 @@ def _rate(path: Path, arrays: Arrays) -> tuple[float | None, str]:
 def _text(value: np.ndarray) -> str | None:
     if value.size != 1 or value.dtype.kind not in "US":
         return None
-    one = value.reshape(-1)[0]
-    return one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one)
+    item = value.reshape(-1)[0]
+    return item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item)
 
 
 def _numbers(path: Path, arrays: Arrays, count: int) -> np.ndarray | None:

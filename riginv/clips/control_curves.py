@@ -1,4 +1,4 @@
-"""Curves of a rig's own controls as they stand in files: in a CSV, as riginv writes it or another, or in an .npz."""
+"""Curves of a rig's controls in files: CSV, as riginv or other programs write it, or .npz."""
 
 import zipfile
 from dataclasses import dataclass, field
@@ -6,35 +6,35 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.animation.text import MOVE_COLUMNS, TURN_COLUMNS
+from riginv.animation.text import ROTATION_COLUMNS, TRANSLATION_COLUMNS
 from riginv.clips.arrays import VERTICES
 from riginv.clips.csv_table import CsvTable
-from riginv.clips.frame_rate import usual_rate
+from riginv.clips.frame_rate import common_rate
 from riginv.errors import InputError, in_short
 from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
 from riginv.runs.files import check_regular, read_json
 
 FRAME, SECONDS = "frame", "seconds"
-MOTION = (*MOVE_COLUMNS, *TURN_COLUMNS)
+MOTION = (*TRANSLATION_COLUMNS, *ROTATION_COLUMNS)
 CONTROLS, FPS, NUMBERS = "controls", "fps", "frame_numbers"  # arrays of an .npz
 NAMES = ("names", "control_names")
-SAME_RATE = 1e-3  # two rates nearer than that, as a share of them, are one
+SAME_RATE = 1e-3  # relative difference below which two rates are the same
 
 
 @dataclass
 class Curves:
-    """Curves as they stand in a file.
+    """Control curves as a file has them.
 
     Attributes:
         path: of the file.
-        format: of it, as people call it.
-        names: of the columns; None: the controls of the rig in their order.
-        values: `(frame, column)`; NaN where there is no finite number.
+        format: name of the file format.
+        names: of the columns; None: the rig's controls in their order.
+        values: `(frame, column)`; NaN where a cell is no finite number.
         frame_numbers: `(frame,)`.
-        fps: frames a second, where the file says so, and where that comes from.
-        motion: of the whole mesh, `(frame, 6)`: along x, y, z, mm, and about them, degrees; None: there is none.
-        notes: what was mended or left out.
-        table: the table that the columns stand in, and which ones they are; None where they stand in none.
+        fps: frames per second; None where the file does not give it. `rate_source`: where it comes from.
+        motion: rigid motion of the mesh, `(frame, 6)`: translation x, y, z in mm, rotation about x, y, z in degrees; or None.
+        notes: what was repaired or left out.
+        table: the CSV table and the column of each curve; None for other files.
     """
 
     path: Path
@@ -49,7 +49,7 @@ class Curves:
     table: tuple[CsvTable, list[int]] | None = None
 
     def check_column(self, column: int, name: str) -> None:
-        """Raises InputError where a column holds something else than finite numbers."""
+        """Raise InputError where a column holds anything but finite numbers."""
         if self.table is not None:
             self.table[0].column(self.table[1][column])
         elif not np.isfinite(self.values[:, column]).all():
@@ -60,18 +60,18 @@ class Curves:
 
 
 def csv_curves(table: CsvTable) -> Curves:
-    """The curves of a CSV with a column for each control, and perhaps `frame`, `seconds` and the motion of the whole mesh.
+    """The curves of a CSV with a column for each control and optional columns `frame`, `seconds` and rigid motion.
 
     Raises:
-        InputError: a frame, a time or the motion is no number, or frames are not whole.
+        InputError: a frame, a time or the motion is no number, or a frame is no integer.
     """
-    at = {name.lower(): number for number, name in enumerate(table.header)}
-    frames, seconds = (table.column(at[key]) if key in at else None for key in (FRAME, SECONDS))
-    moving = all(name in at for name in MOTION)
-    known = {FRAME, SECONDS, *(MOTION if moving else ())}
+    column = {name.lower(): number for number, name in enumerate(table.header)}
+    frames, seconds = (table.column(column[key]) if key in column else None for key in (FRAME, SECONDS))
+    has_motion = all(name in column for name in MOTION)
+    known = {FRAME, SECONDS, *(MOTION if has_motion else ())}
     rest = [number for number, name in enumerate(table.header) if name and name.lower() not in known]
-    names = [table.header[number].removeprefix("'") for number in rest]  # it stands before what a spreadsheet would compute
-    motion = table.columns([at[name] for name in MOTION]) if moving else None
+    names = [table.header[number].removeprefix("'") for number in rest]  # riginv writes it against spreadsheet formulas
+    motion = table.columns([column[name] for name in MOTION]) if has_motion else None
     numbers = np.arange(len(table), dtype=np.float64) if frames is None else frames
     curves = Curves(table.path, "CSV of curves", names, table.numbers[:, rest], numbers, motion=motion, table=(table, rest))
     curves.notes += table.notes
@@ -84,26 +84,27 @@ def csv_curves(table: CsvTable) -> Curves:
 
 
 def _find_rate(curves: Curves, seconds: np.ndarray | None) -> None:
-    """The frames a second: as the rows' times show, or else as the file beside the CSV says."""
-    beside, said = curves.path.with_suffix(".json"), None
-    if beside.is_file():
+    """Set the frame rate: from the times of the rows, or else from the .json beside the CSV."""
+    sidecar, stated, measured = curves.path.with_suffix(".json"), None, None
+    if sidecar.is_file():
         try:
-            said = read_json(beside).get("fps")
+            value = read_json(sidecar).get("fps")
+            stated = (
+                float(value) if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < 1e6 else None
+            )
         except InputError as error:
-            curves.notes.append(f"the file beside it was passed over: {error}")
-    said = float(said) if isinstance(said, int | float) and not isinstance(said, bool) and 0 < said < 1e6 else None
-    shown = None
+            curves.notes.append(f"the file beside it was ignored: {error}")
     if seconds is not None and len(seconds) > 1 and seconds[-1] > seconds[0]:
-        shown = usual_rate(float((curves.frame_numbers[-1] - curves.frame_numbers[0]) / (seconds[-1] - seconds[0])))
-    if said and shown and abs(said - shown) > SAME_RATE * said:
+        measured = common_rate(float((curves.frame_numbers[-1] - curves.frame_numbers[0]) / (seconds[-1] - seconds[0])))
+    if stated and measured and abs(stated - measured) > SAME_RATE * stated:
         curves.notes.append(
-            f"{beside.name} says {said:g} frames a second, and its rows lie {shown:g} to a second: {shown:g} was taken"
+            f"{sidecar.name} says {stated:g} frames a second, and its rows lie {measured:g} to a second: {measured:g} was taken"
         )
-        said = None
-    if said:
-        curves.fps, curves.rate_source = said, beside.name
-    elif shown:
-        curves.fps, curves.rate_source = shown, "the seconds of its rows"
+        stated = None
+    if stated:
+        curves.fps, curves.rate_source = stated, sidecar.name
+    elif measured:
+        curves.fps, curves.rate_source = measured, "the seconds of its rows"
 
 
 def holds_curves(path: Path) -> bool:
@@ -113,12 +114,12 @@ def holds_curves(path: Path) -> bool:
         with zipfile.ZipFile(path) as archive:
             names = {Path(name).stem for name in archive.namelist() if name.endswith(".npy")}
     except (*DAMAGED_ZIP, OSError, ValueError):
-        return False  # the reader of meshes says what is wrong with it
+        return False  # the mesh reader reports what is wrong
     return CONTROLS in names and not names & {*VERTICES}
 
 
 def npz_curves(path: Path) -> Curves:
-    """The curves of an .npz: `controls (frame, control)`, and perhaps `names` (or `control_names`), `fps` and `frame_numbers`.
+    """The curves of an .npz: `controls (frame, control)`, optional `names` (or `control_names`), `fps`, `frame_numbers`.
 
     Raises:
         InputError: it is damaged, or an array is of another shape or type.
@@ -147,7 +148,7 @@ def npz_curves(path: Path) -> Curves:
         raise InputError(
             f"{path}: names are {names.dtype} of shape {names.shape}, expected a text for each of {values.shape[1]} controls"
         )
-    labels = None if names is None else [str(np.char.decode(one) if names.dtype.kind == "S" else one) for one in names]
+    labels = None if names is None else [str(np.char.decode(name) if names.dtype.kind == "S" else name) for name in names]
     rows = np.arange(len(values)) if numbers is None else numbers
     rate = None if fps is None else float(fps.reshape(-1)[0])
     return Curves(path, "arrays of curves", labels, values.astype(np.float64), rows, rate, "its array fps" if rate else "")

@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV files, as apps, spreadsheets and scripts write them."""
+"""Tables of numbers in CSV files of apps, spreadsheets and scripts."""
 
 import array
 import csv
@@ -18,7 +18,7 @@ from riginv.runs.files import check_regular
 DELIMITERS = (",", ";", "\t")
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 CLOCK = re.compile(r"\d+[:;]\d\d?[:;]\d\d?")
-REASONS = (  # of texts that are no numbers, and what to do
+REASONS = (  # why a text is no number, and the remedy
     (re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+"), "a Fortran exponent: write E in place of D"),
     (re.compile(r"[+-]?\d{1,3}([ ',_\u00a0\u202f]\d{3})+([.,]\d*)?"), "thousands separators: leave them out"),
     (re.compile(r"[+-]?(nan|inf|1\.#).*", re.IGNORECASE), "not a finite number: leave the row out, its neighbours stand in"),
@@ -47,10 +47,10 @@ class CsvTable:
         path: of the file.
         header: the names of the columns.
         numbers: `(row, column)`, float64; NaN where a cell is no finite number.
-        faults: the first such cell of each column that has one, by column.
-        texts: the column that was asked for as text, cell by cell.
-        lines: the line of the file that each row stands in.
-        notes: what was mended.
+        faults: the first such cell of each affected column, by column.
+        texts: the cells of the text column.
+        lines: line number in the file of each row.
+        notes: what was repaired.
     """
 
     path: Path
@@ -68,7 +68,7 @@ class CsvTable:
         """The numbers `(row,)` of a column.
 
         Raises:
-            InputError: one of its cells is no finite number; the message says what it is.
+            InputError: one of its cells is no finite number.
         """
         if number in self.faults:
             line, text = self.faults[number]
@@ -78,15 +78,15 @@ class CsvTable:
         return self.numbers[:, number]
 
     def columns(self, numbers: Sequence[int]) -> np.ndarray:
-        """Several of them, `(row, column)`; raises as `column`."""
+        """Several columns, `(row, column)`; raises as `column`."""
         return np.stack([self.column(number) for number in numbers], axis=1)
 
 
 def read_csv(path: Path, text_column: str = "") -> CsvTable:
-    """Read a CSV with a header, whose cells are divided by commas, semicolons or tabs, with decimal points or decimal commas.
+    """Read a CSV with a header; cells are separated by commas, semicolons or tabs, decimals by points or commas.
 
     Args:
-        text_column: a column, in lower case, that holds text.
+        text_column: name in lower case of a column that holds text.
 
     Raises:
         InputError: the file is missing, empty or no CSV, has no row below the header, a row of another length than the
@@ -98,16 +98,19 @@ def read_csv(path: Path, text_column: str = "") -> CsvTable:
         twice = sorted({name for name in named if named.count(name) > 1})
         raise InputError(f"{path}: column {', '.join(map(repr, twice))} stands twice; each column must be there once")
     text_at = next((number for number, name in enumerate(header) if name.lower() == text_column), -1)
-    values, faults, texts, lines, commas = array.array("d"), {}, [], [], 0
+    values, commas = array.array("d"), 0
+    faults: dict[int, Fault] = {}
+    texts: list[str] = []
+    lines: list[int] = []
     for line, row in rows:
-        row = _fitted(path, header, row, line, delimiter)
+        row = _resized(path, header, row, line, delimiter)
         for number, cell in enumerate(row):
             value = math.nan
             if number == text_at:
                 texts.append(cell.strip())
             else:
-                value, mended = _number(cell)
-                commas += mended
+                value, has_comma = _number(cell)
+                commas += has_comma
                 if math.isnan(value):
                     faults.setdefault(number, Fault(line, cell))
             values.append(value)
@@ -119,7 +122,7 @@ def read_csv(path: Path, text_column: str = "") -> CsvTable:
 
 
 def _number(cell: str) -> tuple[float, bool]:
-    """A cell's number, NaN where it has none that is finite; and whether a decimal comma was read as a point."""
+    """The finite number in a cell, else NaN; and whether it had a decimal comma."""
     try:
         value = float(cell)
     except ValueError:
@@ -129,18 +132,18 @@ def _number(cell: str) -> tuple[float, bool]:
     return (value if math.isfinite(value) and "_" not in cell else math.nan), False
 
 
-def _fitted(path: Path, header: list[str], row: list[str], line: int, delimiter: str) -> list[str]:
-    """A row of as many cells as the header has.
+def _resized(path: Path, header: list[str], row: list[str], line: int, delimiter: str) -> list[str]:
+    """A row with as many cells as the header.
 
     Raises:
-        InputError: it has more or fewer.
+        InputError: it has more or fewer that are not empty.
     """
     if delimiter == ";" and len(row) == len(header) + 1 and CLOCK.fullmatch(row[0].strip()):
-        row = [f"{row[0]};{row[1]}", *row[2:]]  # a drop-frame timecode has the delimiter in it
+        row = [f"{row[0]};{row[1]}", *row[2:]]  # a drop-frame timecode contains the delimiter
     if len(row) > len(header) and not any(cell.strip() for cell in row[len(header) :]):
         row = row[: len(header)]
     if len(row) < len(header) and not any(header[len(row) :]):
-        row = [*row, *[""] * (len(header) - len(row))]  # the header alone ends in a delimiter
+        row = [*row, *[""] * (len(header) - len(row))]  # only the header ends in a delimiter
     if len(row) != len(header):
         halves = delimiter == "," and len(row) >= 2 * len(header) - 2
         reason = "; are its decimals commas? write points, or divide the cells by semicolons" if halves else ""
@@ -149,7 +152,7 @@ def _fitted(path: Path, header: list[str], row: list[str], line: int, delimiter:
 
 
 def _opened(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]], str]:
-    """The header, the rows that are not empty with their lines, and what divides their cells."""
+    """The header, the rows that are not empty with their line numbers, and the delimiter."""
     check_regular(path)
     try:
         text = _decoded(path.read_bytes())
@@ -159,14 +162,15 @@ def _opened(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]], str
         raise InputError(f"{path}: cannot be read as a CSV: {error}") from None
     first = text.lstrip("\r\n").partition("\n")[0]
     delimiter = max(DELIMITERS, key=first.count)
-    rows = _rows(path, csv.reader(io.StringIO(text, newline=""), delimiter=delimiter))
-    header = next(rows, (0, None))[1]
-    if header is None:
+    rows = _rows(path, io.StringIO(text, newline=""), delimiter)
+    header = next(rows, (0, []))[1]
+    if not header:
         raise InputError(f"{path}: the file is empty; expected a Live Link Face recording or curves of controls")
     return [name.strip() for name in header], rows, delimiter
 
 
-def _rows(path: Path, reader: Iterator[list[str]]) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, text: io.StringIO, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(text, delimiter=delimiter)
     try:
         for row in reader:
             if any(cell.strip() for cell in row):
@@ -176,5 +180,5 @@ def _rows(path: Path, reader: Iterator[list[str]]) -> Iterator[tuple[int, list[s
 
 
 def _decoded(data: bytes) -> str:
-    """Text as UTF-8, or as UTF-16, which spreadsheets write as `Unicode text`."""
+    """Decode UTF-8, or UTF-16, which spreadsheets write as `Unicode text`."""
     return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")

@@ -1,8 +1,8 @@
-"""What was read of a clip, so that the user can see whether it is what was meant; `riginv.clips.description_text` says it."""
+"""What was read of a clip, for the user to check; `riginv.clips.description_text` puts it in words."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -11,13 +11,14 @@ from riginv.clips.motion_check import ClipMotion
 from riginv.clips.sequence import SourceFacts
 from riginv.geometry.neighbours import evenly
 
-NAMED = 3  # of missing frames
-BLOCKS, BLOCK = 6, 16  # runs of frames that are looked at before any work, and how many frames each has
-MOST_BYTES = 256_000_000  # of meshes that are looked at
+LISTED = 3  # missing frames in a message
+BLOCKS, BLOCK = 6, 16  # runs of consecutive frames sampled before any work, and their length
+MAX_BYTES = 256_000_000  # of sampled meshes
 
 
-class FrameSpan(NamedTuple):
-    """Some frames: the numbers of the first and the last, and how many there are."""
+@dataclass(frozen=True)
+class FrameSpan:
+    """A range of frames: first and last frame number, and how many frames there are."""
 
     first: int
     last: int
@@ -30,16 +31,16 @@ class ClipDescription:
 
     Attributes:
         file: its name.
-        facts: what its reader took from the file and what it passed over.
+        facts: what its reader took from the file and what it skipped.
         vertices, faces: of each mesh; no faces where the file has none.
-        frames: those that were taken, of `all_frames` in the file.
-        missing: how many frames between the first and the last are not there; `missing_first` are the first few.
-        excluded: how many of the frames are treated as unknown because the user said so.
-        fps: frames a second; `rate_source` says where they come from.
+        frames: those taken, of `all_frames` in the file.
+        missing: number of frames absent between the first and the last; `missing_first` lists the first few.
+        excluded: number of frames treated as unknown on the user's request.
+        fps: frames per second; `rate_source`: where it comes from.
         unit_mm: millimetres to a unit of the file; None: not known, and lengths are in that unit. `unit_source`: from where.
-        up: the axis of the file that points up; `up_source` says where that comes from.
+        up: the up axis of the file; `up_source`: where it comes from.
         motion: how it moves, and its size.
-        notes: whole sentences: what was mended or guessed.
+        notes: sentences: what was repaired or guessed.
     """
 
     file: str
@@ -62,29 +63,29 @@ class ClipDescription:
 
     @property
     def seconds(self) -> float:
-        """From the first frame to the last."""
+        """Time from the first frame to the last."""
         return (self.frames.last - self.frames.first) / self.fps
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Whole sentences about what can hardly be meant."""
+        """Sentences about implausible values."""
         return self.motion.warnings
 
     def new_warnings(self, before: "ClipDescription") -> list[str]:
-        """Those that were not there before more of the clip was read."""
+        """Warnings that `before` did not have, because less of the clip had been read."""
         known = {warning.partition(":")[0] for warning in before.warnings}
         return [warning for warning in self.warnings if warning.partition(":")[0] not in known]
 
     def as_json(self) -> dict[str, Any]:
-        """All of it as plain values, for a sidecar."""
+        """All of it as plain values, for curves.json."""
         facts, motion = asdict(self.facts), self.motion
         return {
             "file": self.file,
             **{key: list(value) if isinstance(value, tuple) else value for key, value in facts.items()},
             "vertices": self.vertices,
             "faces": self.faces,
-            "frames": {**self.frames._asdict(), "missing": self.missing, "excluded": self.excluded},
-            "all_frames": self.all_frames._asdict(),
+            "frames": {**asdict(self.frames), "missing": self.missing, "excluded": self.excluded},
+            "all_frames": asdict(self.all_frames),
             "fps": self.fps,
             "rate_source": self.rate_source,
             "seconds": self.seconds,
@@ -102,14 +103,14 @@ class ClipDescription:
 
 
 def describe(clip: Clip) -> ClipDescription:
-    """What was read of a clip; of one that was not read yet a bounded number of frames is looked at.
+    """The description of a clip; a bounded number of frames is sampled if it has not been read yet.
 
     Raises:
         InputError: the file turns out to be damaged.
     """
-    look(clip)
-    sequence, meaning, numbers = clip.sequence, clip.meaning, clip.frame_numbers.numpy()
-    missing, some = _missing(numbers)
+    sample(clip)
+    sequence, units, numbers = clip.sequence, clip.units, clip.frame_numbers.numpy()
+    missing, missing_first = _missing(numbers)
     return ClipDescription(
         file=Path(sequence.path).name or sequence.path,
         facts=sequence.facts,
@@ -118,23 +119,23 @@ def describe(clip: Clip) -> ClipDescription:
         frames=_span(numbers),
         all_frames=_span(sequence.frame_numbers),
         missing=missing,
-        missing_first=some,
+        missing_first=missing_first,
         excluded=int(clip.excluded.sum()),
-        fps=meaning.fps,
-        rate_source=meaning.rate_source,
-        unit_mm=meaning.mm if meaning.unit_source else None,
-        unit_source=meaning.unit_source,
-        up=meaning.up,
-        up_source=meaning.up_source,
+        fps=units.fps,
+        rate_source=units.rate_source,
+        unit_mm=units.mm if units.unit_source else None,
+        unit_source=units.unit_source,
+        up=units.up,
+        up_source=units.up_source,
         motion=clip.motion_check.motion,
-        notes=(*sequence.facts.notes, *meaning.notes),
+        notes=(*sequence.facts.notes, *units.notes),
     )
 
 
-def look(clip: Clip) -> None:
-    """Read some frames of a clip, in a few runs spread over it, so that its motion can be told; all of a short one."""
-    most = max(2, min(BLOCKS * BLOCK, MOST_BYTES // (12 * clip.sequence.vertex_count)))
-    blocks = [(0, len(clip))] if len(clip) <= most else _blocks(len(clip), most)
+def sample(clip: Clip) -> None:
+    """Read some frames of a clip, in a few runs spread over it, to measure its motion; all frames of a short clip."""
+    count = max(2, min(BLOCKS * BLOCK, MAX_BYTES // (12 * clip.sequence.vertex_count)))
+    blocks = [(0, len(clip))] if len(clip) <= count else _blocks(len(clip), count)
     for start, stop in blocks:
         for row in range(start, stop, BLOCK):
             end = min(row + BLOCK, stop)
@@ -142,9 +143,9 @@ def look(clip: Clip) -> None:
                 clip.vertices(row, end)
 
 
-def _blocks(frames: int, most: int) -> list[tuple[int, int]]:
-    size = max(2, min(BLOCK, most // BLOCKS))
-    starts = evenly(max(1, most // size), frames - size + 1).tolist()
+def _blocks(frames: int, count: int) -> list[tuple[int, int]]:
+    size = max(2, min(BLOCK, count // BLOCKS))
+    starts = evenly(max(1, count // size), frames - size + 1).tolist()
     return [(start, start + size) for start in starts]
 
 
@@ -153,14 +154,14 @@ def _span(numbers: np.ndarray) -> FrameSpan:
 
 
 def _missing(numbers: np.ndarray) -> tuple[int, tuple[int, ...]]:
-    """How many frames are not there between those that are, and the first few of them."""
+    """The number of missing frames, and the first few of them."""
     steps = np.diff(numbers)
     if not len(steps):
         return 0, ()
     step = int(steps.min())
-    some = [
+    listed = [
         int(number)
-        for row in np.flatnonzero(steps > step)[:NAMED]
-        for number in range(int(numbers[row]) + step, min(int(numbers[row + 1]), int(numbers[row]) + (NAMED + 1) * step), step)
+        for row in np.flatnonzero(steps > step)[:LISTED]
+        for number in range(int(numbers[row]) + step, min(int(numbers[row + 1]), int(numbers[row]) + (LISTED + 1) * step), step)
     ]
-    return int((steps // step - 1).sum()), tuple(some[:NAMED])
+    return int((steps // step - 1).sum()), tuple(listed[:LISTED])

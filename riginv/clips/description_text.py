@@ -1,10 +1,11 @@
-"""What was read of a clip in words: one line for the terminal, rows of a table for a page."""
+"""The description of a clip in words: a line for the terminal, table rows for the page."""
 
 from collections.abc import Sequence
 
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
-from riginv.clips.units import AS_THE_FILE_SAYS, UNITS
+from riginv.clips.options import UNITS
+from riginv.clips.units import AS_THE_FILE_SAYS
 from riginv.errors import printable
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.size import extent
@@ -12,18 +13,18 @@ from riginv.runs.console import show_lines
 
 LONGEST_LINE = 200  # characters
 LONGEST_NAME = 40
-NAMES = 12  # of meshes or animations in a row of a table
-FULL, NO_FILE, NO_NAMES, NO_SOURCES = range(4)  # what a line goes without: that the file says a unit, names, sources
+NAMES = 12  # meshes or animations listed in a table row
+FULL, NO_FILE, NO_NAMES, NO_SOURCES = range(4)  # levels of detail of a line: each omits more
 
 
 def line(clip: ClipDescription) -> str:
-    """What was read, in one line of at most `LONGEST_LINE` characters, the file's name first."""
+    """The description in one line of at most `LONGEST_LINE` characters, which starts with the file's name."""
     start = f"clip {_short(clip.file)}: "
     return start + in_short(clip, LONGEST_LINE - len(start))
 
 
 def in_short(clip: ClipDescription, most: int = LONGEST_LINE) -> str:
-    """What was read, in so many characters at most."""
+    """The description in at most `most` characters, with as much detail as fits."""
     for detail in (FULL, NO_FILE, NO_NAMES, NO_SOURCES):
         parts = [clip.facts.format, *_contents(clip, detail), _frames(clip, detail), _rate(clip, detail)]
         parts += [_length(clip), _size(clip), _unit(clip, detail), _up(clip, detail)]
@@ -34,9 +35,9 @@ def in_short(clip: ClipDescription, most: int = LONGEST_LINE) -> str:
 
 
 def show_clip(meshes: MeshSet | None) -> ClipDescription | None:
-    """Say what was read, where a set of meshes is a clip or was made from one (`meshes.clip`), and return it; else None.
+    """Print and return the description of a clip, or of the clip a set was made from (`meshes.clip`); None for other sets.
 
-    The notes of the set follow, whatever it is.
+    The notes of the set are printed in any case.
     """
     clip = meshes if isinstance(meshes, Clip) else getattr(meshes, "clip", None)
     found = describe(clip) if clip is not None else None
@@ -45,18 +46,18 @@ def show_clip(meshes: MeshSet | None) -> ClipDescription | None:
 
 
 def rows(clip: ClipDescription, names: int | None = NAMES) -> list[tuple[str, str]]:
-    """What was read, as rows of a table: what it is, and the value.
+    """The description as table rows (label, value).
 
     Args:
-        names: how many meshes or animations are named in a row, at most; None: all.
+        names: meshes or animations listed in a row, at most; None: all.
     """
     facts = clip.facts
     found = [
         ("format", facts.format),
-        ("meshes", named(facts.meshes, names)),
-        ("meshes left out", named(facts.other_meshes, names)),
+        ("meshes", listed(facts.meshes, names)),
+        ("meshes left out", listed(facts.other_meshes, names)),
         ("animation", facts.animation),
-        ("animations passed over", named(facts.other_animations, names)),
+        ("animations ignored", listed(facts.other_animations, names)),
         ("vertices", f"{clip.vertices:,}" + (f", {clip.faces:,} faces" if clip.faces else "")),
         ("frames", _frames(clip)),
         ("rate", f"{clip.fps:g} frames a second ({clip.rate_source})"),
@@ -69,8 +70,8 @@ def rows(clip: ClipDescription, names: int | None = NAMES) -> list[tuple[str, st
     return [(name, printable(text)) for name, text in found if text]
 
 
-def named(names: Sequence[str], most: int | None = NAMES) -> str:
-    """Names in a row, and how many more there are than `most`; None: all."""
+def listed(names: Sequence[str], most: int | None = NAMES) -> str:
+    """Names separated by commas, at most `most` of them (None: all), and how many more there are."""
     more = 0 if most is None else len(names) - most
     return ", ".join(names[:most]) + (f" and {more:,} more (verbose=true names all)" if more > 0 else "")
 
@@ -80,28 +81,28 @@ def _contents(clip: ClipDescription, detail: int) -> list[str]:
     facts, parts = clip.facts, []
     meshes, others = len(facts.meshes), len(facts.other_meshes)
     if meshes or others:
-        named = f"mesh {_short(facts.meshes[0])}" if meshes == 1 and detail < NO_NAMES else _count(meshes, "mesh", "meshes")
-        parts.append(named + (f" ({others:,} left out)" if others else ""))
+        text = f"mesh {_short(facts.meshes[0])}" if meshes == 1 and detail < NO_NAMES else _count(meshes, "mesh", "meshes")
+        parts.append(text + (f" ({others:,} left out)" if others else ""))
     if facts.animation:
         passed = len(facts.other_animations)
-        parts.append(f"animation {_short(facts.animation)}" + (f" ({passed:,} passed over)" if passed else ""))
+        parts.append(f"animation {_short(facts.animation)}" + (f" ({passed:,} ignored)" if passed else ""))
     return parts
 
 
 def _frames(clip: ClipDescription, detail: int = FULL) -> str:
-    first, last, count = clip.frames
+    first, last, count = clip.frames.first, clip.frames.last, clip.frames.count
     text = f"1 frame, {first}" if count == 1 else f"{count:,} frames {first} to {last}"
     if count < clip.all_frames.count:
         text += f" of {clip.all_frames.first} to {clip.all_frames.last}"
-    said = []
+    details = []
     if clip.missing:
         names = ", ".join(map(str, clip.missing_first)) + (", ..." if clip.missing > len(clip.missing_first) else "")
-        said.append(f"{clip.missing:,} missing" + (f": {names}" if detail < NO_NAMES else ""))
+        details.append(f"{clip.missing:,} missing" + (f": {names}" if detail < NO_NAMES else ""))
     if clip.excluded:
-        said.append(f"{clip.excluded:,} excluded")
+        details.append(f"{clip.excluded:,} excluded")
     if unknown := max(0, clip.motion.unknown - clip.excluded):
-        said.append(f"{unknown:,} not known")
-    return text + (f" ({'; '.join(said)})" if said else "")
+        details.append(f"{unknown:,} not known")
+    return text + (f" ({'; '.join(details)})" if details else "")
 
 
 def _length(clip: ClipDescription) -> str:
@@ -128,9 +129,9 @@ def _rate(clip: ClipDescription, detail: int) -> str:
 
 
 def _source(source: str, detail: int) -> str:
-    """Where a unit or an axis comes from; in a short line the file goes without saying."""
-    says = detail == FULL or (detail < NO_SOURCES and source != AS_THE_FILE_SAYS)
-    return f" ({source})" if says else ""
+    """Where a unit or an axis comes from, in parentheses; omitted as `detail` demands."""
+    shown = detail == FULL or (detail < NO_SOURCES and source != AS_THE_FILE_SAYS)
+    return f" ({source})" if shown else ""
 
 
 def _motion(clip: ClipDescription) -> str:
@@ -147,6 +148,6 @@ def _count(count: int, one: str, many: str) -> str:
 
 
 def _short(text: str) -> str:
-    """A text no longer than a name should be."""
+    """A text cut to the length of a name."""
     text = printable(text)
     return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME - 15]}...{text[-12:]}"

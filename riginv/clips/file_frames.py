@@ -1,4 +1,4 @@
-"""A sequence with a file for each frame: OBJ and PLY; every file must have the mesh of the first."""
+"""Sequences of OBJ or PLY files, one per frame; every file must hold the mesh of the first."""
 
 from pathlib import Path
 
@@ -13,14 +13,14 @@ from riginv.meshes.reading import read_mesh
 
 
 class FileFrames(MeshSequence):
-    """Files, one for each frame; the order of their vertices is kept.
+    """A sequence of files, one per frame; the vertex order of the files is kept.
 
     Args:
         path: as in `find_frames`.
-        options: what the user says about the files.
+        options: how the files are read.
 
     Raises:
-        InputError: there are no files, some are missing, or the first one is no mesh.
+        InputError: there are no files, some are missing, or the first is no mesh.
     """
 
     suffix: str
@@ -30,18 +30,18 @@ class FileFrames(MeshSequence):
         first = read_mesh(self.frames.first)
         self.face_bytes, self.first_faces, self.points_in_file = first.face_bytes, first.polygons(), len(first.points)
         names = first.objects
-        read = tuple(name for name in names if name in options.mesh_names) if names and options.mesh_names else names
-        self.picked = _vertices_of(first, options.mesh_names) if names and options.mesh_names else None
+        meshes = tuple(name for name in names if name in options.mesh_names) if names and options.mesh_names else names
+        self.selected = _vertices_of(first, options.mesh_names) if names and options.mesh_names else None
         notes = (*self.frames.notes, *first.notes, *options.unused(self.suffix[1:].upper(), not names))
-        notes += note_on_objects(first.path, read)
-        left_out = tuple(name for name in names if name not in read)
-        facts = SourceFacts(self.suffix[1:].upper(), read, left_out, notes=notes)
+        notes += note_on_objects(first.path, meshes)
+        left_out = tuple(name for name in names if name not in meshes)
+        facts = SourceFacts(self.suffix[1:].upper(), meshes, left_out, notes=notes)
         faces, count = self.first_faces, len(first.points)
-        if self.picked is not None:
+        if self.selected is not None:
             if faces is not None:
                 faces.check(path, count)
-                faces = faces.among(self.picked)
-            count = len(self.picked)
+                faces = faces.among(self.selected)
+            count = len(self.selected)
         super().__init__(path, self.frames.numbers, count, faces, facts=facts)
 
     def read(self, start: int, stop: int) -> np.ndarray:
@@ -67,14 +67,14 @@ class FileFrames(MeshSequence):
                     f"{path}: its {len(found)} faces are not the {len(expected)} of {first}: all frames must be the same mesh "
                     f"with its vertices in the same order; export them again"
                 )
-        return mesh.points if self.picked is None else mesh.points[self.picked]
+        return mesh.points if self.selected is None else mesh.points[self.selected]
 
 
 def _vertices_of(mesh: MeshFile, names: list[str]) -> np.ndarray:
-    """The vertices `(vertex,)` of some objects, rising.
+    """The sorted vertex indices `(vertex,)` of some objects.
 
     Raises:
-        InputError: there is none of such a name, or it has no vertices of its own.
+        InputError: an object does not exist or has no vertices.
     """
     for name in names:
         if name not in mesh.objects or not len(mesh.vertices_of(name)):

@@ -1,24 +1,24 @@
-"""The numbers in file names: which of them counts frames, and which files belong together."""
+"""Numbers in file names: which one is the frame number, and which files form a sequence."""
 
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
 from riginv.errors import InputError
 
-NUMBER = re.compile(r"(?:(?<=[._-])-|^-)?\d+")  # a sign stands behind another separator: f.-3, f_-3, f--3; f-3 has none
-LISTED = 4  # patterns or files that a message names
+NUMBER = re.compile(r"(?:(?<=[._-])-|^-)?\d+")  # a minus follows another separator: f.-3, f_-3, f--3; in f-3 it is none
+LISTED = 4  # patterns or files in a message
 
 
 class FileName(NamedTuple):
-    """The name of a file, taken apart.
+    """A file name split at its numbers.
 
     Attributes:
         path: of the file.
-        texts: what stands around the numbers, `numbers + 1` of them, the ending included.
-        digits: the numbers as they are written, signs included.
+        texts: the texts around the numbers, one more than there are numbers, the suffix included.
+        digits: the numbers as written, with their signs.
     """
 
     path: Path
@@ -27,7 +27,7 @@ class FileName(NamedTuple):
 
     @property
     def kind(self) -> tuple[str, ...]:
-        """What names of one sequence have in common."""
+        """The texts, lower case: equal for all files of a sequence."""
         return tuple(text.casefold() for text in self.texts)
 
     def number(self, position: int) -> int:
@@ -35,11 +35,11 @@ class FileName(NamedTuple):
 
 
 class NumberedFiles(NamedTuple):
-    """Files that belong together.
+    """The files of a sequence.
 
     Attributes:
         files: in any order.
-        position: which number in their names is the frame's.
+        position: index of the frame number among the numbers of a name.
     """
 
     files: list[FileName]
@@ -51,14 +51,14 @@ class NumberedFiles(NamedTuple):
 
     @property
     def signed_pattern(self) -> str:
-        """The pattern by which the dash before every number is a minus; empty where there is none."""
+        """The pattern that takes the dash before every number as a minus; empty where there is no dash."""
         if not self.files[0].texts[self.position].endswith("-"):
             return ""
         return pattern_of([_negative(name, self.position) for name in self.files], self.position)
 
 
-def take_apart(path: Path) -> FileName:
-    """The numbers in a name, and what stands around them."""
+def parse_name(path: Path) -> FileName:
+    """Split a name at its numbers."""
     stem, texts, digits, end = path.stem, [], [], 0
     for match in NUMBER.finditer(stem):
         texts.append(stem[end : match.start()])
@@ -68,10 +68,10 @@ def take_apart(path: Path) -> FileName:
 
 
 def group(files: Sequence[Path]) -> list[list[FileName]]:
-    """Files whose names differ in their numbers alone, largest group first; `f-1` is negative where there is `f1`, too."""
+    """Files grouped by names that differ only in numbers, largest group first; `f-1` is negative if `f1` exists."""
     groups: dict[tuple[str, ...], list[FileName]] = {}
     for file in files:
-        name = take_apart(file)
+        name = parse_name(file)
         groups.setdefault(name.kind, []).append(name)
     for kind in [kind for kind in groups if any(text.endswith("-") for text in kind[:-1])]:
         for position, text in enumerate(kind[:-1]):
@@ -90,10 +90,10 @@ def _negative(name: FileName, position: int) -> FileName:
 
 
 def frame_position(path: str, names: list[FileName]) -> int:
-    """Which number of a group's names counts its frames: the one that varies.
+    """The index of the frame number in a group's names: the number that varies.
 
     Raises:
-        InputError: several vary; the message has patterns to type.
+        InputError: several vary; the message suggests patterns.
     """
     count = len(names[0].digits)
     varying = [position for position in range(count) if len({name.number(position) for name in names}) > 1]
@@ -117,12 +117,12 @@ def frame_position(path: str, names: list[FileName]) -> int:
     )
 
 
-def pattern_of(names: list[FileName], position: int, any_of: set[int] = frozenset()) -> str:
-    """The pattern that names files, as a shell takes it: `'shot/f.%04d.obj'`.
+def pattern_of(names: list[FileName], position: int, any_of: Set[int] = frozenset()) -> str:
+    """The pattern of files, quoted for a shell: `'shot/f.%04d.obj'`.
 
     Args:
-        position: of the frame's number.
-        any_of: positions at which anything may stand.
+        position: index of the frame number.
+        any_of: indices of numbers that `*` replaces.
     """
     first, pattern = names[0], ""
     for number, text in enumerate(first.texts):
@@ -136,10 +136,10 @@ def pattern_of(names: list[FileName], position: int, any_of: set[int] = frozense
 
 
 def sequence_of(path: str, files: Sequence[Path]) -> tuple[NumberedFiles | None, list[Path]]:
-    """The sequence among files, None where no name has a number, and the files that are not part of it.
+    """The sequence among files (None where no name has a number), and the files that are not part of it.
 
     Raises:
-        InputError: there are several sequences, or more files beside the sequence than in it.
+        InputError: there are several sequences, or more other files than frames.
     """
     groups = [names for names in group(files) if names[0].digits]
     if not groups:
@@ -148,7 +148,7 @@ def sequence_of(path: str, files: Sequence[Path]) -> tuple[NumberedFiles | None,
     takes = [main, *(names for names in rest if len(names) > 1)]
     if len(takes) > 1:
         patterns = [pattern_of(names, frame_position(path, names)) for names in takes[:LISTED]]
-        raise InputError(f"{path}: {len(takes)} sequences stand there side by side: give {_one_of(patterns)}")
+        raise InputError(f"{path}: {len(takes)} sequences are in one folder: give {_one_of(patterns)}")
     frames = {name.path for name in main}
     others = [file for file in files if file not in frames]
     found = NumberedFiles(main, frame_position(path, main))
@@ -163,7 +163,7 @@ def sequence_of(path: str, files: Sequence[Path]) -> tuple[NumberedFiles | None,
 
 
 def _check_dash(path: str, found: NumberedFiles) -> None:
-    """Raises InputError where a dash behind a space may be a sign of all numbers, or part of the name."""
+    """Raise InputError where the dash after a space may be a minus or part of the name."""
     if found.files[0].texts[found.position].endswith(" -") and len(found.files) > 1:
         raise InputError(
             f"{path}: a dash stands before the number of every frame ({found.files[0].path.name}, ...): give {found.pattern} "

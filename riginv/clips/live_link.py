@@ -1,4 +1,4 @@
-"""Live Link Face recordings: ARKit curves in a CSV, made into a mesh clip by adding the shapes linearly."""
+"""Live Link Face recordings: ARKit weights in a CSV, turned into meshes by adding the shapes linearly."""
 
 import re
 from dataclasses import replace
@@ -19,27 +19,27 @@ from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import WeightedShapes
 
 TIMECODE = "timecode"
-APPS_OWN = re.compile(r"timecode|blendshapecount|(head|lefteye|righteye)(yaw|pitch|roll)|")  # columns by their plain names
-NO_SHAPES = re.compile(  # columns that others add
+APP_COLUMNS = re.compile(r"timecode|blendshapecount|(head|lefteye|righteye)(yaw|pitch|roll)|")  # of the app, plain
+OTHER_COLUMNS = re.compile(  # columns that other programs add
     r"(head|lefteye|righteye)(pos|position|rot|rotation)[xyzw]?|(frame|row|sample)?(index|number|id)?|"
     r"(time|timestamp|seconds|date|device|subject|slate|take|name|confidence|tracked|isvalid)(s|ms)?"
 )
 ANGLES = re.compile(r"(head|lefteye|righteye)(yaw|pitch|roll)")
-MOVES = 1e-3  # a weight above this moves a shape
-UNUSUAL = 0.05  # beyond 0 to 1 that weights are said to be
-PER_CENT = 10.0  # a weight above this is none
+MOVES = 1e-3  # change of a weight that matters
+UNUSUAL = 0.05  # distance from [0, 1] from which weights are reported
+PER_CENT = 10.0  # distance from [0, 1] from which they are no weights
 FORMAT = "Live Link Face CSV"
 
 
 class Recording(NamedTuple):
-    """A recording as it stands in the file.
+    """A recording as the file has it.
 
     Attributes:
-        names: of its shapes, as ARKit writes them (`jawOpen`); columns that may be other shapes under their own names.
+        names: of the shapes, as ARKit spells them (`jawOpen`); columns that may be other shapes keep their names.
         weights: `(frame, shape)`.
-        fps: frames a second, from the timecodes.
+        fps: frames per second, from the timecodes.
         frame_numbers: `(frame,)`, from 0, with gaps where rows are missing.
-        facts: what was read, and what was mended or left out.
+        facts: what was read, repaired or left out.
     """
 
     names: list[str]
@@ -60,12 +60,12 @@ def read_live_link(path: str | Path) -> Recording:
 
 
 def is_recording(table: CsvTable) -> bool:
-    """Whether a table has timecodes."""
+    """Whether a table has a column of timecodes."""
     return TIMECODE in (name.lower() for name in table.header)
 
 
 def recording_of(table: CsvTable) -> Recording:
-    """A table with a column of timecodes as a recording; raises as `read_live_link`."""
+    """The recording of a table with timecodes; raises as `read_live_link`."""
     columns = _columns(table)
     if not is_recording(table) or not columns:
         raise InputError(
@@ -79,13 +79,14 @@ def recording_of(table: CsvTable) -> Recording:
 
 
 def _columns(table: CsvTable) -> dict[str, int]:
-    """The columns that are shapes: ARKit's, however they are spelled, and others that hold weights."""
-    arkit, found = {name.lower(): name for name in ARKIT_NAMES}, {}
+    """The columns of shapes by name: ARKit's in any spelling, and others that hold weights."""
+    arkit = {name.lower(): name for name in ARKIT_NAMES}
+    found: dict[str, int] = {}
     for number, column in enumerate(table.header):
         name = arkit.get(plain_name(column))
         if name is None:
-            named = any(pattern.fullmatch(plain_name(column)) for pattern in (APPS_OWN, NO_SHAPES))
-            if named or number in table.faults or not _are_weights(table.numbers[:, number]):
+            is_other = any(pattern.fullmatch(plain_name(column)) for pattern in (APP_COLUMNS, OTHER_COLUMNS))
+            if is_other or number in table.faults or not _are_weights(table.numbers[:, number]):
                 continue
             name = column[0].lower() + column[1:]
         if name in found:
@@ -95,16 +96,16 @@ def _columns(table: CsvTable) -> dict[str, int]:
 
 
 def _are_weights(values: np.ndarray) -> bool:
-    """Whether a column that nobody knows may be weights of a shape: numbers about 0 to 1 that change, not whole ones alone."""
+    """Whether an unknown column may be weights of a shape: it changes between about 0 and 1, and not all are integers."""
     return bool(values.min() > -1 and values.max() < 2 and np.ptp(values) > MOVES and (values % 1 != 0).any())
 
 
 def _left_out(table: CsvTable, shapes: dict[str, int]) -> list[str]:
     others = [number for number in range(len(table.header)) if number not in shapes.values()]
-    turning = [n for n in others if ANGLES.fullmatch(plain_name(table.header[n])) and n not in table.faults]
-    moved = any(np.ptp(table.numbers[:, number]) > MOVES for number in turning)
-    unknown = [repr(table.header[n]) for n in others if not APPS_OWN.fullmatch(plain_name(table.header[n]))]
-    notes = ["the turns of head and eyes were left out: the meshes stay where the rig has them"] if moved else []
+    angles = [n for n in others if ANGLES.fullmatch(plain_name(table.header[n])) and n not in table.faults]
+    moved = any(np.ptp(table.numbers[:, number]) > MOVES for number in angles)
+    unknown = [repr(table.header[n]) for n in others if not APP_COLUMNS.fullmatch(plain_name(table.header[n]))]
+    notes = ["the rotations of head and eyes were left out: the meshes stay where the rig has them"] if moved else []
     if unknown:
         notes.append(
             f"columns that are no weights of shapes were left out: {', '.join(unknown[:6])}{', ...' * (len(unknown) > 6)}"
@@ -113,7 +114,7 @@ def _left_out(table: CsvTable, shapes: dict[str, int]) -> list[str]:
 
 
 def _beyond(path: Path, names: list[str], weights: np.ndarray) -> list[str]:
-    """A note of weights beyond 0 to 1; those that are no weights raise InputError."""
+    """A note on weights outside [0, 1]; raises InputError where they are no weights."""
     away = np.maximum(weights - 1, -weights)
     row, column = np.unravel_index(int(away.argmax()), away.shape)
     most = f"{names[column]} is {weights[row, column]:.4g} in row {row + 1}"
@@ -124,20 +125,21 @@ def _beyond(path: Path, names: list[str], weights: np.ndarray) -> list[str]:
 
 
 def live_link_clip(path: str | Path, rig: RigBackend, name: str = "capture") -> WeightedShapes:
-    """The clip of a recording as a set of meshes, see `RecordedShapes`."""
+    """The meshes of a recording as a set, see `RecordedShapes`."""
     shapes = RecordedShapes(read_csv(Path(str(path)), TIMECODE), rig, ReadingOptions()).shapes
-    return shapes.named(name)
+    shapes.name = name
+    return shapes
 
 
 class RecordedShapes(MeshSequence):
-    """The clip of a recording: the rig's ARKit shapes added linearly to its rest mesh, without the rig's own corrections.
+    """The meshes of a recording: the rig's ARKit shapes added linearly to its rest mesh, without the rig's corrections.
 
-    Such meshes lie near the rig's space, but mostly not in it, as captured meshes do.
+    Like captured meshes, they lie near the rig's space but mostly not in it.
 
     Args:
-        table: the recording's.
-        rig: whose shapes it moves.
-        options: `unknown`: what happens with shapes that one of the two lacks.
+        table: of the recording.
+        rig: has the shapes.
+        options: `unknown` decides on shapes that only the file or only the rig has.
 
     Raises:
         InputError: as `read_live_link`; or the rig lacks a shape that the file moves, or the file lacks one of the rig's.
@@ -166,7 +168,7 @@ class RecordedShapes(MeshSequence):
 
 
 def _mapped(recording: Recording, rig: RigBackend) -> list[str]:
-    """Notes of shapes that the rig splits or merges."""
+    """Notes on shapes that the rig splits or merges."""
     parts = {name: found for name, found in rig.arkit_parts().items() if name in recording.names}
     split = [f"{name} drives {' and '.join(found.names)}" for name, found in parts.items() if len(found.names) > 1]
     merged: dict[str, list[str]] = {}
@@ -178,10 +180,10 @@ def _mapped(recording: Recording, rig: RigBackend) -> list[str]:
 
 
 def _unknown(table: CsvTable, recording: Recording, rig: RigBackend, options: ReadingOptions) -> list[str]:
-    """Notes of shapes that only one of the two has.
+    """Notes on shapes that only the file or only the rig has.
 
     Raises:
-        InputError: such shapes matter, and are not to be ignored.
+        InputError: such shapes matter, and `options.unknown` does not accept them.
     """
     shapes, notes = rig.arkit_deltas(), []
     missing = [_column(shape) for shape in shapes if shape not in recording.names]
@@ -208,5 +210,5 @@ def _unknown(table: CsvTable, recording: Recording, rig: RigBackend, options: Re
 
 
 def _column(shape: str) -> str:
-    """The column of an ARKit shape: `jawOpen` stands as JawOpen."""
+    """The column name of an ARKit shape: `JawOpen` for `jawOpen`."""
     return shape[0].upper() + shape[1:]

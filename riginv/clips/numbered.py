@@ -1,4 +1,4 @@
-"""One file for each frame: which files a path names, and which frame each is."""
+"""Sequences with one file per frame: the files that a path names, and the frame number of each."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -11,23 +11,23 @@ import numpy as np
 from riginv.clips.frame_names import LISTED, frame_position, group, pattern_of, sequence_of
 from riginv.errors import InputError
 
-# Of a frame's number in a pattern: of the first kind that a name has, the others are what they are.
+# Placeholders of the frame number in a pattern; the first kind that occurs in a name is the one meant.
 PLACEHOLDERS = tuple(
     re.compile(placeholder, re.IGNORECASE)
     for placeholder in (r"%0?\d*d", r"\$F\d*", r"<f(?:rame)?\d*>|\{f(?:rame)?(?::0?\d*d?)?\}", r"(?<!\d)#+(?!\d)")
 )
-SHOWN = 6  # missing frames, or spans of them, that a message names
-LONGEST_GAP = 100_000  # frames; more is no gap but another numbering
-LARGEST = 2**53  # number of a frame
+LISTED_SPANS = 6  # missing frames, or spans of them, in a message
+LONGEST_GAP = 100_000  # frames
+LARGEST_NUMBER = 2**53  # of a frame
 
 
 class FrameFiles(NamedTuple):
     """The files of a sequence.
 
     Attributes:
-        numbers: of the frames, `(frame,)`, rising.
-        paths: of each frame, None where its file is missing.
-        notes: whole sentences: what was left out or guessed.
+        numbers: frame numbers `(frame,)`, rising.
+        paths: of each frame; None where its file is missing.
+        notes: sentences: what was left out or guessed.
     """
 
     numbers: np.ndarray
@@ -40,15 +40,15 @@ class FrameFiles(NamedTuple):
 
 
 def is_pattern(path: str) -> bool:
-    """Whether a path stands for several files."""
+    """Whether a path is a pattern for several files."""
     return any(mark in path for mark in "*?") or any(kind.search(Path(path).name) for kind in PLACEHOLDERS)
 
 
 def visible_files(folder: Path) -> list[Path]:
-    """The files in a folder that are not hidden, as `._f.1.obj` and `.DS_Store` of macOS are; by name.
+    """The files in a folder by name, without hidden ones such as `._f.1.obj` and `.DS_Store` of macOS.
 
     Raises:
-        InputError: the folder cannot be looked into.
+        InputError: the folder cannot be read.
     """
     return [path for path in _files(folder) if not path.name.startswith(".")]
 
@@ -57,11 +57,11 @@ def find_frames(path: str, suffix: str, bridge: bool = False) -> FrameFiles:
     """The files that a path names: a folder, a glob, one file, or a pattern as `shot.%04d.obj`, `shot.####.obj`, `shot.$F4.obj`
     or `shot.<frame>.obj`.
 
-    Where no pattern says it, the number that varies from name to name is the frame's. Files without a number are left out.
+    Without a pattern, the number that varies between names is the frame number. Files without a number are left out.
 
     Args:
-        suffix: the ending of the files that are meant, where a folder is named.
-        bridge: let missing frames count as unknown.
+        suffix: of the files, where the path is a folder.
+        bridge: treat missing frames as unknown instead of refusing them.
 
     Raises:
         InputError: there are none, several sequences, two files of the same number, or some are missing between others.
@@ -78,7 +78,7 @@ def find_frames(path: str, suffix: str, bridge: bool = False) -> FrameFiles:
     if kind is not None:
         return _of_pattern(path, given, kind, bridge)
     names = [file.name for file in _of_same_kind(given)]
-    for glob in (given.name, given.name.replace("[", "[[]")):  # brackets may stand for themselves
+    for glob in (given.name, given.name.replace("[", "[[]")):  # brackets may be part of the name
         found = [given.parent / name for name in names if fnmatchcase(name, glob)]
         if found:
             return _in_order(path, found, bridge)
@@ -87,10 +87,10 @@ def find_frames(path: str, suffix: str, bridge: bool = False) -> FrameFiles:
 
 
 def _one_file(given: Path) -> FrameFiles:
-    """One file as a clip of one frame; others that differ from it by a number are pointed out."""
-    beside = [file for file in visible_files(given.parent) if file.suffix.lower() == given.suffix.lower()]
-    names = next((names for names in group([given, *beside]) if any(name.path == given for name in names)), [])
-    names = list({name.path: name for name in names}.values())
+    """One file as a clip of one frame; a note names the pattern of files that differ from it by a number."""
+    siblings = [file for file in visible_files(given.parent) if file.suffix.lower() == given.suffix.lower()]
+    found = next(names for names in group([given, *siblings]) if any(name.path == given for name in names))
+    names = list({name.path: name for name in found}.values())
     name = next(name for name in names if name.path == given)
     if not name.digits:
         return FrameFiles(np.array([0]), [given])
@@ -98,20 +98,20 @@ def _one_file(given: Path) -> FrameFiles:
         position = frame_position(str(given), names)
     except InputError:
         position = len(name.digits) - 1
-    notes = ()
+    notes: tuple[str, ...] = ()
     if len(names) > 1:
         pattern = pattern_of(names, position)
         notes = (f"One frame was read; {len(names) - 1} more files beside it are as {pattern}, which reads them all.",)
     number = name.number(position)
-    return FrameFiles(np.array([number if abs(number) < LARGEST else 0]), [given], notes)
+    return FrameFiles(np.array([number if abs(number) < LARGEST_NUMBER else 0]), [given], notes)
 
 
 def _of_pattern(path: str, given: Path, kind: re.Pattern, bridge: bool) -> FrameFiles:
-    """The files of a pattern with a placeholder; where it has several, the one is meant by which there are files."""
+    """The files of a pattern with a placeholder; of several placeholders, the one with matching files."""
     candidates = []
     for match in kind.finditer(given.name):
         before, after = given.name[: match.start()], given.name[match.end() :]
-        whole = r"(?<!\d)" if before[-1:] in ("*", "?") else ""  # what stands for anything takes no digits of the number
+        whole = r"(?<!\d)" if before[-1:] in ("*", "?") else ""  # a wildcard takes no digits of the frame number
         name = re.compile(rf"{_literal(before)}{whole}(-?\d+){_literal(after)}", re.DOTALL)
         matches = [(file, found) for file in _of_same_kind(given) if (found := name.fullmatch(file.name))]
         if matches:
@@ -121,17 +121,19 @@ def _of_pattern(path: str, given: Path, kind: re.Pattern, bridge: bool) -> Frame
             f"{path}: no frames: expected files as {given.name} in {given.parent}, found none{_folder_missing(given)}"
         )
     if len(candidates) > 1:
-        raise InputError(f"{path}: {len(candidates)} places in it fit as the frame's number: write %d at the one that is meant")
+        raise InputError(
+            f"{path}: {len(candidates)} placeholders in it fit as the frame number: write %d for the right one alone"
+        )
     return _numbered(path, [(int(found[1]), file) for file, found in candidates[0][1]], bridge, ())
 
 
 def _literal(text: str) -> str:
-    """A part of a pattern as a regular expression: `*` and `?` stand for anything, all else for itself."""
+    """A part of a pattern as a regular expression: `*` and `?` are wildcards, all else is literal."""
     return re.escape(text).replace(r"\*", ".*").replace(r"\?", ".")
 
 
 def _of_same_kind(given: Path) -> list[Path]:
-    """The files beside a pattern, hidden ones where it names these."""
+    """The files in a pattern's folder; hidden ones too where the pattern starts with a dot."""
     return _files(given.parent) if given.name.startswith(".") else visible_files(given.parent)
 
 
@@ -143,16 +145,18 @@ def _files(folder: Path) -> list[Path]:
     try:
         return sorted(path for path in folder.iterdir() if not path.is_dir()) if folder.is_dir() else []
     except OSError as error:
-        raise InputError(f"{folder}: cannot be looked into: {error}") from None
+        raise InputError(f"{folder}: cannot be read: {error}") from None
 
 
 def _in_order(path: str, found: Sequence[Path], bridge: bool) -> FrameFiles:
-    """Files by the number that varies in their names."""
+    """Files in the order of the number that varies in their names."""
     sequence, others = sequence_of(path, found)
     if sequence is None:
         note = f"None of the {len(found)} names has a number: they were read in the order of their names, as frames from 0."
         return FrameFiles(np.arange(len(found)), list(found), (note,) if len(found) > 1 else ())
-    notes = (f"Left out: {_listed(file.name for file in others)}, not of the sequence {sequence.pattern}.",) if others else ()
+    notes: tuple[str, ...] = ()
+    if others:
+        notes = (f"Left out: {_listed(file.name for file in others)}, not of the sequence {sequence.pattern}.",)
     if sequence.signed_pattern and len(sequence.files) > 1:
         notes += (
             f"The dash before the numbers was taken for a part of the name, not a minus ({sequence.signed_pattern}: a minus).",
@@ -169,7 +173,7 @@ def _listed(names: Iterable[str]) -> str:
 def _numbered(path: str, found: list[tuple[int, Path]], bridge: bool, notes: tuple[str, ...]) -> FrameFiles:
     by_number: dict[int, Path] = {}
     for number, file in found:
-        if abs(number) >= LARGEST:
+        if abs(number) >= LARGEST_NUMBER:
             raise InputError(f"{file}: its frame's number is beyond 2^53: rename the files in order")
         other = by_number.setdefault(number, file)
         if other is not file:
@@ -185,7 +189,7 @@ def _numbered(path: str, found: list[tuple[int, Path]], bridge: bool, notes: tup
 
 
 def _with_missing(path: str, numbers: np.ndarray, step: int, bridge: bool) -> np.ndarray:
-    """The numbers, and those that are missing between them."""
+    """The numbers and those missing between them."""
     if (numbers[-1] - numbers[0]) // step > LONGEST_GAP + len(numbers):
         raise InputError(f"{path}: frames {numbers[0]} to {numbers[-1]} with {len(numbers)} files: rename them in order")
     full = np.union1d(np.arange(numbers[0], numbers[-1] + 1, step), numbers)
@@ -199,7 +203,7 @@ def _with_missing(path: str, numbers: np.ndarray, step: int, bridge: bool) -> np
 
 
 def _spans(numbers: np.ndarray, step: int) -> str:
-    """Numbers for a message, those in a row as `first-last`."""
+    """Numbers for a message, consecutive ones as `first to last`."""
     runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != step) + 1)
     spans = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
-    return ", ".join(spans[:SHOWN]) + (", ..." if len(spans) > SHOWN else "")
+    return ", ".join(spans[:LISTED_SPANS]) + (", ..." if len(spans) > LISTED_SPANS else "")

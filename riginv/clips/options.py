@@ -1,11 +1,15 @@
-"""What a user may say about a clip: the groups `reading` and `frames` of the commands."""
+"""How a clip is read: the config groups `reading` and `frames`."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
+from riginv.config.values import Bound
 from riginv.errors import InputError
 
+UNITS = {"mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "inch": 25.4, "foot": 304.8}  # millimetres per unit
+AXES = ("x", "y", "z")
 MISSING_FRAMES = ("error", "bridge")
 UNKNOWN_NAMES = ("error", "ignore_missing", "ignore_new", "ignore_both")
 
@@ -15,22 +19,23 @@ class ReadingOptions:
     """How a clip's file is read.
 
     Attributes:
-        unit: `auto`, a name in `riginv.clips.units.UNITS`, or millimetres to a unit.
+        unit: `auto`, a name in `UNITS`, or millimetres per unit; `auto`: as the file says, or guessed from the rig's size.
         scale: factor on top of the unit.
         up: `auto`, `x`, `y` or `z`.
-        fps: frames a second; None: what the file says.
+        fps: frames per second; None: as the file says, or 30.
         mesh: name or path of the mesh to read, or several; None: the reader chooses.
-        animation: name of the animation to read, or its number from 1, or several that glTF plays together; None: the first
-            that moves the chosen meshes.
-        vertices: a file with the clip's vertex for each vertex of the rig, -1 for none; None: the same order.
+        animation: name or number (from 1) of the animation to read, or several that glTF plays together; None: the first that
+            moves the chosen meshes.
+        vertices: file with the index of the clip's vertex for each vertex of the rig, -1 for none; None: the same order.
         check_faces: whether faces are compared with the rig's.
-        missing_frames: `error`, or `bridge`: frames of a numbered sequence that have no file count as unknown.
-        unknown: what happens with names in a recording or in curves that do not fit the rig: `error`; `ignore_new`: names that
-            the rig lacks are left out; `ignore_missing`: what the file does not name stays at rest; `ignore_both`.
+        missing_frames: `error`, or `bridge`: missing files of a numbered sequence are unknown frames.
+        unknown: policy for names in a recording or in curves that do not match the rig: `error`; `ignore_new`: names that the
+            rig lacks are left out; `ignore_missing`: what the file lacks stays at rest; `ignore_both`.
         interpreter: a Python with bpy, or Blender, for Alembic and FBX; None: $RIGINV_BLENDER, or this Python.
+        readers: class paths of further readers by suffix without its dot: `glb: rigs.gltf.clip.GltfClip`.
 
     Raises:
-        InputError: `missing_frames` or `unknown` is none of its choices.
+        InputError: a value is invalid.
     """
 
     unit: str | float = "auto"
@@ -44,8 +49,19 @@ class ReadingOptions:
     missing_frames: str = "error"
     unknown: str = "error"
     interpreter: str | None = None
+    readers: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        mm = UNITS.get(self.unit) if isinstance(self.unit, str) else self.unit
+        if self.unit != "auto" and not _is_positive(mm):
+            units = ", ".join(UNITS)
+            raise InputError(f"reading.unit is {self.unit!r}, expected auto, {units}, or millimetres to a unit as a number")
+        if not _is_positive(self.scale):
+            raise InputError(f"reading.scale is {self.scale!r}, expected a number above 0")
+        if self.up not in ("auto", *AXES):
+            raise InputError(f"reading.up is {self.up!r}, expected auto, x, y or z")
+        if self.fps is not None and not (_is_positive(self.fps) and self.fps <= 1e6):
+            raise InputError(f"reading.fps is {self.fps!r}, expected frames a second, a number above 0")
         if self.missing_frames not in MISSING_FRAMES:
             raise InputError(f"reading.missing_frames is {self.missing_frames!r}, expected {' or '.join(MISSING_FRAMES)}")
         if self.unknown not in UNKNOWN_NAMES:
@@ -58,34 +74,38 @@ class ReadingOptions:
 
     @property
     def accepts_missing(self) -> bool:
-        """Whether what a file does not name stays at rest."""
+        """Whether what the file lacks stays at rest."""
         return self.unknown in ("ignore_missing", "ignore_both")
 
     @property
     def mesh_names(self) -> list[str]:
-        """The meshes that were asked for; empty: none in particular."""
+        """The requested meshes; empty: the reader chooses."""
         if self.mesh is None:
             return []
         return [str(name) for name in self.mesh] if isinstance(self.mesh, list | tuple) else [str(self.mesh)]
 
     def unused(self, format: str, mesh: bool = True) -> tuple[str, ...]:
-        """Says what has no meaning for a format that holds one animation, and with `mesh` one mesh without a name."""
+        """Notes on options that a format with one animation, and with `mesh` one unnamed mesh, cannot use."""
         keys = ["mesh"] * (mesh and self.mesh is not None) + ["animation"] * (self.animation is not None)
-        return tuple(f"reading.{key}={getattr(self, key)} was passed over: {format} holds one {key}." for key in keys)
+        return tuple(f"reading.{key}={getattr(self, key)} was ignored: {format} holds one {key}." for key in keys)
 
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """Which frames of a clip are taken, as its source counts them.
+    """Which frames of a clip are taken, by the frame numbers of its source.
 
     Attributes:
         first, last: both included; None: from the start, to the end.
-        exclude: frames to treat as unknown, as numbers or spans `120-135`.
+        exclude: frames to treat as unknown, as numbers or ranges such as `120-135`.
     """
 
     first: int | None = None
     last: int | None = None
-    exclude: Sequence[Any] = field(default_factory=tuple)
+    exclude: Annotated[Sequence[int | str], Bound("a list of frames: frames.exclude=[17,120-135]", lambda value: True)] = ()
+
+
+def _is_positive(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0
 
 
 def clip_options(config: Mapping[str, Any]) -> tuple[ReadingOptions, FrameOptions]:

@@ -1,7 +1,7 @@
-"""Point caches: MDD, big-endian, with the time of each frame in seconds; PC2, little-endian, a sample every so many frames.
+"""Point caches: MDD (big-endian, with the time of each frame in seconds) and PC2 (little-endian, with a sampling step).
 
-Source: their layouts as Blender's manual describes them for the Mesh Cache modifier, and its add-ons write them. Some programs
-write them in the other byte order, or frames in place of seconds.
+Source: the layouts of Blender's Mesh Cache modifier and export add-ons. Some programs write them in the other byte order, or
+frames in place of seconds.
 """
 
 from pathlib import Path
@@ -11,8 +11,8 @@ import numpy as np
 
 from riginv.clips.array_facts import read_numbers
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MOST_VERTICES, MeshSequence, SourceFacts
-from riginv.clips.times import FrameTimes, frames_at, frames_of
+from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts
+from riginv.clips.times import FrameTimes, frames_at_step, frames_from_times
 from riginv.errors import InputError
 from riginv.runs.files import opened
 
@@ -27,14 +27,14 @@ ORDERS = {">": "big-endian", "<": "little-endian"}
 
 
 class Layout(NamedTuple):
-    """What the header of a point cache says.
+    """The header of a point cache.
 
     Attributes:
         kind: MDD or PC2.
-        frames, vertices: how many.
+        frames, vertices: number of them.
         offset: the byte at which the vertices start.
-        order: of bytes: `<` or `>`.
-        is_usual: whether the format has that order of bytes.
+        order: byte order, `<` or `>`.
+        is_usual: whether that is the byte order of the format.
     """
 
     kind: str
@@ -46,19 +46,19 @@ class Layout(NamedTuple):
 
     @property
     def needed(self) -> int:
-        """Bytes that the file must have."""
+        """Size that the file must have, bytes."""
         return self.offset + 12 * self.frames * self.vertices
 
     @property
     def possible(self) -> bool:
-        return 1 <= self.frames <= MOST_FRAMES and 1 <= self.vertices <= MOST_VERTICES
+        return 1 <= self.frames <= MOST_FRAMES and 1 <= self.vertices <= MAX_VERTICES
 
 
 class PointCache(MeshSequence):
-    """What both have in common: after a header, the vertices of all frames as single floats.
+    """A header, then the vertices of all frames as 32-bit floats.
 
     Raises:
-        InputError: the file is too short for what its header says, or that cannot be meant.
+        InputError: the file is shorter than its header promises, or the header is implausible.
     """
 
     def __init__(self, path: Path, layout: Layout, times: FrameTimes, notes: tuple[str, ...]) -> None:
@@ -93,7 +93,7 @@ class PointCache(MeshSequence):
 
 
 class MddCache(PointCache):
-    """An .mdd: the number of frames and of vertices, the time of each frame, the vertices.
+    """An .mdd file: number of frames and of vertices, time of each frame, vertices.
 
     Raises:
         InputError: it is truncated or no MDD.
@@ -102,18 +102,18 @@ class MddCache(PointCache):
     def __init__(self, name: str, options: ReadingOptions) -> None:
         path = Path(name)
         counts = read_numbers(path, np.dtype("u1"), (8,), 0)
-        layout = _believable(path, _mdd(counts, ">"), _mdd(counts, "<"))
+        layout = _plausible(path, _mdd(counts, ">"), _mdd(counts, "<"))
         if _size(path) < layout.offset:
             raise InputError(
                 f"{path}: {_size(path)} bytes, too few for the times of {layout.frames} frames: truncated, or no MDD"
             )
         with np.errstate(invalid="ignore"):
             times = read_numbers(path, np.dtype(f"{layout.order}f4"), (layout.frames,), 8).astype(np.float32)
-        super().__init__(path, layout, frames_of(times, "times"), options.unused("MDD"))
+        super().__init__(path, layout, frames_from_times(times, "times"), options.unused("MDD"))
 
 
 class Pc2Cache(PointCache):
-    """A .pc2: a header, the vertices.
+    """A .pc2 file.
 
     Raises:
         InputError: it is truncated or no PC2.
@@ -126,12 +126,12 @@ class Pc2Cache(PointCache):
         if header["signature"] != PC2_SIGNATURE.rstrip(b"\0"):
             raise InputError(f"{path}: it starts with {bytes(header['signature'])[:12]!r}, expected {PC2_SIGNATURE!r}: no PC2")
         swapped = np.frombuffer(data, PC2_HEADER.newbyteorder())[0]
-        layout = _believable(path, _pc2(header, "<"), _pc2(swapped, ">"))
+        layout = _plausible(path, _pc2(header, "<"), _pc2(swapped, ">"))
         header = header if layout.is_usual else swapped
         notes = options.unused("PC2")
         if header["version"] != PC2_VERSION:
             notes += (f"It is a PC2 of version {header['version']}, and was read as one of version {PC2_VERSION}.",)
-        times = frames_at(float(header["start"]), float(header["rate"]), layout.frames)
+        times = frames_at_step(float(header["start"]), float(header["rate"]), layout.frames)
         super().__init__(path, layout, times, notes)
 
 
@@ -144,11 +144,11 @@ def _pc2(header: np.void, order: str) -> Layout:
     return Layout("PC2", int(header["frames"]), int(header["vertices"]), PC2_HEADER.itemsize, order, order == "<")
 
 
-def _believable(path: Path, usual: Layout, swapped: Layout) -> Layout:
-    """The layout in the format's own order of bytes; in the other, where only that fits the size of the file exactly.
+def _plausible(path: Path, usual: Layout, swapped: Layout) -> Layout:
+    """The layout in the format's byte order, or in the other one if only that fits the file size exactly.
 
     Raises:
-        InputError: neither can be meant.
+        InputError: neither is plausible.
     """
     size = _size(path)
     if swapped.possible and swapped.needed == size and not (usual.possible and usual.needed <= size):

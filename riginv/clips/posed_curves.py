@@ -1,4 +1,4 @@
-"""Clips given as curves of a rig's own controls: the meshes are the rig's poses, and the truth about them is known."""
+"""Clips given as curves of a rig's controls: the meshes are poses of the rig, whose true controls are known."""
 
 import numpy as np
 import torch
@@ -10,20 +10,20 @@ from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 
-SLACK = 1e-5  # of a control's range that a value may lie beyond it by rounding
-MOVES = 1e-6  # by which a column that the rig does not know may change
+SLACK = 1e-5  # of a control's range: values beyond the limits by rounding
+MOVES = 1e-6  # relative change of an unknown column that is ignored
 
 
 class PosedCurves(MeshSequence):
-    """The poses of a rig that curves make.
+    """The poses of a rig at given control curves.
 
     Args:
-        curves: as they stand in a file; values beyond a control's limits are brought back to them.
-        rig: that they are of.
-        options: `unknown`: what happens with controls that one of the two lacks.
+        curves: as read from a file; values beyond a control's limits are clamped.
+        rig: has the controls.
+        options: `unknown` decides on controls that only the file or only the rig has.
 
     Raises:
-        InputError: names do not fit, and that is not to be ignored; or a value is no finite number.
+        InputError: names do not match, or a value is no finite number.
     """
 
     def __init__(self, curves: Curves, rig: RigBackend, options: ReadingOptions) -> None:
@@ -34,23 +34,24 @@ class PosedCurves(MeshSequence):
         self.in_rig_space = self.motion is None
         if self.motion is not None:
             if not np.abs(self.motion).max() < 1e9:
-                raise InputError(f"{curves.path}: its motion goes {np.abs(self.motion).max():.3g} mm or degrees far: damaged")
-            self.turns = Rotation.from_euler("xyz", self.motion[:, 3:], degrees=True).as_matrix()
-            notes.append("the motion of the whole mesh that stands beside the controls was put on")
+                raise InputError(f"{curves.path}: its motion reaches {np.abs(self.motion).max():.3g} mm or degrees: damaged")
+            self.rotations = Rotation.from_euler("xyz", self.motion[:, 3:], degrees=True).as_matrix()
+            notes.append("the rigid motion beside the controls was applied")
         facts = SourceFacts(curves.format, rate_source=curves.rate_source, notes=tuple(notes))
         faces = Polygons.triangles(rig.faces.cpu().numpy())
         super().__init__(curves.path, curves.frame_numbers, len(rig.rest_vertices), faces, curves.fps, 1.0, "y", facts)
 
     @torch.no_grad()
     def read(self, start: int, stop: int) -> np.ndarray:
+        assert self.controls is not None
         vertices = self.rig(torch.from_numpy(self.controls[start:stop]).to(self.rig.lower)).cpu().numpy()
         if self.motion is not None:
-            vertices = vertices @ self.turns[start:stop].transpose(0, 2, 1) + self.motion[start:stop, None, :3]
+            vertices = vertices @ self.rotations[start:stop].transpose(0, 2, 1) + self.motion[start:stop, None, :3]
         return vertices.astype(np.float32)
 
 
 def _controls(curves: Curves, rig: RigBackend, options: ReadingOptions, notes: list[str]) -> torch.Tensor:
-    """The values `(frame, control)` of the rig's controls; those that the file does not name at neutral."""
+    """Values `(frame, control)` of the rig's controls; neutral where the file does not name a control."""
     names = curves.names
     if names is None:
         if curves.values.shape[1] != len(rig.controls):
@@ -63,21 +64,21 @@ def _controls(curves: Curves, rig: RigBackend, options: ReadingOptions, notes: l
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"{curves.path}: control '{twice}' stands twice; each may be there once")
-    at = {name: number for number, name in enumerate(names)}
-    _check_names(curves, at, rig, options, notes)
+    column = {name: number for number, name in enumerate(names)}
+    _check_names(curves, column, rig, options, notes)
     values = rig.neutral_controls.cpu().double().repeat(len(curves.values), 1)
     for number, name in enumerate(rig.control_names):
-        if name in at:
-            curves.check_column(at[name], name)
-            values[:, number] = torch.from_numpy(curves.values[:, at[name]])
+        if name in column:
+            curves.check_column(column[name], name)
+            values[:, number] = torch.from_numpy(curves.values[:, column[name]])
     return values
 
 
-def _check_names(curves: Curves, at: dict[str, int], rig: RigBackend, options: ReadingOptions, notes: list[str]) -> None:
-    missing = [name for name in rig.control_names if name not in at]
+def _check_names(curves: Curves, column: dict[str, int], rig: RigBackend, options: ReadingOptions, notes: list[str]) -> None:
+    missing = [name for name in rig.control_names if name not in column]
     if len(missing) == len(rig.controls):
         raise InputError(
-            f"{curves.path}: none of its columns ({', '.join(list(at)[:4])}, ...) is a control of rig '{rig.name}' "
+            f"{curves.path}: none of its columns ({', '.join(list(column)[:4])}, ...) is a control of rig '{rig.name}' "
             f"({', '.join(rig.control_names[:4])}, ...), and it has no timecodes as a Live Link Face recording has"
         )
     if missing and not options.accepts_missing:
@@ -88,8 +89,8 @@ def _check_names(curves: Curves, at: dict[str, int], rig: RigBackend, options: R
     if missing:
         notes.append(f"controls that it does not name stay at neutral: {_listed(missing)}")
     known = set(rig.control_names)
-    new = [name for name in at if name not in known]
-    moving = [name for name in new if _moves(curves, at[name])]
+    new = [name for name in column if name not in known]
+    moving = [name for name in new if _moves(curves, column[name])]
     if moving and not options.accepts_new:
         more = f" (nor {len(moving) - 1} more of its columns)" if len(moving) > 1 else ""
         raise InputError(
@@ -101,7 +102,7 @@ def _check_names(curves: Curves, at: dict[str, int], rig: RigBackend, options: R
 
 
 def _moves(curves: Curves, column: int) -> bool:
-    """Whether a column holds numbers that change."""
+    """Whether a column holds finite numbers that change."""
     values = curves.values[:, column]
     return bool(np.isfinite(values).all() and np.ptp(values) > MOVES * max(1.0, np.abs(values).max()))
 

@@ -1,6 +1,7 @@
-"""What every reader of clips gives: a sequence of meshes, read a window at a time, as the file has it."""
+"""The interface of clip readers: a sequence of meshes as the file has them, read window by window."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,21 +12,21 @@ from riginv.errors import InputError
 from riginv.meshes.polygons import Polygons
 from riginv.rig.interface import RigBackend
 
-MOST_VERTICES = 50_000_000  # of one mesh; more is damage
+MAX_VERTICES = 50_000_000  # of one mesh; more means a damaged file
 
 
 @dataclass(frozen=True)
 class SourceFacts:
-    """What a reader took from a file and what it passed over, so that the user can be told.
+    """What a reader took from a file and what it skipped, to be shown to the user.
 
     Attributes:
-        format: of the file, as people call it: `USD`, `glTF`, `Live Link Face CSV`.
-        meshes: names of the meshes that were read, in the order of their vertices.
-        other_meshes: names of those that were left out.
-        animation: name of the animation that was read, where a file can hold several.
-        other_animations: names of those that were not.
-        rate_source: where the frames a second come from: `timeCodesPerSecond`, `the spacing of its keys`.
-        notes: whole sentences: what was mended, guessed, or contradicts itself.
+        format: name of the format: `USD`, `glTF`, `Live Link Face CSV`.
+        meshes: names of the meshes read, in the order of their vertices.
+        other_meshes: names of the meshes left out.
+        animation: name of the animation read, where a file can hold several.
+        other_animations: names of the animations not read.
+        rate_source: where the frame rate comes from: `timeCodesPerSecond`, `the spacing of its keys`.
+        notes: sentences: what was repaired, guessed, or is contradictory.
     """
 
     format: str
@@ -37,20 +38,23 @@ class SourceFacts:
     notes: tuple[str, ...] = ()
 
 
+Reader = Callable[[str, ReadingOptions], "MeshSequence"]  # opens a path
+
+
 class MeshSequence(ABC):
-    """Meshes of one topology, one after the other, in the units and axes of their file; nothing is held but a window.
+    """A sequence of meshes of one topology, in the units and axes of the file; only a window is in memory.
 
     Attributes:
-        path: what messages call it.
-        facts: what was read, and what was left out.
-        frame_numbers: as the source counts them, `(frame,)`, rising.
+        path: the name in messages.
+        facts: what was read and what was left out.
+        frame_numbers: `(frame,)`, as in the source, rising.
         vertex_count: of each mesh.
-        faces: where the file says them, else None.
-        fps: frames a second, where the file says so, else None.
-        unit_mm: millimetres to a unit, where the file says so, else None.
-        up: the axis that points up, `x`, `y` or `z`, where the file says so, else None.
-        in_rig_space: whether the meshes were made from a rig's own, so that no motion of the whole can be in them.
-        controls: those of the rig that made them, `(frame, control)`, where the source holds such; else None.
+        faces: None where the file has none.
+        fps: frames per second; None where the file does not give it.
+        unit_mm: millimetres per unit; None where the file does not give it.
+        up: the up axis, `x`, `y` or `z`; None where the file does not give it.
+        in_rig_space: whether the meshes were made from the rig, so that they have no rigid motion.
+        controls: the rig's controls that made the meshes, `(frame, control)`; None where they are not known.
     """
 
     in_rig_space: bool = False
@@ -72,8 +76,8 @@ class MeshSequence(ABC):
         self.faces, self.fps, self.unit_mm, self.up = faces, fps, unit_mm, up
         if not len(self.frame_numbers):
             raise InputError(f"{path}: no frames in it; expected at least one mesh: export it again")
-        if not 1 <= self.vertex_count <= MOST_VERTICES:
-            raise InputError(f"{path}: meshes of {self.vertex_count} vertices, expected 1 to {MOST_VERTICES}: export it again")
+        if not 1 <= self.vertex_count <= MAX_VERTICES:
+            raise InputError(f"{path}: meshes of {self.vertex_count} vertices, expected 1 to {MAX_VERTICES}: export it again")
         if (np.diff(self.frame_numbers) <= 0).any():
             raise InputError(f"{path}: its frame numbers do not rise: each frame may stand there once; number them anew")
         if faces is not None:
@@ -81,19 +85,20 @@ class MeshSequence(ABC):
 
     @classmethod
     def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "MeshSequence":
-        """Open a file that should hold a rig's mesh; a reader of scenes may choose the meshes by it.
+        """Open a file that should hold a rig's mesh; readers of scenes use the rig to choose the meshes.
 
         Raises:
             InputError: the file cannot be read.
         """
-        return cls(path, options)
+        reader: Reader = cls  # readers take these two arguments
+        return reader(path, options)
 
     def __len__(self) -> int:
         return len(self.frame_numbers)
 
     @abstractmethod
     def read(self, start: int, stop: int) -> np.ndarray:
-        """The meshes `start` to `stop`, `(frame, vertex, 3)` float32; NaN where a vertex is not known.
+        """Meshes `start` to `stop`, `(frame, vertex, 3)` float32; NaN where a vertex is not known.
 
         Raises:
             InputError: the file turns out to be damaged there.

@@ -1,8 +1,8 @@
-"""Timecodes of a recording's rows: which frame each row is, how many there are a second, and what does not fit.
+"""Timecodes of a recording: the frame number of each row, and the frame rate.
 
-A timecode `HH:MM:SS:FF.fff` counts some frames a second, and does not say how many; rows may lie any number of these apart, and
-some may be missing. Both rates follow from all rows together: the count from what FF shows where a second ends, the rows' own
-from the usual distance between two of them.
+A timecode `HH:MM:SS:FF.fff` does not say how many frames it counts per second; rows may be any number of these apart, and rows
+may be missing. Both rates are estimated from all rows: the count from FF at the end of a second, the frame rate from the usual
+step between two rows.
 """
 
 import re
@@ -15,21 +15,21 @@ import numpy as np
 from riginv.clips.frame_rate import COUNTS, frames_per_second
 from riginv.errors import InputError
 
-APP_COUNT = 60  # what the Live Link Face app counts, whatever it records at
+APP_COUNT = 60  # frames per second in timecodes of the Live Link Face app, whatever it records at
 FRAMES = re.compile(r"(\d+)[:;](\d\d?)[:;](\d\d?)([:;])(\d+(?:[.,]\d+)?)")
 SECONDS = re.compile(r"(\d+):(\d\d?):(\d\d?(?:[.,]\d+)?)")
 DAY_S = 24 * 3600
 
 
 class Timing(NamedTuple):
-    """When the rows of a recording were taken.
+    """The frames of a recording.
 
     Attributes:
-        frame_numbers: `(row kept,)`, from 0, rising; rows that are missing leave gaps.
-        kept: the rows that are frames of their own, `(row kept,)`.
-        fps: frames a second.
+        frame_numbers: `(frame,)`, from 0, rising; missing rows leave gaps.
+        kept: the row of each frame, `(frame,)`.
+        fps: frames per second.
         rate_source: where that comes from.
-        notes: what was guessed or passed over.
+        notes: what was guessed or skipped.
     """
 
     frame_numbers: np.ndarray
@@ -40,7 +40,7 @@ class Timing(NamedTuple):
 
 
 class Stamps(NamedTuple):
-    """Timecodes as numbers, `(row,)` each: whole seconds since midnight, and the frames (or the rest of the second) on top."""
+    """Timecodes as numbers `(row,)`: whole seconds since midnight, and frames (or the fraction of a second) after them."""
 
     seconds: np.ndarray
     frames: np.ndarray
@@ -52,10 +52,10 @@ def timing(path: Path, timecodes: Sequence[str], lines: Sequence[int]) -> Timing
     """The timing of rows with timecodes.
 
     Args:
-        lines: of the file, for messages.
+        lines: line numbers in the file, for messages.
 
     Raises:
-        InputError: a timecode is none.
+        InputError: a timecode cannot be parsed.
     """
     notes: list[str] = []
     stamps = _parsed(path, timecodes, lines)
@@ -80,13 +80,14 @@ def timing(path: Path, timecodes: Sequence[str], lines: Sequence[int]) -> Timing
 
 
 def _parsed(path: Path, timecodes: Sequence[str], lines: Sequence[int]) -> Stamps:
-    frames = [FRAMES.fullmatch(timecode) for timecode in timecodes]
-    if not all(frames) and all(found := [SECONDS.fullmatch(timecode) for timecode in timecodes]):
-        parts = np.array([[float(part.replace(",", ".")) for part in match.groups()] for match in found])
+    frames = [match for timecode in timecodes if (match := FRAMES.fullmatch(timecode))]
+    seconds = [match for timecode in timecodes if (match := SECONDS.fullmatch(timecode))]
+    if len(frames) < len(timecodes) == len(seconds):
+        parts = np.array([[float(part.replace(",", ".")) for part in match.groups()] for match in seconds])
         whole = np.floor(parts[:, 2])
         return Stamps(3600 * parts[:, 0] + 60 * parts[:, 1] + whole, parts[:, 2] - whole, False, True)
-    if not all(frames):
-        row = frames.index(None)
+    if len(frames) < len(timecodes):
+        row = next(row for row, timecode in enumerate(timecodes) if not FRAMES.fullmatch(timecode))
         raise InputError(
             f"{path}, line {lines[row]}, column Timecode: found {timecodes[row][:60]!r}, expected HH:MM:SS:FF.fff (hours, "
             f"minutes, seconds, frames), or HH:MM:SS;FF for drop-frame"
@@ -102,34 +103,34 @@ def _parsed(path: Path, timecodes: Sequence[str], lines: Sequence[int]) -> Stamp
 
 
 def _count(seconds: np.ndarray, frames: np.ndarray, notes: list[str]) -> float:
-    """How many frames the timecodes count in a second."""
-    most, change = float(frames.max()), np.diff(frames)
-    steps, turned = change[(np.diff(seconds) == 0) & (change > 0)], np.diff(seconds) == 1
-    able = np.array([count for count in COUNTS if count > most])
-    default = APP_COUNT if APP_COUNT in able else int(able[0])
+    """The number of frames that the timecodes count per second."""
+    highest, change = float(frames.max()), np.diff(frames)
+    steps, new_second = change[(np.diff(seconds) == 0) & (change > 0)], np.diff(seconds) == 1
+    possible = np.array([count for count in COUNTS if count > highest])
+    default = APP_COUNT if APP_COUNT in possible else int(possible[0])
     step = float(np.median(steps)) if len(steps) else 0.0
-    shown = step - change[turned]  # 58 + 2 - 0: the count, unless rows are missing just there
-    shown = shown[(np.abs(shown[:, None] - able) <= max(1.0, step)).any(axis=1)]
-    if not len(steps) or not len(shown):
+    counts = step - change[new_second]  # 58 + 2 - 0: the count, unless rows are missing there
+    counts = counts[(np.abs(counts[:, None] - possible) <= max(1.0, step)).any(axis=1)]
+    if not len(steps) or not len(counts):
         if np.ptp(frames) > 0:
             notes.append(
                 f"the take is too short for its timecodes to show how many frames they count in a second: {default} taken"
-                f"{', as the app counts' if default == APP_COUNT else ''} (reading.fps=... says otherwise)"
+                f"{', as the app counts' if default == APP_COUNT else ''} (reading.fps=... sets it)"
             )
         return default
-    count = int(able[np.abs(able - np.median(shown)).argmin()])
+    count = int(possible[np.abs(possible - np.median(counts)).argmin()])
     if count != APP_COUNT:
         notes.append(
-            f"its timecodes count {count} frames a second, not {APP_COUNT} as the app's do: their highest frame is {most:g}"
+            f"its timecodes count {count} frames a second, not {APP_COUNT} as the app's do: their highest frame is {highest:g}"
         )
     return count
 
 
 def _times(seconds: np.ndarray, stamps: Stamps, count: float, notes: list[str]) -> tuple[np.ndarray, float]:
-    """The time of each row in counts, and how many of them are a second.
+    """The time of each row in counts, and the counts per second.
 
-    Drop-frame timecode (SMPTE 12M) leaves out the numbers 0 and 1 (at 60 a second 0 to 3) at the start of each minute but every
-    tenth, so that 29.97 frames a second keep up with the clock.
+    Drop-frame timecode (SMPTE 12M) skips the numbers 0 and 1 (at 60 per second 0 to 3) at the start of each minute but every
+    tenth, so that 29.97 frames per second keep up with the clock.
     """
     time = count * seconds + stamps.frames
     if not stamps.drop or count % 30:
@@ -145,7 +146,7 @@ def _times(seconds: np.ndarray, stamps: Stamps, count: float, notes: list[str]) 
 def _in_order(
     time: np.ndarray, rate: float, timecodes: Sequence[str], lines: Sequence[int], notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rising times, and the rows that they are of: rows that repeat a timecode are left out, jumps back are closed."""
+    """Rising times and their rows: rows that repeat a timecode are left out, jumps back are removed."""
     rows = np.arange(len(time))
     change = np.diff(time)
     if len(time) > 1 and not change.any():
@@ -153,21 +154,23 @@ def _in_order(
         return rows * rate / APP_COUNT, rows
     same = np.concatenate([[False], change == 0])
     first = np.flatnonzero(~same)
-    each = np.diff(np.append(first, len(time)))
-    usual = int(np.median(each))
+    repeats = np.diff(np.append(first, len(time)))
+    usual = int(np.median(repeats))
     if usual > 1:
         notes.append(f"{usual} rows share each timecode: they were placed evenly between it and the next")
-        place = (rows - np.repeat(first, each)) / np.repeat(np.maximum(each, usual), each)
-        time, same = time + float(np.median(np.diff(time[first]))) * place, np.zeros(len(time), bool)
+        fraction = (rows - np.repeat(first, repeats)) / np.repeat(np.maximum(repeats, usual), repeats)
+        time, same = time + float(np.median(np.diff(time[first]))) * fraction, np.zeros(len(time), bool)
     elif same.any():
         line = lines[int(same.argmax())]
         notes.append(f"rows that repeat the timecode of the row above were left out: {same.sum():,}, the first in line {line}")
     kept = np.flatnonzero(~same)
-    return _closed(time[kept], [timecodes[row] for row in kept], [lines[row] for row in kept], notes), kept
+    return _without_jumps(
+        time[kept], [timecodes[row] for row in kept.tolist()], [lines[row] for row in kept.tolist()], notes
+    ), kept
 
 
-def _closed(time: np.ndarray, timecodes: Sequence[str], lines: Sequence[int], notes: list[str]) -> np.ndarray:
-    """Times without their jumps back: rows after one follow those before it at the usual distance."""
+def _without_jumps(time: np.ndarray, timecodes: Sequence[str], lines: Sequence[int], notes: list[str]) -> np.ndarray:
+    """Times without jumps back: the row after a jump follows the row before it at the usual step."""
     change = np.diff(time)
     back = np.flatnonzero(change < 0)
     if not len(back):

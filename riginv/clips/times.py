@@ -1,43 +1,29 @@
-"""Frame numbers and rate of samples whose times stand in a file: in seconds, or in what is meant where seconds cannot be."""
+"""Frame numbers and rate of samples from their times in a file: seconds, or other units where seconds are implausible."""
 
 from typing import NamedTuple
 
 import numpy as np
 
+from riginv.clips.frame_rate import RATES
 from riginv.clips.units import DEFAULT_FPS
 
-USUAL = (
-    12.0,
-    15.0,
-    24.0,
-    25.0,
-    30.0,
-    48.0,
-    50.0,
-    60.0,
-    90.0,
-    100.0,
-    120.0,
-    240.0,
-    *(n * 1000 / 1001 for n in (24, 30, 60, 120)),
-)
-NEAR = 1e-4  # of a usual rate, within which it is meant; times may be coarser than that
-COARSEST = 0.01  # part of a rate that times may be off, for a usual one to be looked for
-EVEN = 0.05  # of a step, by which times may miss their frames
-LEAST, MOST = 5.0, 1000.0  # samples a second that meshes are recorded at
-FARTHEST = 10_000_000  # frame that can be meant
-MOST_FRAMES_APART = 8.0  # of two samples whose times are in frames: beyond that they are in milliseconds
+NEAR = 1e-4  # relative difference within which a common rate is taken; more where the times are coarser
+COARSEST = 0.01  # largest such difference
+EVEN = 0.05  # fraction of a step by which times may miss their frames
+MIN_FPS, MAX_FPS = 5.0, 1000.0  # plausible sampling rates
+MAX_FRAME = 10_000_000  # largest plausible frame number
+MAX_FRAME_STEP = 8.0  # largest step of times in frames; larger ones are in milliseconds
 SMALLER_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 
 
 class FrameTimes(NamedTuple):
-    """When the samples of a clip are.
+    """Frame numbers and frame rate of the samples of a clip.
 
     Attributes:
-        numbers: of their frames, `(sample,)`, rising.
-        fps: frames a second; None where the file does not tell.
+        numbers: frame numbers `(sample,)`, rising.
+        fps: frames per second; None where the file does not give it.
         rate_source: where that comes from; empty with None.
-        notes: whole sentences: what was guessed, or contradicts itself.
+        notes: sentences: what was guessed, or is contradictory.
     """
 
     numbers: np.ndarray
@@ -46,14 +32,14 @@ class FrameTimes(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def frames_at(start: float, step: float, count: int) -> FrameTimes:
-    """Samples every `step` frames from frame `start` on, of a file that does not say its rate."""
+def frames_at_step(start: float, step: float, count: int) -> FrameTimes:
+    """Samples every `step` frames from frame `start`, of a file that does not give its rate."""
     notes = []
-    step = float(f"{step:.6g}")  # as it was before it became a single float
-    if not (np.isfinite(step) and 1 / FARTHEST < step < FARTHEST):
+    step = float(f"{step:.6g}")  # undoes the rounding to 32 bits
+    if not (np.isfinite(step) and 1 / MAX_FRAME < step < MAX_FRAME):
         notes.append(f"A sample every {step:g} frames makes no sense: one at each frame was taken.")
         step = 1.0
-    if not (np.isfinite(start) and abs(start) < FARTHEST):
+    if not (np.isfinite(start) and abs(start) < MAX_FRAME):
         notes.append(f"A first sample at frame {start:g} makes no sense: frame 0 was taken.")
         start = 0.0
     if step == round(step) and start == round(start):
@@ -72,11 +58,11 @@ def frames_at(start: float, step: float, count: int) -> FrameTimes:
     return FrameTimes(first + np.arange(count), fps, source, tuple(notes))
 
 
-def frames_of(times: np.ndarray, source: str) -> FrameTimes:
-    """Samples at times `(sample,)`: in seconds, or in frames or smaller units where a clip in seconds would be too slow.
+def frames_from_times(times: np.ndarray, source: str) -> FrameTimes:
+    """Samples at times `(sample,)` in seconds, or in frames or smaller units where seconds would be implausible.
 
     Args:
-        source: what the file calls them.
+        source: the file's name for the times, for notes.
     """
     count = len(times)
     in_order = FrameTimes(np.arange(count))
@@ -90,79 +76,80 @@ def frames_of(times: np.ndarray, source: str) -> FrameTimes:
         what = "are not all numbers" if not np.isfinite(resolution) else "do not rise from frame to frame"
         return in_order._replace(notes=(f"Its {source} {what}: the frames were taken one after the other.",))
     step = float(np.median(steps))
-    if step >= MOST_FRAMES_APART and (times == np.round(times)).all():
+    if step >= MAX_FRAME_STEP and (times == np.round(times)).all():
         resolution = max(resolution, 0.5)  # whole milliseconds
-    apart = next(
-        (found for base in (step, float(steps.min())) if (found := _multiples(steps, base, resolution)) is not None), None
-    )
-    if apart is None:
+    bases = (step, float(steps.min()))
+    multiples = next((each for base in bases if (each := _multiples(steps, base, resolution)) is not None), None)
+    if multiples is None:
         return _uneven(times, steps, source)
-    step = float((times[-1] - times[0]) / apart.sum())
-    skipped = np.concatenate([[0], np.cumsum(apart)]).astype(np.int64)
-    if 1 / LEAST < step < MOST_FRAMES_APART:
+    step = float((times[-1] - times[0]) / multiples.sum())
+    skipped = np.concatenate([[0], np.cumsum(multiples)]).astype(np.int64)
+    if 1 / MIN_FPS < step < MAX_FRAME_STEP:
         return _in_frames(times, step, skipped, source)
-    unit = next((name for name, size in SMALLER_UNITS.items() if LEAST <= 1 / (size * step) <= MOST), "")
-    if step < MOST_FRAMES_APART or not unit:
+    unit = next((name for name, size in SMALLER_UNITS.items() if MIN_FPS <= 1 / (size * step) <= MAX_FPS), "")
+    if step < MAX_FRAME_STEP or not unit:
         return _in_seconds(times, step, skipped, resolution, source)
     size = SMALLER_UNITS[unit]
     found = _in_seconds(times * size, step * size, skipped, resolution * size, source)
-    said = f"Its {source} are in {unit}: seconds would be {1 / step:.3g} frames a second (reading.fps=...)."
-    return found._replace(notes=(said, *found.notes))
+    note = f"Its {source} are in {unit}: seconds would be {1 / step:.3g} frames a second (reading.fps=...)."
+    return found._replace(notes=(note, *found.notes))
 
 
 def _multiples(steps: np.ndarray, base: float, resolution: float) -> np.ndarray | None:
-    """How many times a step each of some steps is; None where one is no multiple of it."""
-    apart = np.maximum(np.round(steps / base), 1)
-    base = float(steps.sum() / apart.sum())
-    off = np.abs(steps / base - apart)
-    return apart if (off <= EVEN + 2 * resolution / base).all() and apart.sum() < FARTHEST else None
+    """Each step as a multiple of `base`; None where one is no multiple."""
+    multiples = np.maximum(np.round(steps / base), 1)
+    base = float(steps.sum() / multiples.sum())
+    error = np.abs(steps / base - multiples)
+    return multiples if (error <= EVEN + 2 * resolution / base).all() and multiples.sum() < MAX_FRAME else None
 
 
 def _in_seconds(times: np.ndarray, step: float, skipped: np.ndarray, resolution: float, source: str) -> FrameTimes:
-    """Samples whose times are seconds, `step` apart and `skipped` steps behind the first."""
-    if not LEAST <= 1 / step <= MOST:
-        note = f"Its {source} are {step:.3g} apart, {1 / step:.3g} frames a second, which cannot be meant: passed over."
+    """Samples whose times are seconds, at `skipped` steps of `step` after the first."""
+    if not MIN_FPS <= 1 / step <= MAX_FPS:
+        note = f"Its {source} are {step:.3g} apart, {1 / step:.3g} frames a second, which is implausible: ignored."
         return FrameTimes(np.arange(len(times)), notes=(note,))
-    fps = usual_rate(1 / step, 2 * resolution / float(times[-1] - times[0]), float(times[0]))
+    fps = common_rate_at(1 / step, 2 * resolution / float(times[-1] - times[0]), float(times[0]))
     first = round(float(times[0]) * fps)
-    numbers = (first if abs(first) < FARTHEST else 0) + skipped
+    numbers = (first if abs(first) < MAX_FRAME else 0) + skipped
     return FrameTimes(numbers, fps, f"its {source}", _missing(skipped, source))
 
 
-def usual_rate(rate: float, coarse: float = 0.0, time: float = 0.0) -> float:
-    """The usual rate that is meant by one that was measured, where one is near.
+def common_rate_at(rate: float, coarse: float = 0.0, time: float = 0.0) -> float:
+    """The common rate near a measured one, else the measured one.
 
     Args:
-        coarse: what part of itself the measured one may be off.
-        time: of a frame, seconds: of several rates that are near, the one is meant that counts a whole number there.
+        coarse: relative error of the measured rate.
+        time: of a frame, seconds: of several common rates, one is preferred that gives an integer frame number there.
     """
-    near = [usual for usual in USUAL if abs(usual / rate - 1) <= min(max(NEAR, coarse), COARSEST)]
-    return min(
-        near, key=lambda usual: (abs(time * usual - round(time * usual)) > EVEN, abs(usual - rate)), default=round(rate, 3)
-    )
+    near = [float(common) for common in RATES if abs(common / rate - 1) <= min(max(NEAR, coarse), COARSEST)]
+
+    def misfit(common: float) -> tuple[bool, float]:
+        return abs(time * common - round(time * common)) > EVEN, abs(common - rate)
+
+    return min(near, key=misfit, default=round(rate, 3))
 
 
 def _uneven(times: np.ndarray, steps: np.ndarray, source: str) -> FrameTimes:
-    """Samples one after the other, at the rate that they have in all, by least squares."""
+    """Consecutive samples at their mean rate, by least squares."""
     fps = 1 / float(np.polyfit(np.arange(len(times)), times - times[0], 1)[0])
-    said = f"Its {source} are uneven, {steps.min():.3g} to {steps.max():.3g} apart: the frames were taken one after the other"
+    note = f"Its {source} are uneven, {steps.min():.3g} to {steps.max():.3g} apart: the frames were taken one after the other"
     numbers = np.arange(len(times))
-    if not LEAST <= fps <= MOST:
-        return FrameTimes(numbers, notes=(f"{said}.",))
-    fps = usual_rate(fps)
+    if not MIN_FPS <= fps <= MAX_FPS:
+        return FrameTimes(numbers, notes=(f"{note}.",))
+    fps = common_rate_at(fps)
     return FrameTimes(
-        numbers, fps, f"its {source}, in all", (f"{said}, {fps:g} a second as they are in all (reading.fps=...).",)
+        numbers, fps, f"its {source}, in all", (f"{note}, {fps:g} a second as they are in all (reading.fps=...).",)
     )
 
 
 def _in_frames(times: np.ndarray, step: float, skipped: np.ndarray, source: str) -> FrameTimes:
     """Samples whose times are frames."""
-    found = frames_at(float(times[0]), round(step, 6), len(times))
+    found = frames_at_step(float(times[0]), round(step, 6), len(times))
     stride = int(found.numbers[1] - found.numbers[0])
     first = ", ".join(f"{time:g}" for time in times[:3])
-    said = f"{found.fps:g} samples a second" if found.fps else f"{DEFAULT_FPS:g} frames a second"
+    rate = f"{found.fps:g} samples a second" if found.fps else f"{DEFAULT_FPS:g} frames a second"
     note = (
-        f"Its {source} ({first}, ...) are frames and not seconds, which would be {1 / step:.3g} frames a second: {said} were "
+        f"Its {source} ({first}, ...) are frames and not seconds, which would be {1 / step:.3g} frames a second: {rate} were "
         f"taken (reading.fps=...)."
     )
     kept = tuple(note for note in found.notes if not note.startswith("It has a sample"))

@@ -1,4 +1,4 @@
-"""Whether a clip is the rig's mesh: as many vertices, and faces along the rig's own edges."""
+"""Comparison of a clip's topology with the rig's: number of vertices, and faces along the rig's edges."""
 
 import numpy as np
 
@@ -7,30 +7,43 @@ from riginv.errors import InputError
 from riginv.meshes.polygons import Polygons
 from riginv.rig.interface import RigBackend
 
-KNOWN = 12  # meshes that a message lists
+LISTED = 12  # meshes in a message
+
+
+class TopologyError(InputError):
+    """A clip is not the rig's mesh.
+
+    Attributes:
+        same_count: whether it has as many vertices as the rig.
+    """
+
+    def __init__(self, message: str, same_count: bool) -> None:
+        super().__init__(message)
+        self.same_count = same_count
 
 
 def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> str:
     """Compare a clip's mesh with the rig's.
 
-    Every edge of the clip must be one of the rig's, or the other diagonal of two of its triangles: the rig's faces are
-    triangles, the clip's need not be. A clip whose vertices stand in another order fails at once.
+    Every edge of the clip must be an edge of the rig, or the other diagonal of two of its triangles: the rig's faces are
+    triangles, the clip's need not be. Clips with another vertex order fail this check.
 
     Args:
-        faces: whether to compare them at all.
+        faces: whether to compare faces.
 
     Returns:
-        what the user should know, or nothing.
+        a note for the user, or an empty text.
 
     Raises:
-        InputError: the vertices or the faces differ; the message names both counts.
+        TopologyError: the vertices or the faces differ; the message names both counts.
     """
     rig_vertices, rig_faces = len(rig.rest_vertices), rig.faces.cpu().numpy()
     counts = f"{clip.vertex_count} vertices" + (f" and {len(clip.faces)} faces" if clip.faces else "")
     if clip.vertex_count != rig_vertices:
-        raise InputError(
+        raise TopologyError(
             f"{clip.path}: {counts}, rig '{rig.name}' has {rig_vertices} vertices and {len(rig_faces)} faces: a clip must "
-            f"hold the rig's own mesh, its vertices in the same order{_meshes(clip)}"
+            f"hold the rig's own mesh, its vertices in the same order{_meshes(clip)}",
+            same_count=False,
         )
     if not faces or not len(rig_faces):
         return ""
@@ -39,24 +52,25 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
     wrong = foreign_edges(clip.faces, rig_faces, rig_vertices)
     if len(wrong):
         first, second = wrong[0].tolist()
-        raise InputError(
+        raise TopologyError(
             f"{clip.path}: {counts}, rig '{rig.name}' has {len(rig_faces)} faces, and {len(wrong)} edges of the clip are none "
             f"of the rig's, the first from vertex {first} to {second}: the vertices stand in another order, or it is another "
-            f"mesh; reading.check_faces=false lets it pass"
+            f"mesh; reading.check_faces=false lets it pass",
+            same_count=True,
         )
     return ""
 
 
 def _meshes(clip: MeshSequence) -> str:
-    """What of the file was read, where there was a choice."""
+    """The meshes read and those left out, where there was a choice."""
     if not clip.facts.other_meshes:
         return ""
-    read, others = (", ".join(names[:KNOWN]) for names in (clip.facts.meshes, clip.facts.other_meshes))
+    read, others = (", ".join(names[:LISTED]) for names in (clip.facts.meshes, clip.facts.other_meshes))
     return f"; read were {read}, and not {others} (reading.mesh=[NAME] chooses)"
 
 
 def foreign_edges(polygons: Polygons, rig_faces: np.ndarray, vertices: int) -> np.ndarray:
-    """The edges `(edge, 2)` of polygons that are none of the rig's, nor the other diagonal of two of its triangles."""
+    """Edges `(edge, 2)` of polygons that are neither edges of the rig nor the other diagonal of two of its triangles."""
     known = Polygons.triangles(rig_faces).edges()
     edges = polygons.edges()
     foreign = edges[~np.isin(_key(edges, vertices), _key(known, vertices))]
@@ -64,7 +78,7 @@ def foreign_edges(polygons: Polygons, rig_faces: np.ndarray, vertices: int) -> n
 
 
 def _other_diagonals(faces: np.ndarray) -> np.ndarray:
-    """For every edge that two triangles share, the edge `(edge, 2)` between their far corners."""
+    """For every edge shared by two triangles, the edge `(edge, 2)` between their opposite corners."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     far = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
     order = np.lexsort((edges[:, 1], edges[:, 0]))

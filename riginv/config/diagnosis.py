@@ -48,7 +48,7 @@ def usual_config(config_name: str, hydra: DictConfig) -> Mapping[str, Any] | Non
 def plain(config: DictConfig) -> dict[str, Any]:
     """A config as plain values; what cannot be resolved stays as it is written."""
     try:
-        found = OmegaConf.to_container(config, resolve=True)
+        found: Any = OmegaConf.to_container(config, resolve=True)
     except OmegaConfBaseException:
         found = OmegaConf.to_container(config, resolve=False)
     return {key: value for key, value in found.items() if key != "hydra"}

@@ -85,7 +85,7 @@ def write_results(
     pairs = [pair for result in results for pair in result.worst_and_median()]
     with atomic_write(folder / POSES) as beside:
         comparison(true_rig, pairs).save(beside, format="PNG")
-    metrics = {key: value for result in results for key, value in result.metrics.items()}
+    metrics: dict[str, Any] = {key: value for result in results for key, value in result.metrics.items()}
     metrics |= {**more, "true_rig": true_rig.name if true_rig.held_out is None else NO_RIG}
     write_json(folder / METRICS, metrics)
     return metrics

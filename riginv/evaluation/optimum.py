@@ -98,8 +98,8 @@ def least_errors(objective: Objective, vertices: Tensor, known: Tensor | None = 
 
 def known_vertices(meshes: MeshSet, rows: Tensor) -> Tensor | None:
     """Which vertices of some meshes of a set errors are measured at, `(mesh, vertex)`; None: all."""
-    masks = [meshes.known(row, row + 1) for row in rows.tolist()]
-    return None if masks[0] is None else torch.cat(masks)
+    masks = [mask for row in rows.tolist() if (mask := meshes.known(row, row + 1)) is not None]
+    return torch.cat(masks) if masks else None
 
 
 @torch.no_grad()

@@ -64,6 +64,7 @@ def evaluate_controls(true_rig: RigBackend, meshes: MeshSet, controls: Tensor) -
 
 def evaluate_rig(rig: RigBackend, poses: MeshSet) -> EvaluationResult:
     """How far a rig, such as a surrogate, lies from poses of the true rig, given the controls that made them."""
+    assert poses.controls is not None
     return evaluate_controls(rig, poses, poses.controls)
 
 

@@ -26,10 +26,11 @@ from riginv.errors import InputError, in_short
 from riginv.networks.base import RigNetwork
 from riginv.rig.interface import Control, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.runs.files import atomic_write, is_file, read_text, read_yaml, sha256
+from riginv.runs.checksums import SUMS, sha256, write_sums
+from riginv.runs.files import atomic_write, is_file, read_text, read_yaml
 
 FORMAT = 1
-DESCRIPTION, WEIGHTS, SPACE, RIG, SUMS = "bundle.yaml", "weights.safetensors", "space.safetensors", "rig", "SHA256SUMS"
+DESCRIPTION, WEIGHTS, SPACE, RIG = "bundle.yaml", "weights.safetensors", "space.safetensors", "rig"
 FIELDS = {"kind": Literal["inverse", "forward"], **dict.fromkeys(("network", "rig", "training"), Mapping[str, Any])}
 RIG_FIELDS = {
     "name": str,
@@ -133,9 +134,7 @@ def write_bundle(
         }
         for name, tensors in ((WEIGHTS, network.own_weights()), (SPACE, space)):
             save_file({key: value.detach().cpu().contiguous() for key, value in tensors.items()}, beside / name)
-        files = sorted(path for path in beside.rglob("*") if path.is_file())
-        sums = [f"{sha256(path)}  {path.relative_to(beside).as_posix()}\n" for path in files]
-        (beside / SUMS).write_text("".join(sums), encoding="utf-8")
+        write_sums(beside)
 
 
 def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:

@@ -124,8 +124,8 @@ class _Job:
     @property
     def module(self) -> str:
         """Of the command, as in `python -m MODULE`."""
-        name = self.task.__module__
-        return sys.modules["__main__"].__spec__.name if name == "__main__" else name
+        name, spec = self.task.__module__, sys.modules["__main__"].__spec__
+        return spec.name if name == "__main__" and spec is not None else name
 
     def run(self, config: DictConfig) -> None:
         if HydraConfig.get().mode == RunMode.MULTIRUN:

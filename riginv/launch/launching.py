@@ -8,6 +8,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from hydra.core.utils import JobReturn, JobStatus, setup_globals
 from hydra.plugins.launcher import Launcher
@@ -49,7 +50,8 @@ class JobsLauncher(Launcher):
                 f"hydra/launcher={self.name} needs the package {self.package}, which is not installed: "
                 "pip install 'riginv[sweeps]', or leave hydra/launcher away to run one job after the other"
             )
-        self.context, self.module, self.config = hydra_context, task_function.__self__.module, config
+        job: Any = task_function.__self__  # type: ignore[attr-defined]  # a method of `riginv.launch.command`
+        self.context, self.module, self.config = hydra_context, job.module, config
 
     @abstractmethod
     def run_all(self, jobs: Sequence[Job]) -> None:

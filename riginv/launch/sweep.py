@@ -7,10 +7,8 @@ from typing import Any
 
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
-from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from riginv.launch.sweep_hparams import write_columns
 from riginv.launch.sweep_record import FAILED, FAILURE, FINISHED, JOBS
@@ -23,9 +21,10 @@ from riginv.launch.sweep_rows import (
     shown,
     shown_columns,
     sweep_rows,
-    swept_columns,
+    text_columns,
     write_tables,
 )
+from riginv.runs.tables import new_table
 
 COLOURS = {FINISHED: "green", FAILED: "red"}
 
@@ -50,10 +49,8 @@ class SweepTable(Callback):
 
 
 def _show(rows: Sequence[Row], folder: Path) -> None:
-    headings, best, names = shown_columns(rows), _best(rows), swept_columns(rows)
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for key, heading in headings.items():
-        table.add_column(escape(heading), justify="left" if key in names else "right", overflow="fold")
+    headings, best = shown_columns(rows), _best(rows)
+    table = new_table(list(headings.values()), text_columns=text_columns(rows))
     for number, row in enumerate(rows):
         cells = [escape(shown(row.get(key))) for key in headings]
         styled = [f"[bold]{cell}[/]" if (number, key) in best else cell for key, cell in zip(headings, cells)]

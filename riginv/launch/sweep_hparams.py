@@ -1,4 +1,4 @@
-"""The columns of a sweep's HPARAMS table in TensorBoard: every choice of its jobs, those that differ first, and every error."""
+"""The columns of a sweep's HPARAMS table in TensorBoard: the choices in which its jobs differ, a few named ones, the errors."""
 
 import math
 import time
@@ -17,6 +17,16 @@ from riginv.runs.files import discard
 
 RESULT = "result"  # before the name of every final metric
 CHOICES = "hparams.yaml"  # TensorBoard's, in a run's folder
+NAMED_COLUMNS = {  # choices that are always shown: key of the config -> heading
+    "rig._target_": "rig",
+    "model._target_": "model",
+    "model.network._target_": "network",
+    "sampler._target_": "sampler",
+    "model.optimizer.lr": "learning rate",
+    "data.batch_size": "batch size",
+    "trainer.max_steps": "steps",
+    "seed": "seed",
+}
 EVENTS, ENDING = "events.out.tfevents.*", ".columns"
 
 
@@ -37,7 +47,11 @@ def write_columns(sweep: Path, folders: Sequence[str], errors: Sequence[str]) ->
         discard(old)
     if not values:
         return
-    choices = sorted((_column(key, given) for key, given in values.items()), key=lambda c: not c.differs)
+    jobs = max(len(given) for given in values.values())
+    columns = [
+        _column(key, given) for key, given in values.items() if len(given) < jobs or key in NAMED_COLUMNS or _differ(given)
+    ]
+    choices = sorted(columns, key=lambda column: not column.differs)
     results = [api_pb2.MetricInfo(name=api_pb2.MetricName(tag=f"{RESULT}/{key}")) for key in errors]
     experiment = api_pb2.Experiment(hparam_infos=choices, metric_infos=results, time_created_secs=time.time())
     held = metadata.create_summary_metadata(plugin_data_pb2.HParamsPluginData(experiment=experiment))
@@ -47,10 +61,14 @@ def write_columns(sweep: Path, folders: Sequence[str], errors: Sequence[str]) ->
     writer.close()
 
 
+def _differ(values: list[Any]) -> bool:
+    return len(set(values)) > 1
+
+
 def _column(key: str, values: list[Any]) -> api_pb2.HParamInfo:
     """A choice of the jobs that have it; it differs where they differ."""
     distinct = sorted(set(values), key=str)
-    info = api_pb2.HParamInfo(name=key, differs=len(distinct) > 1)
+    info = api_pb2.HParamInfo(name=key, display_name=NAMED_COLUMNS.get(key, key), differs=_differ(values))
     if all(isinstance(value, bool) for value in distinct):
         info.type = api_pb2.DATA_TYPE_BOOL
         info.domain_discrete.extend(distinct)

@@ -1,7 +1,5 @@
 """A sweep as a table: a row for each job, what sets it apart, how it stands and what it reached."""
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import Any
 from riginv.launch.sweep_record import FINISHED, JobRecord, read_records
 from riginv.runs.files import read_json, write_text
 from riginv.runs.run_folder import METRICS
+from riginv.runs.tables import csv_text, markdown_text
 
 CSV, MARKDOWN = "sweep.csv", "sweep.md"
 ERROR = "/mean_vertex_error_mm"
@@ -27,7 +26,8 @@ def sweep_rows(sweep: Path) -> list[Row]:
     ranking = {rig: ranked_by([row for row in rows if row.get("rig") == rig]) for rig in rigs}
 
     def rank(row: Row) -> tuple[bool, int, float]:
-        return row["state"] != FINISHED, rigs.index(row.get("rig")), row.get(ranking[row.get("rig")], math.inf)
+        best = ranking[row.get("rig")]
+        return row["state"] != FINISHED, rigs.index(row.get("rig")), math.inf if best is None else row.get(best, math.inf)
 
     return sorted(rows, key=rank)
 
@@ -72,15 +72,16 @@ def shown(value: Any) -> str:
 
 def write_tables(sweep: Path, rows: Sequence[Row]) -> None:
     """Write the rows as `sweep.csv`, with every metric, and as `sweep.md`, to paste."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(sweep / CSV, text.getvalue())
-    headings, names = shown_columns(rows), swept_columns(rows)
-    cells = [[shown(row.get(key)).replace("|", "\\|") for key in headings] for row in rows]
-    lines = [list(headings.values()), ["---" if key in names else "---:" for key in headings], *cells]
-    write_text(sweep / MARKDOWN, "\n".join(f"| {' | '.join(line)} |" for line in lines) + f"\n\n{caption(rows)}\n")
+    write_text(sweep / CSV, csv_text(list(dict.fromkeys(key for row in rows for key in row)), rows))
+    headings, cells = shown_columns(rows), [[shown(row.get(key)) for key in shown_columns(rows)] for row in rows]
+    table = markdown_text(list(headings.values()), cells, text_columns(rows))
+    write_text(sweep / MARKDOWN, f"{table}\n{caption(rows)}\n")
+
+
+def text_columns(rows: Sequence[Row]) -> list[int]:
+    """Which of the shown columns are words: those that were swept."""
+    names = swept_columns(rows)
+    return [number for number, key in enumerate(shown_columns(rows)) if key in names]
 
 
 def caption(rows: Sequence[Row]) -> str:

@@ -1,24 +1,20 @@
 """Methods side by side: kept one by one as they finish, shown as tables and as a plot."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from riginv.config.values import fits
 from riginv.errors import InputError
 from riginv.runs.console import Bar
 from riginv.runs.files import atomic_write, read_json, write_json, write_text
 from riginv.runs.run_folder import METRICS
-from riginv.runs.tables import EXACT, WITHIN_REACH_MM
+from riginv.runs.tables import EXACT, WITHIN_REACH_MM, csv_text, markdown_text, new_table
 
 CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "methods"
 HEADINGS = {
@@ -66,8 +62,8 @@ def read_kept(path: Path) -> dict[str, Any]:
     """
     kept = read_json(path)
     rows = kept.get("rows")
-    whole = fits(kept.get("source"), str) and fits(rows, list[Mapping[str, Any]]) and len(rows) > 0
-    if not whole or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
+    whole = fits(kept.get("source"), str) and fits(rows, list[Mapping[str, Any]])
+    if not whole or not rows or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
         raise InputError(f"{path}: not what a finished method left there: altered; remove it, and the method is run again")
     return kept
 
@@ -77,11 +73,7 @@ def write_tables(folder: Path) -> Rows:
     files = sorted((folder / METHODS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
     kept = {path.stem: read_kept(path) for path in files}
     rows = [row for one in kept.values() for row in one["rows"]]
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(HEADINGS), lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(folder / CSV, text.getvalue())
+    write_text(folder / CSV, csv_text(list(HEADINGS), rows))
     write_text(folder / MARKDOWN, _markdown(rows, {name: one["source"] for name, one in kept.items()}))
     with atomic_write(folder / PLOT) as beside:
         _plot(rows).savefig(beside, format="png", dpi=130)
@@ -94,12 +86,7 @@ def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
     """Show the rows in the terminal, one table for each set, and why methods were left out, by name."""
     console = Console()
     for name in dict.fromkeys(row["set"] for row in rows):
-        table = Table(
-            title=name.replace("_", " "), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0)
-        )
-        for key, heading in HEADINGS.items():
-            if key != "set":
-                table.add_column(heading, justify="left" if key == "method" else "right", overflow="fold")
+        table = new_table([heading for key, heading in HEADINGS.items() if key != "set"], name.replace("_", " "))
         for row in rows:
             if row["set"] == name:
                 table.add_row(*(_shown(row, key) for key in HEADINGS if key != "set"))
@@ -130,10 +117,9 @@ def _shown(row: dict[str, Any], key: str) -> str:
 
 
 def _markdown(rows: Rows, sources: Mapping[str, str]) -> str:
-    heads = [heading.replace("\n", " ") for heading in HEADINGS.values()]
-    lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "---:|" * (len(heads) - 2)]
-    lines += ["| " + " | ".join(_shown(row, key) for key in HEADINGS) + " |" for row in rows]
-    return "\n".join([*lines, "", *(f"- **{name}**: {source}" for name, source in sources.items()), ""])
+    cells = [[_shown(row, key) for key in HEADINGS] for row in rows]
+    notes = "".join(f"- **{name}**: {source}\n" for name, source in sources.items())
+    return f"{markdown_text(list(HEADINGS.values()), cells, (0, 1))}\n{notes}"
 
 
 def _plot(rows: Rows) -> Figure:

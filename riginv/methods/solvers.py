@@ -1,5 +1,7 @@
 """Optimisation in mesh space among the methods."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -90,7 +92,7 @@ class Clip(LevenbergMarquardt):
         blur: NonNegativeFloat = 3.0,
         mean_steps: NonNegativeInt = 0,
         bundle: str | None = None,
-        **solver: float,
+        **solver: Any,
     ) -> None:
         super().__init__(rig, **solver)
         self.smoothness, self.clip_steps, self.blur, self.mean_steps = smoothness, clip_steps, blur, mean_steps

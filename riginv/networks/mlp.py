@@ -1,4 +1,4 @@
-"""Multi-layer perceptrons (MLPs)."""
+"""MLPs: linear layers with activations between them."""
 
 import itertools
 from collections.abc import Sequence

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
-from typing import TypedDict, cast
+from typing import Any, TypedDict, cast
 
 import torch
 from torch import Tensor
@@ -35,3 +35,9 @@ def map_batches(function: Callable[..., Tensor], *batches: PoseBatch) -> PoseBat
     """Apply a function to the tensors of batches, key by key; keys that are not in all of them are left out."""
     common = [key for key in batches[0] if all(key in batch for batch in batches)]
     return cast(PoseBatch, {key: function(*(cast(dict, batch)[key] for batch in batches)) for key in common})
+
+
+def split_batch(batch: PoseBatch, sizes: int | list[int]) -> list[PoseBatch]:
+    """A batch cut into batches of a size each, or of these sizes."""
+    parts: dict[str, Any] = {key: torch.split(values, sizes) for key, values in batch.items()}  # type: ignore[arg-type]
+    return [cast(PoseBatch, dict(zip(parts, rows))) for rows in zip(*parts.values())]

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
@@ -114,7 +114,7 @@ class Header(NamedTuple):
     length: int  # of the header itself, bytes
 
 
-def read_header(where: str, file: BinaryIO) -> Header:
+def read_header(where: str, file: IO[bytes]) -> Header:
     """The header of an array, from the start of an open .npy.
 
     Raises:
@@ -139,7 +139,7 @@ def check_shape(where: str, header: Header) -> None:
         raise InputError(f"{where}: an array of shape {header.shape}: damaged; save it again")
 
 
-def _check_header(where: str, file: BinaryIO, size: int, alone: bool) -> None:
+def _check_header(where: str, file: IO[bytes], size: int, alone: bool) -> None:
     header = read_header(where, file)
     shape, dtype = header.shape, header.dtype
     if dtype.hasobject and not alone:

@@ -4,16 +4,16 @@ import contextlib
 import hashlib
 import importlib.metadata
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import platformdirs
-import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from riginv.errors import InputError
+from riginv.runs.checksums import tensors_sha256
 from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
 
@@ -58,7 +58,7 @@ def cached_tensors(name: str, key: str, build: Callable[[], dict[str, Tensor]]) 
         tensors = build()
         with contextlib.suppress(OSError, SafetensorError, InputError):  # the last: another process keeps the same just now
             with exclusive_lock(path), atomic_write(path) as beside:
-                save_file(tensors, beside, {SUM: _digest(tensors)})
+                save_file(tensors, beside, {SUM: tensors_sha256(tensors)})
     # Sums of floats depend on how their memory is aligned: copies are aligned alike, whether built or read.
     return {name: tensor.clone() for name, tensor in tensors.items()}
 
@@ -70,12 +70,4 @@ def _read(path: Path) -> dict[str, Tensor] | None:
             kept = (file.metadata() or {}).get(SUM)
     except (OSError, SafetensorError):
         return None
-    return tensors if kept == _digest(tensors) else None
-
-
-def _digest(tensors: Mapping[str, Tensor]) -> str:
-    digest = hashlib.sha256()
-    for name, tensor in sorted(tensors.items()):
-        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
-        digest.update(tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy())
-    return digest.hexdigest()
+    return tensors if kept == tensors_sha256(tensors) else None

@@ -10,27 +10,25 @@ metrics.json           how good it is; written last: a folder that has it is fin
 """
 
 import datetime
-import hashlib
 import json
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from riginv.errors import InputError
-from riginv.runs.checksums import has_valid_checksum
+from riginv.runs.checksums import has_valid_checksum, is_as_written, text_sha256, with_checksum
 from riginv.runs.files import discard, read_yaml, stale_partial_files, write_text
 from riginv.runs.locks import LOCK, lock_folder
 
 CONFIG, METRICS, POSES, CHOICES = "config.yaml", "metrics.json", "poses.png", "hparams.yaml"
 CHECKPOINT, CHECKPOINT_BEFORE = "checkpoints/last.ckpt", "checkpoints/before.ckpt"
 BUNDLE, SURROGATE = "bundle", "surrogate"
-CONFIG_SUM = "# SHA-256 of the lines above: "
 NOT_PART_OF_A_RUN = ("resume", "verbose")
 # May change when a run is resumed: what is learned does not depend on it.
 HOW_MANY = ("trainer.devices", "trainer.num_nodes", "trainer.threads")
@@ -71,8 +69,7 @@ class RunFolder:
             discard(left)
         self._discard_damaged_checkpoints()
         if not self.resumed:
-            text = yaml.safe_dump(self.config, sort_keys=False)
-            write_text(self.path / CONFIG, f"{text}{CONFIG_SUM}{_digest(text)}\n")
+            write_text(self.path / CONFIG, with_checksum(yaml.safe_dump(self.config, sort_keys=False)))
 
     @property
     def checkpoint(self) -> Path | None:
@@ -151,7 +148,7 @@ def resolved(config: DictConfig) -> dict[str, Any]:
     """
     for key in sorted(OmegaConf.missing_keys(config)):
         raise InputError(f"{key} must be given: add {key}=...")
-    return OmegaConf.to_container(config, resolve=True)
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
 
 
 def plain_config(config: DictConfig) -> dict[str, Any]:
@@ -191,21 +188,16 @@ def default_run_folder(resume: bool, name: str, arguments: str) -> str:
 def folder_name(text: str) -> str:
     """A text as the name of one folder: no separators, not too long, still unlike that of another text."""
     name = text.replace("/", "_").replace("\\", "_")
-    return name if len(name) <= LONGEST else f"{name[: LONGEST - 9]}~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 9]}~{text_sha256(text)[:8]}"
 
 
 def _read_config(path: Path) -> dict[str, Any]:
-    text, _, digest = path.read_bytes().decode(errors="replace").rpartition(CONFIG_SUM)
-    if digest.strip() != _digest(text):
+    if not is_as_written(path.read_bytes().decode(errors="replace")):
         raise InputError(
             f"{path}: truncated or altered since it was written (SHA-256 differs): bring it back as it was, or choose another "
             f"folder with hydra.run.dir=DIR"
         )
     return read_yaml(path)
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -1,6 +1,8 @@
-"""Results as tables that a newcomer understands."""
+"""Tables: in the terminal, as CSV and as Markdown; and the table that a training or an evaluation ends in."""
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich import box
@@ -32,22 +34,44 @@ COLUMNS = (
 )
 
 
+def new_table(headings: Sequence[str], title: str = "", text_columns: Sequence[int] = (0,), padding: int = 1) -> Table:
+    """A table for the terminal without rows.
+
+    Args:
+        headings: of the columns; empty: none is shown.
+        title: plain text.
+        text_columns: those whose cells are words and stand at the left; numbers stand at the right.
+        padding: spaces between columns.
+    """
+    table = Table(title=escape(title) or None, box=box.SIMPLE_HEAD, show_header=any(headings), padding=(0, padding, 0, 0))
+    table.title_justify, table.title_style = "left", "bold"
+    for number, heading in enumerate(headings):
+        table.add_column(escape(heading), justify="left" if number in text_columns else "right", overflow="fold")
+    return table
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    """Rows as CSV; what they hold beyond the columns is left out."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, columns, lineterminator="\n", extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def markdown_text(headings: Sequence[str], rows: Iterable[Sequence[str]], text_columns: Sequence[int]) -> str:
+    """Rows as a Markdown table; `text_columns` as of `new_table`."""
+    rule = ["---" if number in text_columns else "---:" for number in range(len(headings))]
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in [[heading.replace("\n", " ") for heading in headings], rule, *cells])
+
+
 def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] = ()) -> None:
     """Show a model's metrics, one row for each test set, and who judged: its `true_rig`."""
-    table = Table(
-        title=f"{escape(title)}: vertex errors in mm",
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    table.add_column("test set", no_wrap=True)
-    for _, heading in COLUMNS:
-        table.add_column(heading, justify="right")
-    table.add_column("% of\nneutral", justify="right")
-    table.add_column("times\noptimum", justify="right")
-    table.add_column("rough-\nness", justify="right")
+    errors = [heading for _, heading in COLUMNS]
+    headings = ["test set", *errors, "% of\nneutral", "times\noptimum", "rough-\nness"]
+    table = new_table(headings, f"{title}: vertex errors in mm")
+    table.show_edge, table.columns[0].no_wrap = False, True
     for name in sets_of(metrics):
         values = [metrics[f"{name}/{key}"] for key, _ in COLUMNS]
         rough = metrics.get(f"{name}/roughness")
@@ -86,7 +110,7 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
 def _times_optimum(metrics: Mapping[str, Any], name: str) -> str:
     """How many times the least possible error; of nothing there is no multiple."""
     ratio, best = (metrics.get(f"{name}/{key}") for key in ("optimum_ratio", "optimum_mean_vertex_error_mm"))
-    return "-" if ratio is None else EXACT if best < WITHIN_REACH_MM else f"{ratio:.3g}"
+    return "-" if ratio is None or best is None else EXACT if best < WITHIN_REACH_MM else f"{ratio:.3g}"
 
 
 def sets_of(metrics: Mapping[str, float]) -> list[str]:

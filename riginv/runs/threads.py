@@ -103,7 +103,7 @@ class Workers:
             if count <= 1:
                 return [task() for task in tasks]
             waiting = iter(enumerate(tasks))
-            results: list[Result | None] = [None] * len(tasks)
+            results: dict[int, Result] = {}
             lock = threading.Lock()
 
             def work() -> None:
@@ -111,7 +111,7 @@ class Workers:
                 try:
                     while True:
                         with lock:
-                            number, task = next(waiting, (None, None))
+                            number, task = next(waiting, (len(tasks), None))
                         if task is None:
                             return
                         results[number] = task()
@@ -130,7 +130,7 @@ class Workers:
             finally:
                 for other in others:
                     other.result()
-            return results
+            return [results[number] for number in range(len(tasks))]
 
     def describe(self) -> str:
         """What was chosen, and why, in a few words."""

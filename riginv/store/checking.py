@@ -1,4 +1,4 @@
-"""Is a store whole? Every chunk is read, and compared with its row of the ledger."""
+"""Verification of stores: chunks are read and compared with the checksums of the ledger."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -10,45 +10,45 @@ from riginv.store.store import DamagedError, PoseStore
 
 
 @dataclass
-class Condition:
-    """What a store is found to be.
+class StoreCondition:
+    """State of the chunks of a store.
 
     Attributes:
-        absent: chunks that have not been written, or whose writing was stopped.
-        damaged: chunks that are not what was written, and what is wrong with each.
+        absent: chunks that were not written, or not completely.
+        damaged: fault of each chunk that differs from what was written.
     """
 
     absent: list[int] = field(default_factory=list)
     damaged: dict[int, str] = field(default_factory=dict)
 
     @property
-    def whole(self) -> bool:
+    def complete(self) -> bool:
         return not self.absent and not self.damaged
 
     @property
-    def holes(self) -> list[int]:
-        """The chunks to make."""
+    def incomplete(self) -> list[int]:
+        """Chunks to make."""
         return sorted([*self.absent, *self.damaged])
 
 
 def examine(
     store: PoseStore, chunks: Iterable[int] | None = None, thorough: bool = True, advance: Callable[[int], None] | None = None
-) -> Condition:
-    """Look at chunks of a store.
+) -> StoreCondition:
+    """Verify chunks of a store.
 
     Args:
-        chunks: which; None: all.
-        thorough: read them; else the ledger is believed.
-        advance: told the poses of each chunk that was looked at.
+        chunks: indices; None: all.
+        thorough: read the chunks; else only the ledger.
+        advance: called with the number of poses of each verified chunk.
 
     Raises:
-        DamagedError: what belongs to no chunk is damaged, which cannot be mended.
+        DamagedError: data of no chunk is damaged, which cannot be repaired.
     """
     for name in (NEUTRAL, BASIS):
         if name in store.arrays:
             store.constant(name)
     ledger, damaged = store.ledger()
-    found = Condition(damaged={chunk: f"chunk {chunk} of 'ledger' is damaged" for chunk in damaged})
+    found = StoreCondition(damaged={chunk: f"chunk {chunk} of 'ledger' is damaged" for chunk in damaged})
     for chunk in range(store.layout.chunks) if chunks is None else chunks:
         if chunk in found.damaged:
             pass

@@ -1,4 +1,4 @@
-"""From a config to a store with no holes in this shard: begun or found, looked through, and filled."""
+"""Filling a shard of a store: it is opened or begun, verified, and its missing chunks are made."""
 
 import contextlib
 import importlib.metadata
@@ -17,13 +17,13 @@ from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.identity import check_rig, describe
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.sampling.meshes import MeshSampler
-from riginv.store.checking import Condition, examine
+from riginv.store.checking import StoreCondition, examine
 from riginv.store.layout import Layout, default_chunk
+from riginv.store.location import StoreLocation
 from riginv.store.making import ChunkMaker, build_sampler
-from riginv.store.place import Place
 from riginv.store.store import PoseStore
 from riginv.store.training import SamplingProgress
-from riginv.store.workers import ChunkWorkers
+from riginv.store.worker import ChunkWorkers
 
 UNITS = {"controls": "as each control says", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}
 Facts = dict[str, Any]
@@ -50,17 +50,17 @@ class SampleConfig:
 
 @dataclass(frozen=True)
 class Shard:
-    """Every `of`-th chunk of a store, from `number` on."""
+    """Every `of`-th chunk of a store, starting at `number`."""
 
     number: int
     of: int
 
     @classmethod
     def parse(cls, text: Any) -> "Shard":
-        """From `i/n`.
+        """Parse `i/n`.
 
         Raises:
-            InputError: it is no such text.
+            InputError: another format.
         """
         number, _, of = str(text).partition("/")
         if not (number.isdecimal() and of.isdecimal() and int(number) < int(of)):
@@ -71,105 +71,105 @@ class Shard:
         return f"{self.number}/{self.of}"
 
     def chunks(self, layout: Layout) -> range:
-        """Its chunks."""
+        """Indices of its chunks."""
         return range(self.number, layout.chunks, self.of)
 
 
 @dataclass(frozen=True)
-class Filled:
-    """What a run has done.
+class FillResult:
+    """Result of `fill`.
 
     Attributes:
-        found: how the shard's chunks were when it began.
-        made: how many poses it has made.
-        absent: chunks of the whole store that are still to be made, by other shards.
+        found: condition of the shard's chunks before.
+        made: number of poses made.
+        absent: number of chunks of the store that are still to be made, by other shards.
     """
 
     store: PoseStore
     shard: Shard
-    found: Condition
+    found: StoreCondition
     made: int
     absent: int
 
 
-def fill(settings: SampleConfig) -> Filled:
-    """Sample what is missing of a shard.
+def fill(settings: SampleConfig) -> FillResult:
+    """Make the missing chunks of a shard.
 
     Raises:
-        InputError: the store is of another rig or config, another process is at the shard, the rig gives what is no number, or
-            the disk does not take it.
+        InputError: the store is of another rig or config, another process is sampling the shard, the rig gives NaN or infinite
+            values, or a write fails.
     """
-    place, shard = Place(str(settings.out)), Shard.parse(settings.shard)
-    store = PoseStore.find(place)
+    out = str(settings.out)
+    location, shard = StoreLocation(out), Shard.parse(settings.shard)
+    store = PoseStore.find(location)
     with one_thread(), contextlib.ExitStack() as stack, SamplingProgress() as progress:
         rig = settings.rig.build()
         jobs = settings.jobs or (cores() if rig.differentiable else 1)
         workers = None
-        if jobs > 1 and (store is None or absent_of(store, shard)):  # they build their rig while this process builds its own
-            workers = stack.enter_context(ChunkWorkers(settings.out, settings.rig, settings.sampler, jobs))
-        store, rig = begun(settings, place, shard, store, rig)
+        if jobs > 1 and (store is None or absent_chunks(store, shard)):  # they build their rig in the meantime
+            workers = stack.enter_context(ChunkWorkers(out, settings.rig, settings.sampler, jobs))
+        store, rig = open_or_begin(settings, location, shard, store, rig)
         chunks = shard.chunks(store.layout)
         progress.begin("looking through", sum(map(store.layout.count, chunks)))
         found = examine(store, chunks, settings.recheck, progress.advance)
         made = 0
-        if found.holes:
+        if found.incomplete:
             refusal = f"another process is sampling shard {shard} of it: wait for it, or give another out"
-            stack.enter_context(place.exclusive_lock(f"shard-{shard.number}-of-{shard.of}", refusal))
-            progress.begin(f"sampling {rig.name}", sum(map(store.layout.count, found.holes)))
+            stack.enter_context(location.exclusive_lock(f"shard-{shard.number}-of-{shard.of}", refusal))
+            progress.begin(f"sampling {rig.name}", sum(map(store.layout.count, found.incomplete)))
             if jobs > 1:
-                workers = workers or stack.enter_context(ChunkWorkers(settings.out, settings.rig, settings.sampler, jobs))
-                done = workers.make(found.holes)
+                workers = workers or stack.enter_context(ChunkWorkers(out, settings.rig, settings.sampler, jobs))
+                done = workers.make(found.incomplete)
             else:
-                done = in_this_process(settings.sampler, place, rig, found.holes)
+                writable = PoseStore.begin(location, store.layout, store.facts, rig)
+                sampler = build_sampler(settings.sampler.config, rig)
+                done = make_chunks(ChunkMaker(writable, rig, sampler), found.incomplete)
             for chunk in done:
                 made += store.layout.count(chunk)
                 progress.advance(store.layout.count(chunk))
-        return Filled(store, shard, found, made, len(absent_of(store)))
+        return FillResult(store, shard, found, made, len(absent_chunks(store)))
 
 
-def begun(
-    settings: SampleConfig, place: Place, shard: Shard, store: PoseStore | None, rig: RigBackend
+def open_or_begin(
+    settings: SampleConfig, location: StoreLocation, shard: Shard, store: PoseStore | None, rig: RigBackend
 ) -> tuple[PoseStore, LinearRig]:
-    """The store, begun where there is none, and the rig as it is stored.
+    """The store, created if necessary, and the rig in the basis of the store.
 
     Raises:
-        InputError: the store is of another rig or config, or cannot be begun.
+        InputError: the store is of another rig or config, or cannot be created.
     """
     if not isinstance(rig, LinearRig):
-        known = store is not None and store.layout.fitted == len(rig.rest_vertices)
-        rig = (
-            store.fitted_rig(rig)
-            if known
-            else BlackBoxRig.sampled(rig, settings.mesh_space.samples, settings.mesh_space.residual_mm)
-        )
-    layout, facts = planned(settings, rig)
+        if store is not None and store.layout.fitted == len(rig.rest_vertices):
+            rig = store.fitted_rig(rig)
+        else:
+            rig = BlackBoxRig.sampled(rig, settings.mesh_space.samples, settings.mesh_space.residual_mm)
+    layout, facts = plan_store(settings, rig)
     if store is None:
-        build_sampler(settings.sampler.config, rig)  # it may refuse, and nothing has been written yet
-        if place.path is None and rig.is_fitted and shard.number:
-            raise InputError(f"{place}: start shard=0/{shard.of} first: it fits the basis that all shards share")
-        store = PoseStore.begin(place, layout, facts, rig)
+        build_sampler(settings.sampler.config, rig)  # may refuse, before anything is written
+        if location.path is None and rig.is_fitted and shard.number:
+            raise InputError(f"{location}: start shard=0/{shard.of} first: it fits the basis that all shards share")
+        store = PoseStore.begin(location, layout, facts, rig)
         if rig.is_fitted:
-            rig = store.fitted_rig(rig.posing_rig())  # of the process that was quicker, if one was
+            rig = store.fitted_rig(rig.posing_rig())  # of another process, if that was faster
     check_same(store, replace(layout, coefficients=store.layout.coefficients), facts, rig)
     return store, rig
 
 
-def absent_of(store: PoseStore, shard: Shard | None = None) -> list[int]:
-    """The chunks that the ledger does not have, of a shard or of all."""
+def absent_chunks(store: PoseStore, shard: Shard | None = None) -> list[int]:
+    """Chunks that are not in the ledger, of a shard or of all."""
     counts = store.ledger()[0][:, 0]
     return [chunk for chunk in (shard or Shard(0, 1)).chunks(store.layout) if not counts[chunk]]
 
 
-def in_this_process(sampler: ClassSpec[MeshSampler], place: Place, rig: LinearRig, chunks: list[int]) -> Iterator[int]:
-    """Make chunks one after the other."""
-    maker = ChunkMaker(PoseStore.find(place, read_only=False), rig, build_sampler(sampler.config, rig))
+def make_chunks(maker: ChunkMaker, chunks: list[int]) -> Iterator[int]:
+    """Make chunks one by one."""
     for chunk in chunks:
         maker.make(chunk)
         yield chunk
 
 
-def planned(settings: SampleConfig, rig: LinearRig) -> tuple[Layout, Facts]:
-    """The sizes of the store that a config asks for, and what it says of itself."""
+def plan_store(settings: SampleConfig, rig: LinearRig) -> tuple[Layout, Facts]:
+    """Layout and description of the store of a config."""
     vertices = len(rig.rest_vertices)
     layout = Layout(
         settings.samples,
@@ -186,7 +186,7 @@ def planned(settings: SampleConfig, rig: LinearRig) -> tuple[Layout, Facts]:
         "seed": settings.seed,
         "sampler": settings.sampler.config,
         "units": UNITS,
-        "rig": describe(rig, settings.rig.config),
+        "rig": describe(rig, dict(settings.rig.config)),
     }
     return layout, facts
 
@@ -218,7 +218,7 @@ def cores() -> int:
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute in one thread meanwhile, so that a pose has the same bits in whatever process it is made."""
+    """Compute in one thread, so that poses are the same to the last bit in every process."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -1,15 +1,15 @@
-"""What a store of poses holds, and how it is cut into chunks.
+"""Layout of a store of poses.
 
 controls              (pose, control) float32, in each control's unit
-coefficients          (pose, coefficient) float32 or float16: the rig's own, or of a fitted rig those of `basis`
-vertices              (pose, vertex, 3) float32 or float16, mm; only where they were asked for
-control_range         (chunk, 2, control): the least and the greatest value of each control in each chunk
-errors                (chunk, kind): what storing cost, by the kinds of `ERRORS`
-ledger                (chunk, 1 + array): the poses of a chunk, 0 where it is absent, and a CRC-32C of each of the arrays above
+coefficients          (pose, coefficient) float32 or float16: the rig's own, or those of `basis`
+vertices              (pose, vertex, 3) float32 or float16, mm; only where requested
+control_range         (chunk, 2, control): least and greatest value of each control in each chunk
+errors                (chunk, kind): errors of storage, of the kinds `ERRORS`
+ledger                (chunk, 1 + array): number of poses of a chunk, 0 where absent, and a CRC-32C of each array above
 neutral_coefficients  (coefficient,)
-basis                 (coefficient, vertex, 3), mm: only of a fitted rig
+basis                 (coefficient, vertex, 3), mm: only of black-box rigs, whose basis is fitted
 
-A row of the ledger is written last, so that a chunk is complete or absent; every stored piece ends in a CRC-32C of its own.
+The row of the ledger is written last, so that a chunk is complete or absent; every stored block ends in its CRC-32C.
 """
 
 import json
@@ -26,22 +26,22 @@ CONTROLS, COEFFICIENTS, VERTICES = "controls", "coefficients", "vertices"
 CONTROL_RANGE, LEDGER, NEUTRAL, BASIS = "control_range", "ledger", "neutral_coefficients", "basis"
 COST = "errors"
 ERRORS = (
-    "coefficient_greatest",  # of rounding, in the units of the coefficients: over all poses
+    "coefficient_greatest",  # rounding errors in the units of the coefficients, over all poses
     "coefficient_mean",
-    "mesh_greatest_mm",  # of rounding the coefficients, in distances of vertices: over a few poses of each chunk
+    "mesh_greatest_mm",  # vertex errors of rounded coefficients, over a few poses of each chunk
     "mesh_mean_mm",
-    "vertices_greatest_mm",  # of rounding `vertices`: over all poses
+    "vertices_greatest_mm",  # rounding errors of `vertices`, over all poses
     "vertices_mean_mm",
-    "outside_mean_mm",  # between a fitted rig's meshes and those of its coefficients, root mean square: over all poses
+    "outside_mean_mm",  # root mean square distance from the span of a fitted basis, over all poses
 )
 DTYPES = ("float32", "float16")
 CHUNK_BYTES, MOST_IN_CHUNK, MOST_OF_A_SLOW_RIG = 16e6, 4096, 512
-CODECS = (ZstdCodec(level=1), Crc32cCodec())  # of the face: 45 % of the size, for a fifth more time
+CODECS = (ZstdCodec(level=1), Crc32cCodec())  # 45 % of the size and 20 % more time for the default face
 
 
 @dataclass(frozen=True)
 class ArrayPlan:
-    """One array of a store: its shape, that of its chunks, and what its dimensions are."""
+    """Shape, chunk shape, type and dimension names of an array."""
 
     shape: tuple[int, ...]
     chunk: tuple[int, ...]
@@ -49,7 +49,7 @@ class ArrayPlan:
     dimensions: tuple[str, ...]
 
     def create_in(self, group: zarr.Group, name: str) -> zarr.Array:
-        """Make the array, empty."""
+        """Create the empty array."""
         return group.create_array(
             name,
             shape=self.shape,
@@ -61,7 +61,7 @@ class ArrayPlan:
         )
 
     def describes(self, array: zarr.Array) -> bool:
-        """Whether an array is as planned, to the last word of its description."""
+        """Whether an array's metadata is exactly as planned."""
         fresh = self.create_in(zarr.group(MemoryStore()), "array")
         return _described(fresh) == _described(array)
 
@@ -75,12 +75,12 @@ class Layout:
     """The sizes of a store.
 
     Attributes:
-        samples: poses in all.
+        samples: number of poses.
         chunk: poses in a chunk; the last one may have fewer.
         dtype: of coefficients and vertices.
-        controls, coefficients: of the rig.
-        vertices: of the rig where they are stored, else 0.
-        fitted: vertices of the rig where it has a basis that was fitted to its poses, else 0.
+        controls, coefficients: numbers of the rig.
+        vertices: number of vertices where they are stored, else 0.
+        fitted: number of vertices where the basis was fitted to poses, else 0.
     """
 
     samples: int
@@ -97,34 +97,34 @@ class Layout:
 
     @property
     def poses(self) -> tuple[str, ...]:
-        """The names of the arrays that hold one row for each pose."""
+        """Names of the arrays with one row for each pose."""
         return (CONTROLS, COEFFICIENTS, *((VERTICES,) if self.vertices else ()))
 
     @property
     def checked(self) -> tuple[str, ...]:
-        """The names of the arrays that the ledger has a checksum of."""
+        """Names of the arrays with a checksum in the ledger."""
         return (*self.poses, CONTROL_RANGE, COST)
 
     def rows(self, chunk: int) -> slice:
-        """The poses of a chunk."""
+        """Poses of a chunk."""
         return slice(chunk * self.chunk, min((chunk + 1) * self.chunk, self.samples))
 
     def count(self, chunk: int) -> int:
-        """How many they are."""
+        """Number of poses of a chunk."""
         rows = self.rows(chunk)
         return rows.stop - rows.start
 
-    def place(self, name: str, chunk: int) -> slice:
-        """Where an array holds what belongs to a chunk."""
+    def slice_of(self, name: str, chunk: int) -> slice:
+        """Rows of an array that belong to a chunk."""
         return self.rows(chunk) if name in self.poses else slice(chunk, chunk + 1)
 
     @property
     def bytes_per_pose(self) -> int:
-        """Of a pose in memory."""
+        """Memory of a pose."""
         return 4 * self.controls + np.dtype(self.dtype).itemsize * (self.coefficients + 3 * self.vertices)
 
     def plans(self) -> dict[str, ArrayPlan]:
-        """Every array, by name."""
+        """Plans of all arrays, by name."""
         poses, chunks = min(self.chunk, self.samples), self.chunks
         found = {
             CONTROLS: ArrayPlan((self.samples, self.controls), (poses, self.controls), "float32", ("pose", "control")),
@@ -141,8 +141,9 @@ class Layout:
             NEUTRAL: ArrayPlan((self.coefficients,), (self.coefficients,), "float32", ("coefficient",)),
         }
         if self.vertices:
-            shape = (self.vertices, 3)
-            found[VERTICES] = ArrayPlan((self.samples, *shape), (poses, *shape), self.dtype, ("pose", "vertex", "axis"))
+            found[VERTICES] = ArrayPlan(
+                (self.samples, self.vertices, 3), (poses, self.vertices, 3), self.dtype, ("pose", "vertex", "axis")
+            )
         if self.fitted:
             shape = (self.coefficients, self.fitted, 3)
             found[BASIS] = ArrayPlan(shape, shape, "float32", ("coefficient", "vertex", "axis"))
@@ -153,6 +154,6 @@ class Layout:
 
 
 def default_chunk(layout: Layout, slow: bool) -> int:
-    """Poses in a chunk where nobody said: about 16 MB, and of a slow rig what it makes in seconds."""
+    """Default number of poses in a chunk: about 16 MB, fewer for slow rigs."""
     most = MOST_OF_A_SLOW_RIG if slow else MOST_IN_CHUNK
     return max(1, min(most, int(CHUNK_BYTES // layout.bytes_per_pose)))

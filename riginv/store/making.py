@@ -1,5 +1,6 @@
-"""The poses of one chunk: drawn from the seed and the chunk's number alone, so that it matters not who makes it, or when."""
+"""Making chunks: poses are a function of the seed and the chunk's number, independent of process and order."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,23 +21,23 @@ from riginv.sampling.meshes import MeshSampler, select_for_rig
 from riginv.store.layout import COEFFICIENTS, CONTROL_RANGE, CONTROLS, COST, ERRORS, VERTICES, Layout
 from riginv.store.store import PoseStore
 
-BATCH_SIZE = 512  # poses that the rig is asked for at a time
-LOOKED_AT = 8  # poses of each chunk whose meshes are compared with those of rounded coefficients
+BATCH_SIZE = 512
+COMPARED = 8  # poses of each chunk for which mesh errors of rounded coefficients are computed
 
 
-def build_sampler(config: dict[str, Any], rig: LinearRig) -> MeshSampler:
-    """What draws the controls, from its config.
+def build_sampler(config: Mapping[str, Any], rig: LinearRig) -> MeshSampler:
+    """The sampler of controls.
 
     Raises:
-        InputError: it draws meshes that are no poses of the rig.
+        InputError: the sampler draws meshes that are no poses of the rig.
     """
-    sampler = build(select_for_rig(config, rig), _LazilyMapped(rig))
+    sampler = build(select_for_rig(dict(config), rig), _LazilyMapped(rig))
     sampler.sample_controls(1000, generator_at(0, "trial"))
     return sampler
 
 
 class _LazilyMapped:
-    """A rig in mesh space, which takes seconds to find: most samplers of controls do not ask for it."""
+    """A rig in mesh space, computed on demand: most samplers of controls do not need it."""
 
     def __init__(self, rig: LinearRig) -> None:
         self.rig = rig
@@ -53,10 +54,10 @@ class _LazilyMapped:
 
 
 class ChunkMaker:
-    """Makes the chunks of a store.
+    """Makes chunks of a store.
 
     Args:
-        sampler: as from `build_sampler`.
+        sampler: from `build_sampler`.
     """
 
     def __init__(self, store: PoseStore, rig: LinearRig, sampler: MeshSampler) -> None:
@@ -65,10 +66,10 @@ class ChunkMaker:
 
     @torch.no_grad()
     def make(self, chunk: int) -> None:
-        """Pose the rig, and write the chunk.
+        """Evaluate the rig, and write the chunk.
 
         Raises:
-            InputError: the rig gives NaN or infinite values, the dtype cannot hold them, or nothing can be written.
+            InputError: NaN or infinite values, values beyond the range of the dtype, or a write error.
         """
         layout, seed = self.store.layout, self.store.facts["seed"]
         controls = self.sampler.sample_controls(layout.count(chunk), generator_at(seed, "sample", chunk)).float()
@@ -78,26 +79,28 @@ class ChunkMaker:
         values[COEFFICIENTS] = self._rounded(coefficients, layout, chunk)
         if layout.dtype != "float32":
             costs[0, :4] = self._cost_of_rounding(coefficients, values[COEFFICIENTS])
-        if layout.vertices:
+        if vertices is not None:
             values[VERTICES] = self._rounded(vertices, layout, chunk)
-            apart = (torch.from_numpy(values[VERTICES]).float() - vertices).norm(dim=2)
-            costs[0, 4:6] = float(apart.max()), float(apart.mean())
+            errors = (torch.from_numpy(values[VERTICES]).float() - vertices).norm(dim=2)
+            costs[0, 4:6] = float(errors.max()), float(errors.mean())
         costs[0, 6] = outside
         self.store.write(chunk, {**values, COST: costs})
 
     def _pose(self, controls: Tensor, chunk: int) -> tuple[Tensor, Tensor | None, float]:
-        """Coefficients, vertices where they are stored, and how far meshes lie outside the span of a fitted basis, mm."""
-        coefficients, vertices, squares = [], [], 0.0
+        """Coefficients, vertices where they are stored, and the distance from the span of a fitted basis, mm."""
+        coefficients: list[Tensor] = []
+        vertices: list[Tensor] = []
+        squares = 0.0
         for start in range(0, len(controls), BATCH_SIZE):
-            piece = controls[start : start + BATCH_SIZE]
+            batch = controls[start : start + BATCH_SIZE]
             if isinstance(self.rig, BlackBoxRig):
-                posed = self.rig.posed(piece)
+                posed = self.rig.posed(batch)
                 found = self.rig.coefficients_of(posed)
                 squares += float((posed - apply_deltas(self.rig.rest_vertices, self.rig.basis, found)).square().sum())
             else:
-                found = self.rig.coefficients(piece)
-                posed = self.rig(piece) if self.store.layout.vertices else None
-            self._check_finite(found if posed is None else torch.cat([found, posed.flatten(1)], dim=1), piece, chunk, start)
+                found = self.rig.coefficients(batch)
+                posed = self.rig(batch) if self.store.layout.vertices else None
+            self._check_finite(found if posed is None else torch.cat([found, posed.flatten(1)], dim=1), batch, chunk, start)
             coefficients.append(found)
             if self.store.layout.vertices:
                 vertices.append(posed)
@@ -110,9 +113,9 @@ class ChunkMaker:
             return
         row = int(broken[0])
         pose = self.store.layout.rows(chunk).start + start + row
-        place = self.store.place.path
-        name = f"{place.name if place else self.store.facts['rig']['name']}.pose-{pose}.json"
-        file = place.with_name(name) if place else Path(name)
+        location = self.store.location.path
+        name = f"{location.name if location else self.store.facts['rig']['name']}.pose-{pose}.json"
+        file = location.with_name(name) if location else Path(name)
         write_json(file, dict(zip(self.rig.control_names, controls[row].tolist())))
         raise InputError(
             f"rig '{self.rig.name}' gives NaN or infinite values at pose {pose} (chunk {chunk}), whose controls are in {file}: "
@@ -129,6 +132,6 @@ class ChunkMaker:
         return found
 
     def _cost_of_rounding(self, exact: Tensor, rounded: np.ndarray) -> tuple[float, ...]:
-        apart = torch.from_numpy(rounded).float() - exact
-        moved = (apart[:LOOKED_AT] @ self.rig.basis.flatten(1)).unflatten(1, self.rig.rest_vertices.shape).norm(dim=2)
-        return float(apart.abs().max()), float(apart.abs().mean()), float(moved.max()), float(moved.mean())
+        errors = torch.from_numpy(rounded).float() - exact
+        mesh_errors = (errors[:COMPARED] @ self.rig.basis.flatten(1)).unflatten(1, self.rig.rest_vertices.shape).norm(dim=2)
+        return float(errors.abs().max()), float(errors.abs().mean()), float(mesh_errors.max()), float(mesh_errors.mean())

@@ -1,27 +1,27 @@
-"""What a finished store says of itself, and what the terminal shows of any."""
+"""Summaries of stores, for their metadata and for the terminal."""
 
 from typing import Any
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from riginv.runs.tables import new_table
 from riginv.store.layout import CONTROL_RANGE, COST, ERRORS
 from riginv.store.store import PoseStore
 
 
 def range_seen(store: PoseStore) -> dict[str, list[float]]:
-    """The least and the greatest value of each control over all chunks."""
-    seen = store.of_all_chunks(CONTROL_RANGE)
+    """Least and greatest value of each control over all chunks."""
+    seen = store.per_chunk(CONTROL_RANGE)
     least, greatest = seen[:, 0].min(axis=0).tolist(), seen[:, 1].max(axis=0).tolist()
     names = [control["name"] for control in store.facts["rig"]["controls"]]
     return {name: list(ends) for name, ends in zip(names, zip(least, greatest))}
 
 
-def cost(store: PoseStore) -> dict[str, float]:
-    """What storing cost, by the kinds of `ERRORS`, over all chunks."""
-    values, counts = store.of_all_chunks(COST), store.ledger()[0][:, 0].astype(float)
+def storage_errors(store: PoseStore) -> dict[str, float]:
+    """Errors of storage over all chunks, by the kinds of `ERRORS`."""
+    values, counts = store.per_chunk(COST), store.ledger()[0][:, 0].astype(float)
     found = {}
     for kind, column in zip(ERRORS, values.T):
         if "greatest" in kind:
@@ -34,19 +34,18 @@ def cost(store: PoseStore) -> dict[str, float]:
 
 
 def finish(store: PoseStore) -> None:
-    """Let a store whose chunks are all there say so, with the range of each control and what storing cost."""
-    store.clear_leftovers()
-    said = {"finished": True, "range_seen": range_seen(store), "errors": cost(store)}
-    if any(store.group.attrs.get(key) != value for key, value in said.items()):
-        store.note(**said)
+    """Mark a complete store as finished, with the range of each control and the errors of storage."""
+    store.remove_partial_files()
+    summary = {"finished": True, "range_seen": range_seen(store), "errors": storage_errors(store)}
+    if any(store.group.attrs.get(key) != value for key, value in summary.items()):
+        store.note(**summary)
 
 
 def table(store: PoseStore, rows: dict[str, Any]) -> Table:
-    """A store and what is to be said about it."""
+    """Table of a store with additional rows."""
     layout, rig = store.layout, store.facts["rig"]
-    found = Table(title=str(store), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_header=False)
-    found.add_column("what", no_wrap=True)
-    found.add_column("value", overflow="fold")
+    found = new_table(["", ""], str(store), text_columns=(0, 1))
+    found.columns[0].no_wrap = True
     arrays = f"{layout.controls} controls, {layout.coefficients} coefficients"
     found.add_row("poses", f"{layout.samples:,} of rig '{rig['name']}': {arrays}{', vertices' if layout.vertices else ''}")
     found.add_row("chunks", f"{layout.chunks:,} of {layout.chunk:,} poses, {layout.dtype}, seed {store.facts['seed']}")
@@ -56,14 +55,14 @@ def table(store: PoseStore, rows: dict[str, Any]) -> Table:
 
 
 def findings(store: PoseStore) -> dict[str, str]:
-    """Rows for `table` about a finished store: the range of the controls, and what storing cost."""
-    seen, errors = range_seen(store), cost(store)
-    shares = {
+    """Rows for `table` about a finished store: the range of the controls, and the errors of storage."""
+    seen, errors = range_seen(store), storage_errors(store)
+    fractions = {
         control["name"]: (seen[control["name"]][1] - seen[control["name"]][0]) / (control["upper"] - control["lower"])
         for control in store.facts["rig"]["controls"]
     }
-    least = min(shares, key=shares.get)
-    rows = {"controls seen": f"each over at least {shares[least]:.0%} of its range ('{least}' the least)"}
+    least = min(fractions, key=fractions.__getitem__)
+    rows = {"controls seen": f"each over at least {fractions[least]:.0%} of its range ('{least}' the least)"}
     if store.layout.dtype != "float32":
         rows["rounding"] = (
             f"coefficients: greatest {errors['coefficient_greatest']:.2g}, mean {errors['coefficient_mean']:.2g}; "
@@ -79,5 +78,5 @@ def findings(store: PoseStore) -> dict[str, str]:
 
 
 def show(store: PoseStore, rows: dict[str, str]) -> None:
-    """Show a store in the terminal."""
+    """Print a store."""
     Console().print(table(store, rows), highlight=False)

@@ -1,7 +1,7 @@
-"""Stored poses as what networks train on."""
+"""Training on stored poses."""
 
 import torch
-from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
 from riginv.errors import InputError
@@ -12,18 +12,18 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.console import Bar
 from riginv.sampling.meshes import MeshSampler
 from riginv.store.layout import BASIS, NEUTRAL
-from riginv.store.place import Place
+from riginv.store.location import StoreLocation
 from riginv.store.store import PoseStore
 from riginv.store.windows import WindowReader
 
 
 def finished_store(path: str) -> PoseStore:
-    """A store to train on.
+    """A complete store to train on.
 
     Raises:
-        InputError: there is none, it is damaged, or some of its chunks are absent.
+        InputError: it is missing, damaged or incomplete.
     """
-    store = PoseStore.find(Place(path))
+    store = PoseStore.find(StoreLocation(path))
     if store is None:
         raise InputError(f"data.store={path}: there is no store of poses: sample one with python -m riginv.sample out={path}")
     absent = int((store.ledger()[0][:, 0] == 0).sum())
@@ -36,7 +36,7 @@ def finished_store(path: str) -> PoseStore:
 
 
 def rig_of_store(path: str, rig: RigBackend) -> LinearRig:
-    """A rig that does not end in a linear map, in the basis of a store of its poses: nothing is fitted anew.
+    """A black-box rig in the basis of a store of its poses.
 
     Raises:
         InputError: as `finished_store`, or the store is of another rig.
@@ -48,7 +48,7 @@ def rig_of_store(path: str, rig: RigBackend) -> LinearRig:
 
 
 class StoreSampler(MeshSampler):
-    """The poses of a store, in an order that depends on nothing but the seed, and a batch on nothing but its step.
+    """Poses of a store, in an order that depends only on the seed; batches depend only on the step.
 
     Args:
         path: of the store.
@@ -79,18 +79,18 @@ class StoreSampler(MeshSampler):
         poses = self.reader.poses(self.step * count, count)
         found = {name: values.to(self.linear_map) for name, values in poses.items()}
         coordinates = (found["coefficients"] - self.neutral) @ self.linear_map
-        return PoseBatch(coordinates=coordinates, **found)
+        return PoseBatch(coordinates=coordinates, controls=found["controls"], coefficients=found["coefficients"])
 
 
 def reading_store(sampler: MeshSampler, rig: RigInMeshSpace, store: str, seed: int) -> MeshSampler:
-    """A sampler whose poses of the rig come from a store; what needs no posing is still drawn as training goes.
+    """A sampler whose poses of the rig come from a store; other meshes are still drawn during training.
 
     Args:
         store: its path.
         seed: of the order.
 
     Raises:
-        InputError: the sampler holds no poses of the rig, or as `StoreSampler`.
+        InputError: the sampler draws no poses of the rig, or as `StoreSampler`.
     """
     stored = StoreSampler(rig, store, seed)
     found = sampler.reading(stored)
@@ -100,7 +100,7 @@ def reading_store(sampler: MeshSampler, rig: RigInMeshSpace, store: str, seed: i
 
 
 class SamplingProgress(Bar):
-    """A bar for one thing after another; only where there is a terminal."""
+    """A progress bar over poses; shown only in terminals."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -110,13 +110,14 @@ class SamplingProgress(Bar):
             TextColumn("{task.completed:,.0f} of {task.total:,.0f} poses"),
             TimeRemainingColumn(),
         )
-        self.task = None
+        self.task: TaskID | None = None
 
     def begin(self, what: str, poses: int) -> None:
-        """Something else is counted from now on."""
+        """Start a new phase."""
         if self.task is not None:
             self.bar.remove_task(self.task)
         self.task = self.bar.add_task(what, total=poses)
 
     def advance(self, poses: int) -> None:
-        self.bar.advance(self.task, poses)
+        if self.task is not None:
+            self.bar.advance(self.task, poses)

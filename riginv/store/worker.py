@@ -1,80 +1,92 @@
-"""python -m riginv.store.worker: makes the chunks whose numbers come in, for `riginv.store.workers`.
+"""python -m riginv.store.worker: a worker that makes chunks of a store, and the pool of these (`riginv.runs.worker_pool`).
 
-The first line in is a JSON object with `place`, `rig` and `sampler`; each line after it is the number of a chunk. Each line out
-is a JSON object: `done` with the number, or `error` with a sentence for the user, or `fault` with a traceback. It ends when no
-more lines can come, because its parent ended or wants it to.
+`load` gives the store, the rig and the sampler; each `make` has the number of a chunk.
 """
 
-import json
-import os
-import queue
-import signal
-import sys
-import threading
-import traceback
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, Self
 
 import torch
 
-from riginv.config.building import build
+from riginv.config.building import ClassSpec, build
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig, RigBackend
+from riginv.runs.worker import serve
+from riginv.runs.worker_pool import ATTEMPTS, ProcessPool, Request
+from riginv.runs.worker_process import WorkerLostError, WorkerRefusedError, python_worker
+from riginv.sampling.meshes import MeshSampler
+from riginv.store.location import StoreLocation
 from riginv.store.making import ChunkMaker, build_sampler
-from riginv.store.place import Place
 from riginv.store.store import PoseStore
 
-GROWTH, AT_LEAST_KB = 3, 2_000_000  # a worker that has grown so much since its first chunk is replaced
+
+class ChunkWorkers:
+    """Processes that make chunks; they start, and build their rig, at once.
+
+    Args:
+        out: location of the store.
+        jobs: number of processes.
+    """
+
+    def __init__(self, out: str, rig: ClassSpec[RigBackend], sampler: ClassSpec[MeshSampler], jobs: int) -> None:
+        command, environment = python_worker("riginv.store.worker")
+        load = {"out": out, "rig": rig.config, "sampler": sampler.config}
+        self.pool = ProcessPool(command, load, jobs, timeout_s=None, environment=environment)
+        self.pool.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.pool.close()
+
+    def make(self, chunks: Sequence[int]) -> Iterator[int]:
+        """Make chunks, and yield their numbers as they are complete.
+
+        Raises:
+            InputError: a chunk cannot be made or written.
+        """
+        with self.pool.job() as job:
+            job.submit(*(Request({"command": "make", "chunk": chunk}) for chunk in chunks))
+            for request, outcome in job:
+                chunk = request.header["chunk"]
+                if isinstance(outcome, WorkerLostError):
+                    raise InputError(
+                        f"chunk {chunk} ended {ATTEMPTS} worker processes in a row; of the last one: {outcome}: it may need "
+                        f"more memory than there is; try fewer jobs, or jobs=1 to see it happen"
+                    )
+                if isinstance(outcome, WorkerRefusedError):
+                    raise InputError(str(outcome))
+                if isinstance(outcome, BaseException):
+                    raise outcome
+                yield chunk
 
 
-def main() -> None:
-    """Work until the input ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a rig prints must not be taken for an answer
-    torch.set_num_threads(1)
-    lines: queue.Queue[str] = queue.Queue()
-    threading.Thread(target=_listen, args=(lines,), daemon=True).start()
-    task = json.loads(lines.get())
-    rig, maker, first = None, None, None
-    while True:
-        try:
-            rig = rig or build(task["rig"])
-            chunk = int(lines.get())
-            maker = maker or chunk_maker(task, rig)
-            maker.make(chunk)
-            used = _peak_kb()
-            first = first or used
-            answer: dict[str, Any] = {"done": chunk, "tired": used > max(AT_LEAST_KB, GROWTH * first)}
-        except InputError as error:
-            answer = {"error": str(error)}
-        except Exception:
-            answer = {"fault": traceback.format_exc()}
-        print(json.dumps(answer), file=answers, flush=True)
+class _Worker:
+    """The worker's side: builds the rig, then makes chunks."""
 
+    def __init__(self) -> None:
+        self.settings: dict[str, Any] = {}
+        self.rig: RigBackend | None = None
+        self.maker: ChunkMaker | None = None
 
-def chunk_maker(task: dict[str, Any], rig: RigBackend) -> ChunkMaker:
-    """What makes the chunks of an existing store."""
-    store = PoseStore.find(Place(task["place"]), read_only=False)
-    if store is None:
-        raise InputError(f"{task['place']}: the store is gone")
-    linear = rig if isinstance(rig, LinearRig) else store.fitted_rig(rig)
-    return ChunkMaker(store, linear, build_sampler(task["sampler"], linear))
+    def answer(self, header: dict[str, Any]) -> dict[str, Any]:
+        if header["command"] == "load":
+            torch.set_num_threads(1)
+            self.settings, self.rig = header, build(header["rig"], kind=RigBackend)
+            return {}
+        self.maker = self.maker or self._chunk_maker()  # the store may be begun after the rig was built
+        self.maker.make(header["chunk"])
+        return {}
 
-
-def _listen(lines: queue.Queue) -> None:
-    for line in sys.stdin:
-        lines.put(line)
-    os._exit(0)  # at once, in the middle of a chunk, too: nobody waits for it
-
-
-def _peak_kb() -> int:
-    """The most memory that this process has held, kB; 0 where nobody can say."""
-    try:
-        import resource
-    except ImportError:
-        return 0
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    def _chunk_maker(self) -> ChunkMaker:
+        location = StoreLocation(self.settings["out"])
+        store = PoseStore.find(location, read_only=False)
+        if store is None or self.rig is None:
+            raise InputError(f"{location}: the store is gone")
+        rig = self.rig if isinstance(self.rig, LinearRig) else store.fitted_rig(self.rig)
+        return ChunkMaker(store, rig, build_sampler(self.settings["sampler"], rig))
 
 
 if __name__ == "__main__":
-    main()
+    serve(_Worker().answer)

@@ -1,7 +1,7 @@
-"""One window of a clip: rigid motion, missing vertices and controls, each found by the others, in turns.
+"""One window of a clip: rigid motion, missing vertices and controls, each estimated from the others in alternation.
 
-The controls tell where unseen vertices are, and how far the face has moved in itself; the rest is rigid motion. Taking turns
-minimises the distance of the vertices that were seen, over controls and motion together.
+Alternation minimises the distance of the known vertices over controls and rigid motion together; the rig at the current
+controls fills in unknown vertices.
 """
 
 from dataclasses import dataclass
@@ -12,158 +12,165 @@ from torch import Tensor
 
 from riginv.rig.interface import LinearRig
 from riginv.tracking.anchors import Anchors
+from riginv.tracking.estimators import ControlEstimator
 from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
-from riginv.tracking.solving import Solving
+
+CONVERGED_MM = 0.01  # mean vertex displacement by an iteration, below which a frame is finished
+MIN_KNOWN = 0.02  # fraction of the vertices that must be known to solve a frame
+MIN_KNOWN_VERTICES = 3
 
 
-def bridged(controls: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
-    """Controls `(frame, control)`, on a straight line between the nearest known frames where they are not known `(frame,)`.
+def interpolate_controls(controls: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
+    """Controls `(frame, control)`, interpolated linearly between known frames `(frame,)`.
 
     Args:
-        numbers: of the frames, `(frame,)`, as time goes by.
+        numbers: frame numbers `(frame,)`.
     """
-    before, after, share = _neighbours(known, numbers)
-    return controls[before] + share[:, None].to(controls) * (controls[after] - controls[before])
+    before, after, fraction = _neighbours(known, numbers)
+    return controls[before] + fraction[:, None].to(controls) * (controls[after] - controls[before])
 
 
-def bridged_motion(motion: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
-    """Rigid motions `(frame, 4, 4)`, likewise; rotations go the shortest way."""
-    before, after, share = _neighbours(known, numbers)
-    result = bridged(motion.flatten(1), known, numbers).unflatten(1, (4, 4))
-    turn = roma.rotvec_to_rotmat(
-        share[:, None].to(motion) * roma.rotmat_to_rotvec(motion[before, :3, :3].mT @ motion[after, :3, :3])
+def interpolate_motion(motion: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
+    """Rigid motions `(frame, 4, 4)`, interpolated likewise; rotations along the shortest arc."""
+    before, after, fraction = _neighbours(known, numbers)
+    result = interpolate_controls(motion.flatten(1), known, numbers).unflatten(1, (4, 4))
+    rotation = roma.rotvec_to_rotmat(
+        fraction[:, None].to(motion) * roma.rotmat_to_rotvec(motion[before, :3, :3].mT @ motion[after, :3, :3])
     )
-    result[:, :3, :3] = torch.where(known[:, None, None], motion[:, :3, :3], motion[before, :3, :3] @ turn)
+    result[:, :3, :3] = torch.where(known[:, None, None], motion[:, :3, :3], motion[before, :3, :3] @ rotation)
     return result
 
 
 def _neighbours(known: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """For each frame the known ones before and after it, and how far it is on the way, in [0, 1]."""
+    """For each frame the known frames before and after it, and its position between them in [0, 1]."""
     frames = torch.arange(len(known))
     last = torch.where(known, frames, -1).cummax(dim=0).values
     next_one = torch.where(known, frames, len(known)).flip(0).cummin(dim=0).values.flip(0)
     before = torch.where(last < 0, next_one, last)
     after = torch.where(next_one == len(known), last, next_one)
-    apart = (numbers[after] - numbers[before]).clamp_min(1)
-    return before, after, (numbers - numbers[before]).double() / apart
-
-
-SETTLED_MM = 0.01  # on average, that another turn still moves a frame's vertices by
-LEAST_KNOWN = 0.02  # of the vertices, for a frame to be solved
-FEWEST_KNOWN = 3
+    distance = (numbers[after] - numbers[before]).clamp_min(1)
+    return before, after, (numbers - numbers[before]).double() / distance
 
 
 @dataclass
-class Found:
-    """What was found for a window.
+class WindowResult:
+    """The result of a window.
 
     Attributes:
-        controls: `(frame, control)`; neutral where the frame is unknown.
-        motion: `(frame, 4, 4)`: from the rig's mesh to the world; None where none was looked for.
-        still: the meshes without it, `(frame, vertex, 3)`; NaN where a vertex is not known.
-        complete: the same, with the rig's own mesh where a vertex is not known.
-        results: what the rig makes of the controls, `(frame, vertex, 3)`.
-        present: whether enough of a frame is known to solve it, `(frame,)`.
+        controls: `(frame, control)`; neutral where the frame cannot be solved.
+        motion: `(frame, 4, 4)` from the rig's mesh to the world; None where rigid motion is kept.
+        stabilised: the meshes without rigid motion, `(frame, vertex, 3)`; NaN where a vertex is not known.
+        filled: the same, with the rig's mesh where a vertex is not known.
+        recovered: the rig at the controls, `(frame, vertex, 3)`.
+        solvable: whether enough vertices are known to solve the frame, `(frame,)`.
     """
 
     controls: Tensor
     motion: Tensor | None
-    still: Tensor
-    complete: Tensor
-    results: Tensor
-    present: Tensor
+    stabilised: Tensor
+    filled: Tensor
+    recovered: Tensor
+    solvable: Tensor
 
 
 class WindowInverter:
     """Inverts windows of a clip.
 
     Args:
-        rig: whose meshes the solving fits.
-        solving: from complete meshes to controls.
-        anchors: what rigid motion is told by; None: it is left in.
-        weights: how much of each vertex is to be believed, `(vertex,)` in [0, 1], where the solving itself does not weigh them.
-        turns: at most.
+        rig: to fit.
+        estimator: from filled meshes to controls.
+        anchors: vertices that rigid motion is estimated from; None: it is kept.
+        weights: of the vertices, `(vertex,)` in [0, 1], for an estimator that does not weight them itself.
+        turns: iterations, at most.
     """
 
-    def __init__(self, rig: LinearRig, solving: Solving, anchors: Anchors | None, weights: Tensor | None, turns: int) -> None:
-        self.rig, self.solving, self.anchors, self.weights, self.turns = rig, solving, anchors, weights, turns
+    def __init__(
+        self, rig: LinearRig, estimator: ControlEstimator, anchors: Anchors | None, weights: Tensor | None, turns: int
+    ) -> None:
+        self.rig, self.estimator, self.anchors, self.weights, self.turns = rig, estimator, anchors, weights, turns
 
     @torch.no_grad()
-    def invert(self, vertices: Tensor) -> Found:
-        """Meshes `(frame, vertex, 3)`, mm; NaN where a vertex is not known."""
+    def invert(self, vertices: Tensor) -> WindowResult:
+        """Invert meshes `(frame, vertex, 3)`, mm; NaN where a vertex is not known."""
         known = torch.isfinite(vertices).all(dim=2)
-        present = (known.float().mean(dim=1) >= LEAST_KNOWN) & (known.sum(dim=1) >= FEWEST_KNOWN)
+        solvable = (known.float().mean(dim=1) >= MIN_KNOWN) & (known.sum(dim=1) >= MIN_KNOWN_VERTICES)
         controls = self.rig.neutral_controls.expand(len(vertices), -1).clone()
         motion = None if self.anchors is None else torch.eye(4).expand(len(vertices), -1, -1).clone()
-        rows = present.nonzero()[:, 0]
+        rows = solvable.nonzero()[:, 0]
         if len(rows):
-            whole = bool(known[rows].all()) and self.weights is None
-            turns = _Turns(self, vertices[rows], known[rows], whole)
-            controls[rows] = turns.take()
-            if motion is not None:
-                motion[rows] = turns.motion
-        return self.placed(vertices, controls, motion, present)
+            alternation = _AlternatingSolve(self, vertices[rows], known[rows])
+            controls[rows] = alternation.solve()
+            if motion is not None and alternation.rigid is not None:
+                motion[rows] = alternation.rigid.motion
+        return self.result(vertices, controls, motion, solvable)
 
     @torch.no_grad()
-    def placed(self, vertices: Tensor, controls: Tensor, motion: Tensor | None, present: Tensor) -> Found:
-        """Meshes with the controls and the motion that were found for them."""
-        still = vertices if motion is None else remove_motion(motion, vertices)
-        results = self.rig(controls)
-        complete = torch.where(torch.isfinite(still).all(dim=2, keepdim=True), still, results)
-        return Found(controls, motion, still, complete, results, present)
+    def result(self, vertices: Tensor, controls: Tensor, motion: Tensor | None, solvable: Tensor) -> WindowResult:
+        """The result for given controls and motion."""
+        stabilised = vertices if motion is None else remove_motion(motion, vertices)
+        recovered = self.rig(controls)
+        filled = torch.where(torch.isfinite(stabilised).all(dim=2, keepdim=True), stabilised, recovered)
+        return WindowResult(controls, motion, stabilised, filled, recovered, solvable)
 
 
-class _Turns:
-    """The turns that are taken for some frames, all of which can be solved.
+class _RigidState:
+    """The rigid motion of some frames, and the rig's anchors it was fitted to."""
 
-    Args:
-        whole: whether every vertex is known and believed: then meshes are made at the anchors alone.
-    """
+    def __init__(self, anchors: Anchors, vertices: Tensor) -> None:
+        self.anchors = anchors
+        self.positions = anchors.rest.expand(len(vertices), -1, -1).clone()
+        self.motion = fit_rigid(self.positions, vertices[:, anchors.vertices], anchors.weights)
 
-    def __init__(self, inverter: WindowInverter, vertices: Tensor, known: Tensor, whole: bool) -> None:
-        self.inverter, self.vertices, self.known, self.whole = inverter, vertices, known, whole
-        rig, self.anchors = inverter.rig, inverter.anchors and inverter.anchors.for_window(known)
+    def update(self, rows: Tensor, positions: Tensor, target: Tensor) -> Tensor:
+        """Fit the motion of frames to new anchors `(row, anchor, 3)`; returns the displacement of the moved anchors."""
+        before = apply_motion(self.motion[rows], self.positions[rows])
+        motion = fit_rigid(positions, target[:, self.anchors.vertices], self.anchors.weights, self.motion[rows])
+        self.motion[rows], self.positions[rows] = motion, positions
+        return apply_motion(motion, positions) - before
+
+
+class _AlternatingSolve:
+    """The alternation for frames that can all be solved."""
+
+    def __init__(self, inverter: WindowInverter, vertices: Tensor, known: Tensor) -> None:
+        self.inverter, self.vertices, self.known = inverter, vertices, known
+        rig = inverter.rig
+        is_complete = bool(known.all()) and inverter.weights is None  # then the rig is evaluated at the anchors alone
         self.controls = rig.neutral_controls.expand(len(vertices), -1).clone()
-        self.results = None if whole else rig.rest_vertices.expand_as(vertices).clone()
-        self.motion = None
-        if self.anchors is not None:
-            self.at_anchors = self.anchors.rest.expand(len(vertices), -1, -1).clone()
-            self.motion = fit_rigid(self.at_anchors, vertices[:, self.anchors.some], self.anchors.weights)
+        self.recovered = None if is_complete else rig.rest_vertices.expand_as(vertices).clone()
+        self.rigid = _RigidState(inverter.anchors.for_window(known), vertices) if inverter.anchors is not None else None
 
-    def take(self) -> Tensor:
-        """All turns; the controls `(frame, control)`."""
+    def solve(self) -> Tensor:
+        """Iterate until every frame has converged; the controls `(frame, control)`."""
         rows = torch.arange(len(self.vertices))
-        only_once = self.whole and self.anchors is None
-        for turn in range(1 if only_once else self.inverter.turns):
-            rows = rows[self._turn(rows, turn)] if len(rows) else rows
+        is_direct = self.recovered is None and self.rigid is None
+        for iteration in range(1 if is_direct else self.inverter.turns):
+            rows = rows[self._iterate(rows, iteration)] if len(rows) else rows
         return self.controls
 
-    def _turn(self, rows: Tensor, turn: int) -> Tensor:
-        """One turn for some frames; whether each is to have another."""
+    def _iterate(self, rows: Tensor, iteration: int) -> Tensor:
+        """One iteration for some frames; whether each needs another."""
         target = self.vertices[rows]
-        still = target if self.motion is None else remove_motion(self.motion[rows], target)
-        solving, weights = self.inverter.solving, self.inverter.weights
-        if not self.whole:
-            still = torch.where(self.known[rows][..., None], still, self.results[rows])
-        if weights is not None:
-            still = self.results[rows] + weights[:, None] * (still - self.results[rows])
-        self.controls[rows] = solving.again(still, self.controls[rows]) if turn else solving.first(still)
-        change = self._make_meshes(rows)
-        return change.norm(dim=2).mean(dim=1) > SETTLED_MM
+        stabilised = target if self.rigid is None else remove_motion(self.rigid.motion[rows], target)
+        estimator, weights = self.inverter.estimator, self.inverter.weights
+        if self.recovered is not None:
+            recovered = self.recovered[rows]
+            stabilised = torch.where(self.known[rows][..., None], stabilised, recovered)
+            if weights is not None:
+                stabilised = recovered + weights[:, None] * (stabilised - recovered)
+        self.controls[rows] = estimator.refine(stabilised, self.controls[rows]) if iteration else estimator.estimate(stabilised)
+        return self._update(rows).norm(dim=2).mean(dim=1) > CONVERGED_MM
 
-    def _make_meshes(self, rows: Tensor) -> Tensor:
-        """Make the meshes of controls that have just been found, and fit the motion to them; how far vertices went."""
-        controls, results = self.controls[rows], None
+    def _update(self, rows: Tensor) -> Tensor:
+        """Evaluate the rig at new controls and refit the motion; the displacement of vertices `(row, vertex, 3)`."""
+        controls, recovered = self.controls[rows], None
         change = torch.zeros(len(rows), 1, 3)
-        if not self.whole:
-            results = self.inverter.rig(controls)
-            change = results - self.results[rows]
-            self.results[rows] = results
-        if self.anchors is not None:
-            anchors = self.anchors
-            now = anchors.mesh(controls) if results is None else results[:, anchors.some]
-            before = apply_motion(self.motion[rows], self.at_anchors[rows])
-            motion = fit_rigid(now, self.vertices[rows][:, anchors.some], anchors.weights, self.motion[rows])
-            self.motion[rows], self.at_anchors[rows] = motion, now
-            change = apply_motion(motion, now) - before
+        if self.recovered is not None:
+            recovered = self.inverter.rig(controls)
+            change = recovered - self.recovered[rows]
+            self.recovered[rows] = recovered
+        if self.rigid is not None:
+            anchors = self.rigid.anchors
+            positions = anchors.mesh(controls) if recovered is None else recovered[:, anchors.vertices]
+            change = self.rigid.update(rows, positions, self.vertices[rows])
         return change

@@ -1,4 +1,4 @@
-"""The vertices that rigid motion is told by: some, spread over the mesh, each counting by how still the rig keeps it."""
+"""The vertices that rigid motion is estimated from: a subset of the mesh, weighted by how little the rig moves them."""
 
 import torch
 from torch import Tensor
@@ -6,25 +6,25 @@ from torch import Tensor
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.rig.interface import LinearRig
 
-ENOUGH = 1000  # of larger meshes so many vertices, spread evenly, tell as much as all
-FEWEST = 100  # of them that must be known in every frame, for the others not to be needed
+COUNT = 1000  # about as many vertices, evenly spread, are used of larger meshes
+MIN_KNOWN = 100  # of them that must be known in every frame; else all vertices are used
 
 
 class Anchors:
-    """Some vertices of a rig, and the rig's mesh at these alone.
+    """A subset of a rig's vertices, and the rig's mesh at these alone.
 
     Args:
         rig: the rig.
-        stillness: how much each of its vertices counts, `(vertex,)`.
-        stride: between two vertices that are taken.
+        stability: weight of each of its vertices, `(vertex,)`, see `stability_weights`.
+        stride: between two vertices of the subset.
     """
 
-    def __init__(self, rig: LinearRig, stillness: Tensor, stride: int | None = None) -> None:
-        self.rig, self.stillness = rig, stillness
-        self.stride = stride or max(1, len(stillness) // ENOUGH)
-        self.some = slice(None, None, self.stride)
-        self.weights = stillness[self.some]
-        self.rest, self.basis = rig.rest_vertices[self.some], rig.basis[:, self.some].contiguous()
+    def __init__(self, rig: LinearRig, stability: Tensor, stride: int | None = None) -> None:
+        self.rig, self.stability = rig, stability
+        self.stride = stride or max(1, len(stability) // COUNT)
+        self.vertices = slice(None, None, self.stride)
+        self.weights = stability[self.vertices]
+        self.rest, self.basis = rig.rest_vertices[self.vertices], rig.basis[:, self.vertices].contiguous()
 
     @torch.no_grad()
     def mesh(self, controls: Tensor) -> Tensor:
@@ -33,8 +33,8 @@ class Anchors:
         return apply_deltas(self.rest, self.basis, change)
 
     def for_window(self, known: Tensor) -> "Anchors":
-        """Anchors that are enough where only some vertices are known, `(frame, vertex)`."""
-        enough = (
-            self.stride == 1 or not len(known) or int((known[:, self.some] & (self.weights > 0)).sum(dim=1).min()) >= FEWEST
-        )
-        return self if enough else Anchors(self.rig, self.stillness, stride=1)
+        """These anchors, or all vertices where too few of the anchors are known, `(frame, vertex)`."""
+        if self.stride == 1 or not len(known):
+            return self
+        count = (known[:, self.vertices] & (self.weights > 0)).sum(dim=1)
+        return self if int(count.min()) >= MIN_KNOWN else Anchors(self.rig, self.stability, stride=1)

@@ -1,9 +1,7 @@
-"""From the config of riginv.invert to the parts of an inversion: each is built once."""
+"""The parts of an inversion, built from its options."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from torch import Tensor
 
@@ -16,162 +14,141 @@ from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
+from riginv.tracking.estimators import ControlEstimator, NetworkEstimator, SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
-from riginv.tracking.frame_evaluation import FrameJudge
-from riginv.tracking.preferences import PreferringObjective
+from riginv.tracking.frame_evaluation import FrameEvaluator
+from riginv.tracking.options import Method, SolverOptions, TrackingOptions
+from riginv.tracking.penalties import PenalisedObjective
 from riginv.tracking.priors.files import load_prior
 from riginv.tracking.priors.prior import independent_measurements
 from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
 from riginv.tracking.rigid_check import anchors_if_moving
-from riginv.tracking.solving import ByNetwork, BySolver
+from riginv.tracking.stability import TrainingRange, has_root_controls, stability_weights
 from riginv.tracking.static_controls import static_values
-from riginv.tracking.stillness import TrainingRange, moves_itself, stillness
 
-NETWORK, REFINED, EACH_FRAME, WHOLE_CLIP = "network", "refined", "levenberg_marquardt", "clip"
-METHODS = (NETWORK, REFINED, EACH_FRAME, WHOLE_CLIP)
-MOTIONS = ("auto", "remove", "keep")
-REFINE_STEPS = 5  # of method=refined, where nothing is said
-
-Config = Mapping[str, Any]
+REFINE_STEPS = 5  # of method=refined without refine=
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What an inversion needs.
+    """The parts of an inversion.
 
     Attributes:
-        clip: what is inverted.
-        inverter, judge: of windows.
-        method: which of METHODS.
+        clip: to invert.
+        inverter, evaluator: work window by window.
+        method: the resolved method.
         notes: what was guessed or found out, for the user.
     """
 
     clip: Clip
     inverter: WindowInverter
-    judge: FrameJudge
-    method: str
+    evaluator: FrameEvaluator
+    method: Method
     notes: list[str]
 
 
-def chosen_method(config: Config) -> str:
-    """The method that a config names, or the one that goes with what it has.
-
-    Raises:
-        InputError: there is none of that name, or it lacks what it needs.
-    """
-    method, bundle, refine = config["method"], config["bundle"], config["refine"]
-    if method is None:
-        method = WHOLE_CLIP if not bundle else REFINED if refine else NETWORK
-    if method not in METHODS:
-        raise InputError(f"method is {method!r}, expected one of {', '.join(METHODS)}")
-    if method in (NETWORK, REFINED) and not bundle:
-        raise InputError(f"method={method} needs a trained network: give bundle=DIR, or method={WHOLE_CLIP} without one")
-    if refine and method in (NETWORK, EACH_FRAME):
-        raise InputError(f"refine={refine} is for method={REFINED} or {WHOLE_CLIP}: leave it out with method={method}")
-    return method
-
-
-def build_parts(config: Config, clip: Clip, rig: LinearRig, true_rig: RigBackend, inverse: Inverse | None) -> Parts:
+def build_parts(options: TrackingOptions, clip: Clip, rig: LinearRig, true_rig: RigBackend, inverse: Inverse | None) -> Parts:
     """The parts of an inversion.
 
     Args:
-        rig: what is solved through; that of the inverse, where there is one.
+        rig: to solve for; that of the inverse, if there is one.
 
     Raises:
-        InputError: a value is wrong, or the method cannot do what is asked of it.
+        InputError: a name or file is wrong, or the method cannot do what is requested.
     """
-    method, notes = chosen_method(config), []
-    constraints = resolve_constraints(rig, config["controls"])
-    weights = vertex_weights(true_rig, *(config["vertices"][key] for key in ("weights", "regions", "default")))
-    if method == NETWORK:
-        _refuse_for_network(constraints, config)
+    method = options.resolved_method(inverse is not None)
+    notes: list[str] = []
+    constraints = resolve_constraints(rig, options.controls)
+    weights = vertex_weights(true_rig, options.vertices)
+    if method == "network":
+        _refuse_for_network(constraints, options.solver)
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
-    anchors = _anchors(config["motion"], in_space, true_rig, weights, notes)
-    by_solver = REFINED if inverse else EACH_FRAME
-    if anchors is not None and config["motion"] == "auto":
-        solving = build_solver(config, in_space, constraints, weights, inverse, by_solver)
-        anchors = anchors_if_moving(clip, rig, solving, anchors, weights, config["turns"], notes)
+    anchors = _anchors(options.motion, in_space, true_rig, weights, notes)
+    by_solver: Method = "refined" if inverse else "levenberg_marquardt"
+    if anchors is not None and options.motion == "auto":
+        solver = build_solver(options, in_space, constraints, weights, inverse, by_solver)
+        anchors = anchors_if_moving(clip, rig, solver, anchors, weights, options.turns, notes)
     if bool(constraints.static.any()):
-        solving = build_solver(config, in_space, constraints, weights, inverse, by_solver)
-        inverter = WindowInverter(rig, solving, anchors, None, config["turns"])
-        constraints = constraints.with_fixed(constraints.static, static_values(clip, inverter, solving, constraints.static))
-    solving = (
-        ByNetwork(inverse, constraints)
-        if method == NETWORK
-        else build_solver(config, in_space, constraints, weights, inverse, method)
-    )
-    inverter = WindowInverter(rig, solving, anchors, weights if method == NETWORK else None, config["turns"])
-    judge = FrameJudge(
+        solver = build_solver(options, in_space, constraints, weights, inverse, by_solver)
+        inverter = WindowInverter(rig, solver, anchors, None, options.turns)
+        constraints = constraints.with_fixed(constraints.static, static_values(clip, inverter, solver, constraints.static))
+    estimator: ControlEstimator
+    if method == "network" and inverse is not None:
+        estimator = NetworkEstimator(inverse, constraints)
+    else:
+        estimator = build_solver(options, in_space, constraints, weights, inverse, method)
+    inverter = WindowInverter(rig, estimator, anchors, weights if method == "network" else None, options.turns)
+    evaluator = FrameEvaluator(
         len(clip),
         true_rig,
         rig,
         space,
-        solving,
+        estimator,
         TrainingRange(in_space) if inverse else None,
         None if weights is None else weights > 0,
         label(regions_of(true_rig), len(rig.rest_vertices)),
-        **config["flags"],
+        options.flags,
     )
-    return Parts(clip, inverter, judge, method, notes)
+    return Parts(clip, inverter, evaluator, method, notes)
 
 
-def _refuse_for_network(constraints: ControlConstraints, config: Config) -> None:
-    key = constraints.only_of_solvers or ("solver.sparsity" if config["solver"]["sparsity"] else "")
+def _refuse_for_network(constraints: ControlConstraints, solver: SolverOptions) -> None:
+    key = constraints.solver_only or ("solver.sparsity" if solver.sparsity else "")
     if key:
-        raise InputError(f"{key} is for solvers, and method={NETWORK} is none: add refine=5, or method={WHOLE_CLIP}")
+        raise InputError(f"{key} is for solvers, and method=network is none: add refine=5, or method=clip")
 
 
 def _anchors(
-    motion: Any, rig: RigInMeshSpace, true_rig: RigBackend, weights: Tensor | None, notes: list[str]
+    motion: str, rig: RigInMeshSpace, true_rig: RigBackend, weights: Tensor | None, notes: list[str]
 ) -> Anchors | None:
-    """What rigid motion is told by; None where that is left to the rig's own controls."""
-    if motion not in MOTIONS:
-        raise InputError(f"motion is {motion!r}, expected one of {', '.join(MOTIONS)}")
-    if motion == "auto" and moves_itself(rig):
+    """The vertices that rigid motion is estimated from; None where the rig's own controls make it, or it is kept."""
+    if motion == "keep":
+        return None
+    if motion == "auto" and has_root_controls(rig):
         notes.append(
             f"rigid motion is left to the controls of rig '{rig.rig.name}' that move all of it (motion=remove takes it out)"
         )
         return None
-    if motion == "keep":
-        return None
-    still = stillness(true_rig)
-    return Anchors(rig.rig, still if weights is None else still * weights)
+    stability = stability_weights(true_rig)
+    return Anchors(rig.rig, stability if weights is None else stability * weights)
 
 
 def build_solver(
-    config: Config,
+    options: TrackingOptions,
     rig: RigInMeshSpace,
     constraints: ControlConstraints,
     weights: Tensor | None,
     inverse: Inverse | None,
-    method: str,
-) -> BySolver:
-    """The solver of a method, over the controls that are free.
+    method: Method,
+) -> SolverEstimator:
+    """The solver of a method, over the free controls.
 
     Args:
-        weights: of the vertices, `(vertex,)`; None: all count alike.
-        inverse: whose answers it starts from; None: it starts from scratch.
+        weights: of the vertices, `(vertex,)`; None: all count equally.
+        inverse: its answers are the start; None: the solver starts from scratch.
     """
-    options = config["solver"]
-    held = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.held)
+    solver = options.solver
+    fixed = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.values)
     space = rig.space if weights is None else weighted_space(rig.rig, weights)
-    objective = PreferringObjective(
-        RigInMeshSpace(held, space),
-        options["prior"],
-        options["sparsity"],
-        constraints.preferences_of_free(),
-        _learned(config, rig, held, weights),
+    objective = PenalisedObjective(
+        RigInMeshSpace(fixed, space),
+        solver.prior,
+        solver.sparsity,
+        constraints.penalties_of_free(),
+        _learned_prior(options, rig, fixed, weights),
     )
-    network = ByNetwork(inverse, constraints) if inverse is not None and method != EACH_FRAME else None
-    steps = (config["refine"] or REFINE_STEPS) if network else options["steps"]
-    return BySolver(objective, network, steps, options["key_starts"], options["descent_steps"])
+    network = NetworkEstimator(inverse, constraints) if inverse is not None and method != "levenberg_marquardt" else None
+    steps = (options.refine or REFINE_STEPS) if network else solver.steps
+    return SolverEstimator(objective, network, steps, solver.key_starts, solver.descent_steps)
 
 
-def _learned(config: Config, rig: RigInMeshSpace, held: FixedControlsRig, weights: Tensor | None) -> GaussianPrior | None:
-    """The prior that a config names, among the free controls, as it counts beside the vertices that are believed."""
-    if config.get("prior") is None:
+def _learned_prior(
+    options: TrackingOptions, rig: RigInMeshSpace, fixed: FixedControlsRig, weights: Tensor | None
+) -> GaussianPrior | None:
+    """The learned prior of the free controls, weighted for the vertices that count."""
+    if options.prior is None:
         return None
     rest = rig.rig.rest_vertices if weights is None else rig.rig.rest_vertices[weights > 0]
     measurements = independent_measurements(rest.cpu())
-    return load_prior(Path(str(config["prior"])), rig.rig).of(held.free.cpu()).weighed(config["noise_mm"], measurements)
+    return load_prior(Path(options.prior), rig.rig).subset(fixed.free.cpu()).weighed(options.noise_mm, measurements)

@@ -1,7 +1,6 @@
-"""A clip to judge inverses on: in the rig's own space, whole, and with what is not known kept apart.
+"""A captured clip as an evaluation set: without rigid motion, with unknown vertices filled by the rig.
 
-Methods that are judged get meshes without rigid motion, in which the rig's own mesh stands in for vertices that are not known;
-errors are measured at the others alone.
+Errors are measured at known vertices alone.
 """
 
 import hashlib
@@ -24,11 +23,11 @@ from riginv.runs.cache import cached_tensors, code_key
 from riginv.solvers.objective import PRIOR, Objective
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
+from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
 from riginv.tracking.rigid import remove_motion
 from riginv.tracking.rigid_check import anchors_if_moving
-from riginv.tracking.solving import BySolver
-from riginv.tracking.stillness import moves_itself, stillness
+from riginv.tracking.stability import has_root_controls, stability_weights
 
 NAME = "capture"  # of the set
 WINDOW = 128  # frames at a time
@@ -36,14 +35,14 @@ STEPS, TURNS = 30, 12  # as `riginv.invert` takes
 
 
 class CapturedMeshes(MeshSet):
-    """The frames of a clip that are known, without rigid motion and without holes.
+    """The solvable frames of a clip, without rigid motion and with unknown vertices filled.
 
     Args:
-        clip: as it was read.
-        rig: whose mesh stands in for vertices that are not known.
-        rows: the frames of the clip that are known, `(frame,)`.
-        motion: the rigid motion of all frames of the clip, `(frame, 4, 4)`; None: it has none.
-        filling: controls of all frames of the clip, `(frame, control)`, that make what stands in; None: it has no holes.
+        clip: as read.
+        rig: its mesh fills in unknown vertices.
+        rows: indices of the solvable frames, `(frame,)`.
+        motion: rigid motion of all frames of the clip, `(frame, 4, 4)`; None: it has none.
+        filling: controls of all frames of the clip, `(frame, control)`, for filling; None: all vertices are known.
         notes: what was guessed, found or left out.
     """
 
@@ -66,7 +65,7 @@ class CapturedMeshes(MeshSet):
     @torch.no_grad()
     def vertices(self, start: int, stop: int) -> Tensor:
         rows = self.rows[start:stop]
-        meshes = self._given(rows)
+        meshes = self._stabilised(rows)
         if self.filling is None:
             return meshes
         known = torch.isfinite(meshes).all(dim=2)
@@ -76,10 +75,10 @@ class CapturedMeshes(MeshSet):
         return meshes
 
     def known(self, start: int, stop: int) -> Tensor | None:
-        return None if self.filling is None else torch.isfinite(self._given(self.rows[start:stop])).all(dim=2)
+        return None if self.filling is None else torch.isfinite(self._stabilised(self.rows[start:stop])).all(dim=2)
 
-    def _given(self, rows: Tensor) -> Tensor:
-        """Frames as they were read, without rigid motion; rows that follow one another are read together."""
+    def _stabilised(self, rows: Tensor) -> Tensor:
+        """Frames without rigid motion, as read; consecutive rows are read together."""
         cuts = ((rows.diff() != 1).nonzero()[:, 0] + 1).tolist()
         spans = [(rows[first], rows[last - 1] + 1) for first, last in zip([0, *cuts], [*cuts, len(rows)]) if last > first]
         meshes = [self.clip.vertices(int(first), int(stop)) for first, stop in spans]
@@ -90,13 +89,11 @@ class CapturedMeshes(MeshSet):
 def open_capture(
     path: str, true_rig: RigBackend, rig: LinearRig, reading: ReadingOptions, frames: FrameOptions
 ) -> CapturedMeshes:
-    """A clip to judge on, from any file that `riginv.invert` takes.
-
-    Rigid motion is found as there, once, and kept in the cache.
+    """An evaluation set from any file that `riginv.invert` takes; its rigid motion is estimated once and cached.
 
     Args:
-        true_rig: whose clip it is.
-        rig: what is solved through to find rigid motion, and what stands in for unknown vertices.
+        true_rig: the rig of the clip.
+        rig: to solve for rigid motion and unknown vertices.
 
     Raises:
         InputError: it cannot be read, is no clip of the rig, or no frame of it is known.
@@ -105,65 +102,66 @@ def open_capture(
     every = torch.arange(len(clip))
     if clip.sequence.in_rig_space and not bool(clip.excluded.any()):
         return CapturedMeshes(clip, rig, every, None, None, tuple(notes))
-    digest, holes = _looked_through(clip)
+    digest, has_unknown = _digest(clip)
     here = Path(__file__).parent
     key = hashlib.sha256(fingerprint(rig) + code_key([here]).encode() + digest).hexdigest()[:32]
-    found = cached_tensors("capture", key, lambda: _prepared(clip, rig, true_rig, holes))
-    known = found["present"]
+    found = cached_tensors("capture", key, lambda: _prepared(clip, rig, true_rig, has_unknown))
+    known = found["solvable"]
     if not bool(known.any()):
-        raise InputError(f"{path}: no frame has enough known vertices: there is nothing to judge on")
+        raise InputError(f"{path}: no frame has enough known vertices: there is nothing to evaluate on")
     motion, filling = (found[name] if len(found[name]) else None for name in ("motion", "filling"))
     if motion is not None:
-        notes.append("rigid motion was taken out, as riginv.invert does")
+        notes.append("rigid motion was removed, as riginv.invert does")
     if filling is not None:
-        notes.append("vertices that are not known count for no error; the rig's own mesh stands in for them")
+        notes.append("vertices that are not known count for no error; the rig's own mesh fills them in")
     if not bool(known.all()):
         notes.append(f"frames of which too little is known were left out: {int((~known).sum()):,} of {len(clip):,}")
     return CapturedMeshes(clip, rig, every[known], motion, filling, tuple(notes))
 
 
 def content_key(meshes: MeshSet) -> str:
-    """A key of all meshes of a set, and of when they are."""
+    """A digest of all meshes of a set and their times."""
     digest = hashlib.sha256(f"{meshes.fps} {meshes.frame_numbers}".encode())
     for _, vertices in meshes.batches(WINDOW):
         digest.update(vertices.cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
 
 
-def _looked_through(clip: Clip) -> tuple[bytes, Tensor]:
-    """A key of what a clip holds, and which of its frames have holes, `(frame,)`."""
-    digest, holes = hashlib.sha256(), []
+def _digest(clip: Clip) -> tuple[bytes, Tensor]:
+    """A digest of a clip's meshes, and whether each frame has unknown vertices, `(frame,)`."""
+    digest, has_unknown = hashlib.sha256(), []
     for _, vertices in clip.batches(WINDOW):
         digest.update(vertices.numpy().tobytes())
-        holes.append(~torch.isfinite(vertices).all(dim=2).all(dim=1))
-    return digest.digest(), torch.cat(holes)
+        has_unknown.append(~torch.isfinite(vertices).all(dim=2).all(dim=1))
+    return digest.digest(), torch.cat(has_unknown)
 
 
 @torch.no_grad()
-def _prepared(clip: Clip, rig: LinearRig, true_rig: RigBackend, holes: Tensor) -> dict[str, Tensor]:
-    """The rigid motion and the controls of all frames, and whether each is known; empty where there is no need for them."""
+def _prepared(clip: Clip, rig: LinearRig, true_rig: RigBackend, has_unknown: Tensor) -> dict[str, Tensor]:
+    """Rigid motion and controls of all frames, empty where not needed, and whether each frame is solvable."""
     space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
-    held = FixedControlsRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
-    solving = BySolver(Objective(RigInMeshSpace(held, space.space), PRIOR), None, STEPS, 1, 0)
+    fixed = FixedControlsRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
+    estimator = SolverEstimator(Objective(RigInMeshSpace(fixed, space.space), PRIOR), None, STEPS, 1, 0)
     anchors = None
-    if not clip.sequence.in_rig_space and not moves_itself(space):
-        anchors = Anchors(rig, stillness(true_rig))
-        anchors = anchors_if_moving(clip, rig, solving, anchors, None, TURNS, [])
-    inverter = WindowInverter(rig, solving, anchors, None, TURNS)
+    if not clip.sequence.in_rig_space and not has_root_controls(space):
+        anchors = Anchors(rig, stability_weights(true_rig))
+        anchors = anchors_if_moving(clip, rig, estimator, anchors, None, TURNS, [])
+    inverter = WindowInverter(rig, estimator, anchors, None, TURNS)
     controls = rig.neutral_controls.repeat(len(clip), 1)
     motion = torch.eye(4).repeat(len(clip), 1, 1)
-    present = torch.ones(len(clip), dtype=torch.bool)
-    starts = [start for start in range(0, len(clip), WINDOW) if anchors is not None or holes[start : start + WINDOW].any()]
+    solvable = torch.ones(len(clip), dtype=torch.bool)
+    windows = range(0, len(clip), WINDOW)
+    starts = [start for start in windows if anchors is not None or has_unknown[start : start + WINDOW].any()]
     console = Console(stderr=True)
     for start in track(starts, "rigid motion and unknown vertices", console=console, transient=True, disable=not starts):
         rows = slice(start, min(start + WINDOW, len(clip)))
         found = inverter.invert(clip.vertices(rows.start, rows.stop))
-        controls[rows], present[rows] = found.controls, found.present
+        controls[rows], solvable[rows] = found.controls, found.solvable
         if found.motion is not None:
             motion[rows] = found.motion
     none = torch.zeros(0)
     return {
         "motion": none if anchors is None else motion,
-        "filling": controls if bool(holes[present].any()) else none,
-        "present": present,
+        "filling": controls if bool(has_unknown[solvable].any()) else none,
+        "solvable": solvable,
     }

@@ -1,9 +1,7 @@
-"""What a user wants of the controls, resolved against a rig: which are free, held, static, dear, or tied in pairs."""
+"""Constraints on a rig's controls: which are free, fixed, static, penalised, or tied in pairs."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,99 +9,89 @@ from torch import Tensor
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from riginv.tracking.control_names import ControlNames
-from riginv.tracking.preferences import Preferences
+from riginv.tracking.options import ControlOptions
+from riginv.tracking.penalties import ControlPenalties
 
 
 @dataclass(frozen=True)
 class ControlConstraints:
-    """What is wanted of a rig's controls.
+    """Constraints on a rig's controls.
 
     Attributes:
-        free: whether a control is left to find, `(control,)`.
-        held: what those that are not stand at, `(control,)`; neutral unless said.
-        static: those that have one value for the clip, `(control,)`.
-        preferences: among all controls.
+        free: whether a control is free, `(control,)`.
+        values: of the controls that are not free, `(control,)`; neutral unless given.
+        static: whether a free control has one value for the whole clip, `(control,)`.
+        penalties: over all controls.
     """
 
     free: Tensor
-    held: Tensor
+    values: Tensor
     static: Tensor
-    preferences: Preferences
+    penalties: ControlPenalties
 
     @property
-    def only_of_solvers(self) -> str:
-        """The key of a wish that a network alone cannot meet; empty where there is none."""
-        preferences = self.preferences
-        named = {
-            "controls.weights": bool((preferences.penalty_scale != 1).any()),
-            "controls.symmetric": len(preferences.symmetric) > 0,
-            "controls.exclusive": len(preferences.exclusive) > 0,
+    def solver_only(self) -> str:
+        """The key of a constraint that a network alone cannot meet, or an empty text."""
+        penalties = self.penalties
+        used = {
+            "controls.weights": bool((penalties.penalty_scale != 1).any()),
+            "controls.symmetric": len(penalties.symmetric) > 0,
+            "controls.exclusive": len(penalties.exclusive) > 0,
         }
-        return next((key for key, wished in named.items() if wished), "")
+        return next((key for key, is_used in used.items() if is_used), "")
 
     def with_fixed(self, controls: Tensor, values: Tensor) -> "ControlConstraints":
-        """The same with further controls `(control,)`, by mask, held at values `(control,)`."""
-        return replace(self, free=self.free & ~controls, held=torch.where(controls, values, self.held))
+        """The same with further controls fixed: a mask `(control,)` and values `(control,)`."""
+        return replace(self, free=self.free & ~controls, values=torch.where(controls, values, self.values))
 
-    def preferences_of_free(self) -> Preferences:
-        """The preferences among the free controls alone, by their numbers among these; pairs with a held one are dropped."""
-        place = torch.cumsum(self.free.long(), 0) - 1
+    def penalties_of_free(self) -> ControlPenalties:
+        """The penalties over the free controls alone, by their indices; pairs with a fixed control are dropped."""
+        index = torch.cumsum(self.free.long(), 0) - 1
 
-        def kept(pairs: Tensor) -> Tensor:
-            return place[pairs[self.free[pairs].all(dim=1)]]
+        def among_free(pairs: Tensor) -> Tensor:
+            return index[pairs[self.free[pairs].all(dim=1)]]
 
-        ours = self.preferences
+        penalties = self.penalties
         return replace(
-            ours, penalty_scale=ours.penalty_scale[self.free], symmetric=kept(ours.symmetric), exclusive=kept(ours.exclusive)
+            penalties,
+            penalty_scale=penalties.penalty_scale[self.free],
+            symmetric=among_free(penalties.symmetric),
+            exclusive=among_free(penalties.exclusive),
         )
 
 
-def resolve_constraints(rig: RigBackend, options: Mapping[str, Any]) -> ControlConstraints:
-    """The constraints of a config's `controls`.
+def resolve_constraints(rig: RigBackend, options: ControlOptions) -> ControlConstraints:
+    """The constraints of options for a rig.
 
     Raises:
-        InputError: a name, a value or a file is wrong; or no control is left free.
+        InputError: a name, a value or a file is wrong; or no control is free.
     """
-    names = ControlNames(rig, options["unknown"])
+    names = ControlNames(rig, options.unknown)
     free = torch.zeros(len(rig.controls), dtype=torch.bool)
-    free[names.fitting(options["activate"], "controls.activate")] = True
-    free[names.fitting(options["freeze"], "controls.freeze")] = False
-    penalty_scale, held = torch.ones(len(rig.controls)), rig.neutral_controls.clone()
-    if options["mask"]:
-        for number, weight in names.mask(Path(str(options["mask"]))).items():
+    free[names.matching(options.activate, "controls.activate")] = True
+    free[names.matching(options.freeze, "controls.freeze")] = False
+    penalty_scale, values = torch.ones(len(rig.controls)), rig.neutral_controls.clone()
+    if options.mask:
+        for number, weight in names.mask(Path(options.mask)).items():
             free[number] &= weight > 0
             penalty_scale[number] /= weight or 1.0
-    for glob, weight in _mapping(options, "weights").items():
-        _check_number(f"controls.weights.{glob}", weight, 0.0, 1e12)
-        penalty_scale[names.fitting([glob], "controls.weights")] = float(weight)
-    for glob, value in _mapping(options, "hold").items():
-        for number in names.fitting([glob], "controls.hold"):
+    for glob, weight in (options.weights or {}).items():
+        penalty_scale[names.matching([glob], "controls.weights")] = float(weight)
+    for glob, value in (options.hold or {}).items():
+        for number in names.matching([glob], "controls.hold"):
             control = rig.controls[number]
-            _check_number(f"controls.hold.{glob}", value, control.lower, control.upper)
-            free[number], held[number] = False, value
+            if not control.lower <= value <= control.upper:
+                raise InputError(
+                    f"controls.hold.{glob} is {value!r}, expected a number from {control.lower:g} to {control.upper:g}"
+                )
+            free[number], values[number] = False, value
     static = torch.zeros_like(free)
-    static[names.fitting(options["static"], "controls.static")] = True
+    static[names.matching(options.static, "controls.static")] = True
     if not bool(free.any()):
         raise InputError("controls.activate, freeze, hold and mask leave no control free: there is nothing to find")
-    pairs = {
-        key: torch.tensor(names.pairs(options[key], f"controls.{key}"), dtype=torch.long).reshape(-1, 2)
-        for key in ("symmetric", "exclusive")
-    }
-    for key in ("symmetric_mm2", "exclusive_mm2"):
-        _check_number(f"controls.{key}", options[key], 0.0, 1e6)
-    preferences = Preferences(
-        penalty_scale, pairs["symmetric"], pairs["exclusive"], options["symmetric_mm2"], options["exclusive_mm2"]
+    symmetric, exclusive = (
+        torch.tensor(names.pairs(pairs, key), dtype=torch.long).reshape(-1, 2)
+        for pairs, key in ((options.symmetric, "controls.symmetric"), (options.exclusive, "controls.exclusive"))
     )
-    return ControlConstraints(free, held, static & free, preferences)
-
-
-def _mapping(options: Mapping[str, Any], key: str) -> dict[str, Any]:
-    value = options[key]
-    if value is not None and not isinstance(value, Mapping):
-        raise InputError(f"controls.{key} is {value!r}, expected names, each with a value: controls.{key}={{jawOpen: 1}}")
-    return {str(name): given for name, given in (value or {}).items()}
-
-
-def _check_number(key: str, value: Any, least: float, most: float) -> None:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
-        raise InputError(f"{key} is {value!r}, expected a number from {least:g} to {most:g}")
+    penalties = ControlPenalties(penalty_scale, symmetric, exclusive, options.symmetric_mm2, options.exclusive_mm2)
+    return ControlConstraints(free, values, static & free, penalties)

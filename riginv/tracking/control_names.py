@@ -1,4 +1,4 @@
-"""Controls that a user names: by glob, in pairs, or in a mask file; and what happens to names that nobody knows."""
+"""Controls named by globs, pairs or a mask file, and the policy for unknown names."""
 
 import csv
 import io
@@ -6,11 +6,9 @@ import json
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import yaml
 
-from riginv.clips.options import UNKNOWN_NAMES
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 
@@ -24,55 +22,46 @@ SIDES = (
     ("L_", "R_"),
     ("l_", "r_"),
 )
-LARGEST_MASK = 1 << 24  # bytes
+MAX_MASK_BYTES = 1 << 24
 
 
 class ControlNames:
-    """The names of a rig's controls, and a policy for names that do not fit.
+    """The names of a rig's controls, and a policy for names that do not match.
 
     Args:
-        policy: `error`; `ignore_new`: names that the rig does not know are passed over; `ignore_missing`: a mask need not name
-            every control, those that it leaves out are free; `ignore_both`.
-
-    Raises:
-        InputError: the policy is not known.
+        policy: `error`; `ignore_new`: unknown names are ignored; `ignore_missing`: controls that a mask does not name are
+            free; `ignore_both`.
     """
 
     def __init__(self, rig: RigBackend, policy: str) -> None:
-        if policy not in UNKNOWN_NAMES:
-            raise InputError(f"controls.unknown is {policy!r}, expected one of {', '.join(UNKNOWN_NAMES)}")
         self.rig, self.names = rig.name, rig.control_names
         self.number = {name: number for number, name in enumerate(self.names)}
         self.accept_new = policy in ("ignore_new", "ignore_both")
         self.accept_missing = policy in ("ignore_missing", "ignore_both")
 
-    def fitting(self, globs: Sequence[str], key: str) -> list[int]:
-        """The numbers of the controls that any of the globs names, in order.
+    def matching(self, globs: Sequence[str], key: str) -> list[int]:
+        """The sorted indices of the controls that any of the globs matches.
 
         Raises:
-            InputError: a glob fits none, and that is not to be ignored.
+            InputError: a glob matches none, and the policy does not ignore that.
         """
-        if not isinstance(globs, list | tuple) or not all(isinstance(glob, str) for glob in globs):
-            raise InputError(f"{key} is {globs!r}, expected a list of names or globs: {key}=[jaw*]")
         found: set[int] = set()
         for glob in globs:
-            fitting = {number for number, name in enumerate(self.names) if fnmatchcase(name, glob)}
-            if not fitting and not self.accept_new:
+            matching = {number for number, name in enumerate(self.names) if fnmatchcase(name, glob)}
+            if not matching and not self.accept_new:
                 raise self._unknown(key, glob)
-            found |= fitting
+            found |= matching
         return sorted(found)
 
-    def pairs(self, given: Any, key: str) -> list[tuple[int, int]]:
-        """Pairs of controls; `auto`: all that differ in a side alone, as `browDownLeft` and `browDownRight`.
+    def pairs(self, given: str | Sequence[tuple[str, str]], key: str) -> list[tuple[int, int]]:
+        """Indices of pairs of controls; `auto`: all that differ only in their side, such as `browDownLeft`, `browDownRight`.
 
         Raises:
-            InputError: not pairs, or a name is not known and that is not to be ignored.
+            InputError: a name is not known, and the policy does not ignore that.
         """
-        if given == "auto":
+        if isinstance(given, str):
             return [(number, other) for name, number in self.number.items() if (other := self._other_side(name)) is not None]
         found = []
-        if not isinstance(given, list) or any(not isinstance(pair, list) or len(pair) != 2 for pair in given):
-            raise InputError(f"{key} is {given!r}, expected pairs of names: {key}=[[browDownLeft,browDownRight]]")
         for pair in given:
             unknown = [name for name in pair if name not in self.number]
             if unknown and not self.accept_new:
@@ -88,10 +77,10 @@ class ControlNames:
         return None
 
     def mask(self, path: Path) -> dict[int, float]:
-        """The weight of each control that a mask names: 0 holds it, 1 leaves it free.
+        """The weight of each control that a mask names, by index: 0 fixes it, 1 leaves it free.
 
         Raises:
-            InputError: the file is no mask; it names controls that the rig lacks, or lacks some of the rig's.
+            InputError: the file is no mask; it names unknown controls, or does not name all controls.
         """
         found: dict[int, float] = {}
         for name, value in read_mask(path).items():
@@ -111,7 +100,7 @@ class ControlNames:
         near = [known for known in self.names if name.strip("*").lower() in known.lower()][:3] or self.names[:4]
         return InputError(
             f"{where} names {name!r}, and rig '{self.rig}' has no such control; it has {', '.join(near)}, ...; mend the name, "
-            f"or pass over it with controls.unknown=ignore_new"
+            f"or ignore it with controls.unknown=ignore_new"
         )
 
 
@@ -119,10 +108,10 @@ def read_mask(path: Path) -> dict[str, float]:
     """Control names to weights of at least 0, from .json, .yaml, or .csv with a name and a weight in each row.
 
     Raises:
-        InputError: the file is missing, or holds something else.
+        InputError: the file is missing or no mask.
     """
     try:
-        if path.stat().st_size > LARGEST_MASK:
+        if path.stat().st_size > MAX_MASK_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes are no mask: expected a weight for each control's name")
         text = path.read_text(encoding="utf-8-sig")
         if path.suffix == ".csv":
@@ -131,7 +120,7 @@ def read_mask(path: Path) -> dict[str, float]:
         else:
             content = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file, asked for by controls.mask") from None
+        raise InputError(f"{path}: no such file, named by controls.mask") from None
     except (OSError, ValueError, IndexError, RecursionError, csv.Error, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: no mask of names and weights that can be read: {reason}") from None
@@ -139,5 +128,5 @@ def read_mask(path: Path) -> dict[str, float]:
         raise InputError(f"{path}: holds {type(content).__name__}, expected names of controls, each with a weight: jawOpen: 1")
     for name, value in content.items():
         if not isinstance(name, str) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
-            raise InputError(f"{path}: {name!r} has {value!r}, expected a weight of at least 0 (0 holds a control, 1 frees it)")
+            raise InputError(f"{path}: {name!r} has {value!r}, expected a weight of at least 0 (0 fixes a control, 1 frees it)")
     return {name: float(value) for name, value in content.items()}

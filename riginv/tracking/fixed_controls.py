@@ -1,4 +1,4 @@
-"""A rig of which some controls are held: only the others are left to find."""
+"""A rig with some controls fixed."""
 
 from torch import Tensor
 
@@ -7,27 +7,27 @@ from riginv.rig.jacobian import Jacobian
 
 
 class FixedControlsRig(LinearRig):
-    """A rig with the free ones of its controls.
+    """A rig whose controls are the free controls of another rig.
 
     Args:
-        rig: the rig.
-        free: the numbers of the controls that are left, `(free control,)`.
-        held: what all controls are held at, `(control,)`; of the free ones it says nothing.
+        rig: the other rig.
+        free: indices of the free controls, `(free control,)`.
+        values: of all controls, `(control,)`; those of free controls are ignored.
     """
 
     free: Tensor
-    held: Tensor
+    values: Tensor
 
-    def __init__(self, rig: LinearRig, free: Tensor, held: Tensor) -> None:
+    def __init__(self, rig: LinearRig, free: Tensor, values: Tensor) -> None:
         controls = [rig.controls[number] for number in free.tolist()]
         super().__init__(rig.name, controls, rig.rest_vertices, rig.faces, rig.basis, rig.coefficient_names, rig.primary_count)
         self.rig, self.differentiable = rig, rig.differentiable
         self.register_buffer("free", free, persistent=False)
-        self.register_buffer("held", held.to(rig.dtype), persistent=False)
+        self.register_buffer("values", values.to(rig.dtype), persistent=False)
 
     def all_controls(self, free: Tensor) -> Tensor:
-        """Free controls `(batch, free control)` among the held ones, `(batch, control)`."""
-        return self.held.to(free).expand(len(free), -1).index_copy(1, self.free, free)
+        """All controls `(batch, control)` for free controls `(batch, free control)`."""
+        return self.values.to(free).expand(len(free), -1).index_copy(1, self.free, free)
 
     def coefficients(self, controls: Tensor) -> Tensor:
         return self.rig.coefficients(self.all_controls(controls))
@@ -41,7 +41,7 @@ class FixedControlsRig(LinearRig):
         return found, lambda gradient: vjp(gradient).index_select(1, self.free)
 
     def neutral_coefficients(self) -> Tensor:
-        """Those of the rest mesh, which the held controls may not be at."""
+        """The coefficients of the rest mesh, whatever the fixed values are."""
         return self.rig.neutral_coefficients()
 
     def features(self, coefficients: Tensor) -> Tensor | None:

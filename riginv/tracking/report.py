@@ -1,4 +1,4 @@
-"""What riginv.invert shows: its guesses first, a bar while it works, and a table of how good the frames are."""
+"""The terminal output of riginv.invert: notes, a progress bar, and a table of errors."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -6,20 +6,19 @@ from pathlib import Path
 
 import roma
 import torch
-from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch import Tensor
 
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import Bar
+from riginv.runs.tables import new_table
 from riginv.tracking.regions import STILL
 
-WORST = 5  # frames that are named
-MEANINGS = {
+LISTED_FRAMES = 5
+FLAG_MEANINGS = {
     "outside_training_range": "the mesh is unlike those that the network was trained on",
     "outside_reach": "the rig cannot make this mesh",
     "not_converged": "more solver steps would lower the error (refine=N, solver.steps)",
@@ -33,10 +32,10 @@ MEANINGS = {
 
 
 class InversionProgress(Bar):
-    """To be entered; says what was guessed, then shows how far each pass is; without a terminal there is no bar.
+    """A context manager that prints notes, then shows the progress of each pass, if there is a terminal.
 
     Args:
-        frames: in each pass.
+        frames: number of frames of each pass.
         notes: what was guessed.
     """
 
@@ -48,12 +47,13 @@ class InversionProgress(Bar):
             TimeElapsedColumn(),
             TimeRemainingColumn(),
         )
-        self.frames, self.passes = frames, {}
+        self.frames = frames
+        self.passes: dict[str, TaskID] = {}
         for note in notes:
             self.console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
 
     def advance(self, what: str, frames: int) -> None:
-        """So many frames more of a pass are done; none: it has begun, and cannot say how far it is."""
+        """Advance a pass by some frames; 0: it has begun, and its progress is not known."""
         if what not in self.passes:
             self.passes[what] = self.bar.add_task(what, total=self.frames if frames else None)
         self.bar.advance(self.passes[what], frames)
@@ -62,38 +62,36 @@ class InversionProgress(Bar):
 def show(
     animation: Animation,
     errors: FrameErrors,
-    judge: RigBackend,
+    true_rig: RigBackend,
     folder: Path,
     files: Sequence[str],
     notes: Sequence[str],
     measure: str = "vertex errors",
-    rows: Sequence[str] = ("mean over a frame's vertices", "worst vertex of a frame"),
+    rows: Sequence[str] = ("mean vertex error", "maximum vertex error"),
 ) -> None:
-    """Show how good the frames are, which to look at, and what was written."""
+    """Print the errors of the frames, which frames to look at, and what was written."""
     console = Console()
     known = ~errors.mean_mm.isnan()
-    title = f"{escape(animation.source)}: {len(animation):,} frames at {animation.fps:g} a second, {measure} in mm"
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
-    for heading in ("", "mean", "median", "95 % below", "worst frame"):
-        table.add_column(heading, justify="right" if heading else "left")
+    title = f"{animation.source}: {len(animation):,} frames at {animation.fps:g} a second, {measure} in mm"
+    table = new_table(("", "mean", "median", "95th percentile", "maximum"), title, padding=2)
     for name, values in zip(rows, (errors.mean_mm, errors.max_mm)):
         table.add_row(name, *_figures(values[known]))
     if errors.neutral_mm is not None:
-        table.add_row("neutral in its place", *_figures(errors.neutral_mm[known]))
+        table.add_row("neutral pose", *_figures(errors.neutral_mm[known]))
     console.print(table)
     worst = ", ".join(_frame(animation, errors, row) for row in _worst(animation, errors, known))
     console.print(
-        f"  Judged by the true rig, [bold]{escape(judge.name)}[/]. Worst frames: {escape(worst)}",
+        f"  Evaluated by the true rig, [bold]{escape(true_rig.name)}[/]. Worst frames: {escape(worst)}",
         highlight=False,
         soft_wrap=True,
     )
-    if errors.reach is not None:
-        console.print(f"  {_scale(errors)}", highlight=False, soft_wrap=True)
+    if errors.optimum is not None:
+        console.print(f"  {_optimum(errors, len(errors.optimum.rows))}", highlight=False, soft_wrap=True)
     if animation.motion is not None:
         console.print(f"  Rigid motion was removed: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
     counts = Counter(flag for flags in errors.flags for flag in flags)
     for flag, count in counts.most_common():
-        console.print(f"  [yellow]{flag}[/]: {count} frames: {MEANINGS[flag]}", highlight=False, soft_wrap=True)
+        console.print(f"  [yellow]{flag}[/]: {count} frames: {FLAG_MEANINGS[flag]}", highlight=False, soft_wrap=True)
     if not counts:
         console.print("  No frame is flagged.", highlight=False)
     for note in notes:
@@ -101,29 +99,29 @@ def show(
     console.print(f"  {folder}: {', '.join(files)}", highlight=False, soft_wrap=True, markup=False)
 
 
-def _scale(errors: FrameErrors) -> str:
-    """How the errors compare with the least that is possible."""
-    values, count = errors.summary(), len(errors.reach.rows)
-    ours, least = values["mean_error_there_mm"], values["least_mean_error_mm"]
+def _optimum(errors: FrameErrors, count: int) -> str:
+    """The lowest possible errors on some frames, and the errors there."""
+    values = errors.summary()
+    found, least = values["mean_error_there_mm"], values["least_mean_error_mm"]
     frames = f"{count} frames spread over the clip" if count > 1 else "one frame"
-    return f"Least possible, from many starts, on {frames}: {least:.3g} mm; these curves: {ours:.3g} mm there."
+    return f"Lowest possible mean error on {frames} (many-start solver): {least:.3g} mm; these curves: {found:.3g} mm there."
 
 
 def _worst(animation: Animation, errors: FrameErrors, known: Tensor) -> list[int]:
-    """The rows of the worst frames, none within half a second of another."""
+    """Rows of the worst frames, at least half a second apart."""
     chosen: list[int] = []
     for row in errors.worst(int(known.sum())):
-        if len(chosen) < WORST and all(abs(row - other) > animation.fps / 2 for other in chosen):
+        if len(chosen) < LISTED_FRAMES and all(abs(row - other) > animation.fps / 2 for other in chosen):
             chosen.append(row)
     return chosen
 
 
 def _extent(motion: Tensor) -> str:
-    """How far motions `(frame, 4, 4)` are from that of the middle frame."""
+    """The extent of motions `(frame, 4, 4)`, relative to the middle frame."""
     middle = motion[len(motion) // 2]
-    turns = torch.rad2deg(roma.rotmat_geodesic_distance(motion[:, :3, :3], middle[:3, :3].expand(len(motion), -1, -1)))
-    moves = (motion - middle)[:, :3, 3].norm(dim=1)
-    return f"up to {float(turns.max()):.3g} degrees and {float(moves.max()):.3g} mm from the middle frame"
+    degrees = torch.rad2deg(roma.rotmat_geodesic_distance(motion[:, :3, :3], middle[:3, :3].expand(len(motion), -1, -1)))
+    distances = (motion - middle)[:, :3, 3].norm(dim=1)
+    return f"up to {float(degrees.max()):.3g} degrees and {float(distances.max()):.3g} mm from the middle frame"
 
 
 def _figures(values: Tensor) -> list[str]:

@@ -1,7 +1,7 @@
-"""Whether a clip moves as a whole, beyond what its own noise could be: rigid motion that is not there is not taken out.
+"""A test for rigid motion in a clip, so that only real rigid motion is removed.
 
-A rigid motion can always be fitted, and takes up some of what the rig cannot make. So some frames are solved twice, with rigid
-motion taken out and left in: where it is real, what remains falls by far more than six numbers a frame would make it fall.
+A rigid motion can always be fitted and explains some of what the rig cannot make. So some frames are solved with rigid motion
+removed and kept: where it is real, the residual falls by far more than six further parameters per frame explain.
 """
 
 from dataclasses import dataclass
@@ -12,27 +12,27 @@ from torch import Tensor
 from riginv.clips.clip import Clip
 from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
-from riginv.tracking.alternation import FEWEST_KNOWN, Found, WindowInverter
+from riginv.tracking.alternation import MIN_KNOWN_VERTICES, WindowInverter, WindowResult
 from riginv.tracking.anchors import Anchors
+from riginv.tracking.estimators import ControlEstimator
 from riginv.tracking.rigid import apply_motion, fit_rigid
-from riginv.tracking.solving import Solving
 
-PROBED, SOLVED, FARTHEST = 128, 12, 4  # frames that are looked at, that are solved, and of these the ones that moved farthest
-OBVIOUS = 0.02  # of the mesh's size, that half of the frames went: no need to solve
-GAIN = 0.1  # by which the squared error falls in half of the frames, as a share of what remains, for motion to be real
-FRAME_GAIN, FRAME_GAIN_MM = 0.5, 0.05  # the same of a single frame, and what that must be in root mean square distance
-LEAST_GAIN_MM = 0.02  # root mean square distance: below it nothing matters
-FRAMES = 1 / 8  # of those solved, that may move so for the clip to do
+PROBED, SOLVED, FARTHEST = 128, 12, 4  # frames that are fitted, that are solved, and that moved farthest among these
+OBVIOUS = 0.02  # median motion, relative to the mesh size, that needs no solving
+GAIN = 0.1  # median decrease of the squared error, relative to the residual, for real motion
+FRAME_GAIN, FRAME_GAIN_MM = 0.5, 0.05  # the same for a single frame, and its least root mean square distance
+MIN_GAIN_MM = 0.02  # least root mean square distance that matters
+FRAMES = 1 / 8  # fraction of the solved frames with real motion for the clip to have it
 
 
 @dataclass(frozen=True)
 class RigidCheck:
-    """What was found of a clip.
+    """The result of the test.
 
     Attributes:
-        moves: whether it moves as a whole.
-        extent_mm: how far the motion that fits best goes, the mean over vertices of the frame where it goes farthest.
-        residual_mm: the root mean square distance that remains where rigid motion is left in; NaN where nothing was solved.
+        moves: whether the clip has rigid motion.
+        extent_mm: mean vertex displacement by the best rigid motion, in the frame where it is largest.
+        residual_mm: root mean square distance with rigid motion kept; NaN where nothing was solved.
     """
 
     moves: bool
@@ -41,7 +41,7 @@ class RigidCheck:
 
     @property
     def note(self) -> str:
-        """What the user should know where it does not move."""
+        """A note for the user where there is no rigid motion."""
         return (
             f"no rigid motion found: with it left in {self.residual_mm:.2g} mm remain (root mean square), of which the best "
             f"fit, {self.extent_mm:.2g} mm at most, explains next to nothing (motion=remove takes it out all the same)"
@@ -50,13 +50,13 @@ class RigidCheck:
 
 @torch.no_grad()
 def check_rigid(
-    clip: Clip, rig: LinearRig, solving: Solving, anchors: Anchors, weights: Tensor | None, turns: int
+    clip: Clip, rig: LinearRig, estimator: ControlEstimator, anchors: Anchors, weights: Tensor | None, turns: int
 ) -> RigidCheck:
-    """Whether a clip moves as a whole.
+    """Test a clip for rigid motion.
 
     Args:
         clip: NaN where a vertex is not known.
-        weights: how much each vertex counts, `(vertex,)`; None: all alike.
+        weights: of the vertices, `(vertex,)`; None: equal.
         turns: as in `WindowInverter`.
     """
     rows = evenly(PROBED, len(clip))
@@ -71,27 +71,35 @@ def check_rigid(
     farthest = extents.argsort(descending=True)[:FARTHEST]
     chosen = torch.cat([evenly(SOLVED, len(rows)), farthest]).unique()
     vertices = torch.cat([clip.vertices(row, row + 1) for row in rows[chosen].tolist()])
-    inverter = WindowInverter(rig, solving, None, None, turns)
-    without, left_in = WindowInverter(rig, solving, anchors, None, turns).invert(vertices), inverter.invert(vertices)
-    again = inverter.placed(vertices, solving.again(left_in.complete, without.controls), None, without.present)
-    remaining, kept, same_start = (_squares(found, weights) for found in (without, left_in, again))
-    kept = torch.minimum(kept, same_start)  # what another start would have found is no rigid motion
+    inverter = WindowInverter(rig, estimator, None, None, turns)
+    without, with_motion = WindowInverter(rig, estimator, anchors, None, turns).invert(vertices), inverter.invert(vertices)
+    refined = estimator.refine(with_motion.filled, without.controls)
+    restarted = inverter.result(vertices, refined, None, without.solvable)
+    remaining, kept, same_start = (_squares(found, weights) for found in (without, with_motion, restarted))
+    kept = torch.minimum(kept, same_start)  # a gain from another start is no rigid motion
     gain = kept - remaining
     moving = (gain > FRAME_GAIN * remaining) & (gain > FRAME_GAIN_MM**2)
-    half = (gain > GAIN * remaining).float().mean() > 0.5 and gain.median() > LEAST_GAIN_MM**2
+    half = (gain > GAIN * remaining).float().mean() > 0.5 and gain.median() > MIN_GAIN_MM**2
     rest = anchors.rest.expand(len(chosen), -1, -1)
+    assert without.motion is not None
     extent = (apply_motion(without.motion, rest) - rest).norm(dim=2).mean(dim=1).max()
     return RigidCheck(bool(half or moving.float().mean() >= FRAMES), float(extent), float(kept.mean().clamp_min(0).sqrt()))
 
 
 def anchors_if_moving(
-    clip: Clip, rig: LinearRig, solving: Solving, anchors: Anchors, weights: Tensor | None, turns: int, notes: list[str]
+    clip: Clip,
+    rig: LinearRig,
+    estimator: ControlEstimator,
+    anchors: Anchors,
+    weights: Tensor | None,
+    turns: int,
+    notes: list[str],
 ) -> Anchors | None:
-    """The anchors where a clip moves as a whole; None, and a note, where it does not."""
+    """The anchors where a clip has rigid motion; None, and a note, where it has none."""
     if clip.sequence.in_rig_space:
         notes.append("no rigid motion was looked for: the meshes were made from the rig's own (motion=remove does so)")
         return None
-    check = check_rigid(clip, rig, solving, anchors, weights, turns)
+    check = check_rigid(clip, rig, estimator, anchors, weights, turns)
     if check.moves:
         return anchors
     notes.append(check.note)
@@ -99,16 +107,16 @@ def anchors_if_moving(
 
 
 def _extent(vertices: Tensor, anchors: Anchors) -> Tensor:
-    """How far the motion goes that fits the rest mesh best to a mesh `(1, vertex, 3)`, mm; NaN where too little is known."""
-    target = vertices[:, anchors.some]
-    enough = (torch.isfinite(target).all(dim=2) & (anchors.weights > 0)).sum(dim=1) >= FEWEST_KNOWN
+    """Mean displacement, mm, by the motion from the rest mesh to a mesh `(1, vertex, 3)`; NaN if too few vertices are known."""
+    target = vertices[:, anchors.vertices]
+    enough = (torch.isfinite(target).all(dim=2) & (anchors.weights > 0)).sum(dim=1) >= MIN_KNOWN_VERTICES
     motion = fit_rigid(anchors.rest[None], target, anchors.weights)
     distance = (apply_motion(motion, anchors.rest[None]) - anchors.rest).norm(dim=2).mean(dim=1)
     return torch.where(enough, distance, torch.nan)
 
 
-def _squares(found: Found, weights: Tensor | None) -> Tensor:
-    """The mean squared distance `(frame,)`, mm^2, of the vertices that are known."""
-    squares = (found.results - found.still).square().sum(dim=2)
+def _squares(found: WindowResult, weights: Tensor | None) -> Tensor:
+    """The mean squared distance of known vertices, `(frame,)`, mm^2."""
+    squares = (found.recovered - found.stabilised).square().sum(dim=2)
     counts = torch.isfinite(squares).to(squares) * (1.0 if weights is None else weights)
     return (squares.nan_to_num(0.0) * counts).sum(dim=1) / counts.sum(dim=1).clamp_min(1e-9)

@@ -1,4 +1,4 @@
-"""A clip from end to end, window by window; only controls, motion and errors are kept of each frame."""
+"""Inversion of a clip, window by window; controls, motion and errors of each frame are kept."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,15 +11,18 @@ from riginv.clips.clip import Clip
 from riginv.errors import InputError
 from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.levenberg_marquardt import Solution
-from riginv.tracking.alternation import Found, WindowInverter, bridged, bridged_motion
-from riginv.tracking.frame_evaluation import FrameJudge
+from riginv.tracking.alternation import WindowInverter, WindowResult, interpolate_controls, interpolate_motion
+from riginv.tracking.estimators import SolverEstimator
+from riginv.tracking.frame_evaluation import FrameEvaluator
+from riginv.tracking.options import SolverOptions
 from riginv.tracking.rigid import fit_rigid
-from riginv.tracking.solving import BySolver
+
+Advance = Callable[[str, int], None]  # told the name of a pass, and how many frames of it are done
 
 
 @dataclass(frozen=True)
 class Inversion:
-    """What came of a clip.
+    """The inversion of a clip.
 
     Attributes:
         controls: `(frame, control)`, within the rig's limits.
@@ -32,112 +35,94 @@ class Inversion:
     errors: FrameErrors
 
 
-@dataclass(frozen=True)
-class Smoothness:
-    """How a whole clip is solved at once.
-
-    Attributes:
-        smoothness: as in `solve_clip`.
-        steps, mean_steps: as in `solve_clip`.
-        blur: standard deviation, in frames, of what the frames' own answers are smoothed with to a start.
-    """
-
-    smoothness: float
-    steps: int
-    blur: float
-    mean_steps: int = 0
-
-
-def invert_clip(
-    clip: Clip, inverter: WindowInverter, judge: FrameJudge, window: int, advance: Callable[[str, int], None]
-) -> Inversion:
-    """Invert each frame for itself, and judge it while it is at hand.
+def invert_clip(clip: Clip, inverter: WindowInverter, evaluator: FrameEvaluator, window: int, advance: Advance) -> Inversion:
+    """Invert and evaluate each frame on its own.
 
     Args:
-        window: frames at a time: what bounds the memory.
-        advance: told what is done, and how many frames are.
+        window: frames in memory at a time.
+        advance: reports progress.
     """
-    kept = _Kept(len(clip), inverter)
+    kept = _FrameResults(len(clip), inverter)
     for start, vertices in clip.batches(window):
         found = inverter.invert(vertices)
-        judge.judge(found)
-        kept.keep(start, found)
+        evaluator.add(found)
+        kept.add(start, found)
         advance("inverting", len(vertices))
     kept.check(clip)
-    return kept.finished(bridged(kept.controls, kept.known, clip.frame_numbers), clip, judge)
+    return kept.finished(interpolate_controls(kept.controls, kept.known, clip.frame_numbers), clip, evaluator)
 
 
 def invert_smoothly(
     clip: Clip,
     inverter: WindowInverter,
-    judge: FrameJudge,
+    evaluator: FrameEvaluator,
     window: int,
-    advance: Callable[[str, int], None],
-    how: Smoothness,
+    advance: Advance,
+    options: SolverOptions,
 ) -> Inversion:
-    """Invert all frames at once, so that curves are smooth: each frame for itself first, then all in mesh coordinates.
+    """Invert all frames together with smooth curves: each frame on its own first, then all in mesh coordinates.
 
-    The clip is read twice. Between, its mesh coordinates are kept, a fortieth of it for the default face.
+    The clip is read twice. Its mesh coordinates, a fortieth of it for the default face, are kept in between.
     """
-    solving = inverter.solving
-    if not isinstance(solving, BySolver):
+    estimator = inverter.estimator
+    if not isinstance(estimator, SolverEstimator):
         raise TypeError("a whole clip is for solvers")
-    kept, size = _Kept(len(clip), inverter), solving.space.size
-    coordinates, done = torch.full((len(clip), size), torch.nan), torch.zeros(len(clip), dtype=torch.bool)
+    kept, size = _FrameResults(len(clip), inverter), estimator.space.size
+    coordinates, converged = torch.full((len(clip), size), torch.nan), torch.zeros(len(clip), dtype=torch.bool)
     for first, vertices in clip.batches(window):
         found = inverter.invert(vertices)
-        kept.keep(first, found)
+        kept.add(first, found)
         rows = slice(first, first + len(vertices))
-        coordinates[rows] = torch.where(found.present[:, None], solving.space.encode(found.complete), torch.nan)
-        done[rows] = solving.settled(found.complete, found.controls)  # before smoothness has its say
+        coordinates[rows] = torch.where(found.solvable[:, None], estimator.space.encode(found.filled), torch.nan)
+        converged[rows] = estimator.converged(found.filled, found.controls)  # of the frame alone
         advance("each frame", len(vertices))
     kept.check(clip)
-    start = Solution.at_neutral(solving.objective, len(clip))
-    start.units, start.skipped = solving.units(kept.controls), ~kept.known
+    start = Solution.at_neutral(estimator.objective, len(clip))
+    start.units, start.skipped = estimator.units(kept.controls), ~kept.known
     advance("the whole clip", 0)
-    begin = smoothed(start, how.blur, clip.frame_numbers)
-    smooth = solve_clip(
-        solving.objective, coordinates, begin, how.smoothness, how.steps, how.mean_steps, numbers=clip.frame_numbers
-    )
-    controls = solving.controls(smooth)
+    begin = smoothed(start, options.blur, clip.frame_numbers)
+    steps = (options.smoothness, options.clip_steps, options.mean_steps)
+    smooth = solve_clip(estimator.objective, coordinates, begin, *steps, numbers=clip.frame_numbers)
+    controls = estimator.controls(smooth)
     for first, vertices in clip.batches(window):
         rows = slice(first, first + len(vertices))
-        found = _placed(vertices, controls[rows], inverter, kept.known[rows])
-        judge.judge(found, done[rows])
-        kept.keep(first, found)
-        advance("judging", len(vertices))
-    return kept.finished(controls, clip, judge)
+        found = _with_controls(vertices, controls[rows], inverter, kept.known[rows])
+        evaluator.add(found, converged[rows])
+        kept.add(first, found)
+        advance("evaluating", len(vertices))
+    return kept.finished(controls, clip, evaluator)
 
 
-def _placed(vertices: Tensor, controls: Tensor, inverter: WindowInverter, known: Tensor) -> Found:
-    """Frames with controls that are settled, and the rigid motion that fits these best."""
+def _with_controls(vertices: Tensor, controls: Tensor, inverter: WindowInverter, known: Tensor) -> WindowResult:
+    """The result for final controls and the rigid motion that fits them best."""
     motion = None
     if inverter.anchors is not None:
         anchors = inverter.anchors.for_window(torch.isfinite(vertices[known]).all(dim=2))
-        motion = fit_rigid(anchors.mesh(controls), vertices[:, anchors.some], anchors.weights)
-    return inverter.placed(vertices, controls, motion, known)
+        motion = fit_rigid(anchors.mesh(controls), vertices[:, anchors.vertices], anchors.weights)
+    return inverter.result(vertices, controls, motion, known)
 
 
-class _Kept:
-    """What stays of each frame; made once, so that windows come and go without leaving memory full of holes."""
+class _FrameResults:
+    """Controls and motion of all frames; allocated once, so that windows do not fragment memory."""
 
     def __init__(self, frames: int, inverter: WindowInverter) -> None:
         self.controls = torch.zeros(frames, len(inverter.rig.controls), dtype=inverter.rig.dtype)
         self.motion = None if inverter.anchors is None else torch.zeros(frames, 4, 4, dtype=inverter.rig.dtype)
         self.known = torch.zeros(frames, dtype=torch.bool)
 
-    def keep(self, first: int, found: Found) -> None:
-        """Keep the frames of a window that starts at `first`."""
+    def add(self, first: int, found: WindowResult) -> None:
+        """Store the frames of a window that starts at `first`."""
         rows = slice(first, first + len(found.controls))
-        self.controls[rows], self.known[rows] = found.controls, found.present
-        if self.motion is not None:
+        self.controls[rows], self.known[rows] = found.controls, found.solvable
+        if self.motion is not None and found.motion is not None:
             self.motion[rows] = found.motion
 
     def check(self, clip: Clip) -> None:
+        """Raise InputError where no frame could be solved."""
         if not bool(self.known.any()):
             raise InputError(f"{clip.sequence.path}: no frame has enough known vertices: there is nothing to invert")
 
-    def finished(self, controls: Tensor, clip: Clip, judge: FrameJudge) -> Inversion:
-        motion = None if self.motion is None else bridged_motion(self.motion, self.known, clip.frame_numbers)
-        rig = judge.true_rig
-        return Inversion(controls.clamp(rig.lower, rig.upper), motion, judge.errors(clip.frame_numbers))
+    def finished(self, controls: Tensor, clip: Clip, evaluator: FrameEvaluator) -> Inversion:
+        motion = None if self.motion is None else interpolate_motion(self.motion, self.known, clip.frame_numbers)
+        rig = evaluator.true_rig
+        return Inversion(controls.clamp(rig.lower, rig.upper), motion, evaluator.errors(clip.frame_numbers))

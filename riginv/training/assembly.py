@@ -1,6 +1,6 @@
 """From a config to the parts of a training run: each is built once and handed on."""
 
-from typing import Any
+from typing import Any, cast
 
 import lightning as L
 import torch
@@ -18,6 +18,8 @@ from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses, random_sets, watched
 from riginv.evaluation.results import check_same_controls, make_true_rig
 from riginv.networks.base import compile_parts, use_bfloat16
+from riginv.networks.inverse import InverseNetwork
+from riginv.networks.surrogate import SurrogateNetwork
 from riginv.rig.batches import generator_at
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
@@ -31,6 +33,7 @@ from riginv.store.training import reading_store, rig_of_store
 from riginv.tracking.capture import open_capture
 from riginv.training.checkpoints import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.training.config import ModelConfig, TrainConfig, TrainerConfig
+from riginv.training.dashboard import Dashboard
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import this_process
 from riginv.training.halves import HALVES
@@ -130,7 +133,7 @@ def build_sampler(settings: TrainConfig, rig: RigInMeshSpace) -> MeshSampler:
     if recorded is not None:
         sampler: MeshSampler = StoredPoses(recorded)
     else:
-        sampler = build(select_for_rig(settings.sampler.config, rig.rig), rig, kind=MeshSampler)
+        sampler = build(select_for_rig(dict(settings.sampler.config), rig.rig), rig, kind=MeshSampler)
         if data.store:
             sampler = reading_store(sampler, rig, data.store, settings.seed)
         elif not rig.rig.differentiable:
@@ -159,9 +162,9 @@ def calibrate(seed: int, module: RigModule, sampler: MeshSampler) -> None:
     """Let the network set its fixed scales by a sample of what it will see."""
     sample = sampler.sample(CALIBRATION_MESHES, generator_at(seed, "calibration"))
     if module.kind == "inverse":
-        module.network.calibrate(sample["coordinates"])
+        cast(InverseNetwork, module.network).calibrate(sample["coordinates"])
     elif not module.rig.rig.is_fitted:  # the coefficients of these are scaled already
-        module.network.set_scales(module.rig.rig, sample["controls"])
+        cast(SurrogateNetwork, module.network).set_scales(module.rig.rig, sample["controls"])
 
 
 def speed_up(trainer: TrainerConfig, module: RigModule, device: torch.device) -> None:
@@ -199,12 +202,13 @@ def build_trainer(settings: TrainConfig, folder: RunFolder) -> tuple[L.Trainer, 
         clock,
         TrainingProgress(),
         LearningRateMonitor(),
+        Dashboard(),
         SaveLast(folder.path, settings.checkpoint.every_n_steps),
     ]
     if settings.pictures.every_n_validations:
         callbacks.append(PosePictures(settings.pictures.every_n_validations))
     process = this_process(settings.trainer, settings.data.batch_size)
-    plugins = [AtomicCheckpoints()]
+    plugins: list[Any] = [AtomicCheckpoints()]
     arguments = lightning_arguments(settings.trainer)
     if process.environment is not None:
         plugins.append(process.environment)

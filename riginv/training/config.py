@@ -1,6 +1,8 @@
 """The config of `riginv.train` (conf/train.yaml) as dataclasses."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from torch import nn
 from torch.optim import Optimizer
@@ -93,12 +95,16 @@ class PicturesConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """The config of `riginv.train`; conf/train.yaml explains each key."""
+    """The config of `riginv.train`; conf/train.yaml explains each key.
+
+    Attributes:
+        surrogate: as `model`, plain: it becomes the `model` of another config where a surrogate is trained first.
+    """
 
     rig: ClassSpec[RigBackend]
     true_rig: ClassSpec[RigBackend] | None
     model: ModelConfig
-    surrogate: ModelConfig
+    surrogate: Mapping[str, Any]
     sampler: ClassSpec[MeshSampler]
     trainer: TrainerConfig
     reading: ReadingOptions

@@ -1,13 +1,14 @@
 """The stream of training batches, drawn as training goes, and the small fixed sets that are watched meanwhile."""
 
 from collections.abc import Callable, Iterator
+from typing import cast
 
 import lightning as L
 import torch
-from torch.utils.data import DataLoader, IterableDataset
+from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from riginv.errors import InputError
-from riginv.rig.batches import PoseBatch, generator_at
+from riginv.rig.batches import PoseBatch, generator_at, split_batch
 from riginv.sampling.meshes import MeshSampler
 
 
@@ -56,32 +57,36 @@ class PoseDataModule(L.LightningDataModule):
         self.batch_size, self.steps_per_epoch, self.seed = batch_size, steps_per_epoch, seed
 
     @property
+    def running(self) -> L.Trainer:
+        """The trainer, once it has the data."""
+        assert self.trainer is not None
+        return self.trainer
+
+    @property
     def validation_names(self) -> list[str]:
         return list(self.validation)
 
     def train_dataloader(self) -> DataLoader:
-        return DataLoader(StepIndices(self.steps_per_epoch, lambda: self.trainer.global_step), batch_size=None)
+        return DataLoader(StepIndices(self.steps_per_epoch, lambda: self.running.global_step), batch_size=None)
 
     def val_dataloader(self) -> list[DataLoader]:
-        size = -(-self.batch_size // self.trainer.world_size)
-        shares = [{key: values[self.rows] for key, values in poses.items()} for poses in self.validation.values()]
-        return [DataLoader(batches(poses, size), batch_size=None) for poses in shares]
+        size = -(-self.batch_size // self.running.world_size)
+        shares = [_rows_of(poses, self.rows) for poses in self.validation.values()]
+        return [DataLoader(cast(Dataset, split_batch(poses, size)), batch_size=None) for poses in shares]
 
     def on_after_batch_transfer(self, batch: torch.Tensor | PoseBatch, dataloader_idx: int) -> PoseBatch:
         if isinstance(batch, dict):
             return batch
         self.sampler.at_step(int(batch))
-        device = self.trainer.strategy.root_device
+        device = self.running.strategy.root_device
         generator = generator_at(self.seed, "training", int(batch), 0, device=device)
         return self.sampler.to(device).sample_rows(self.batch_size, generator, self.rows)
 
     @property
     def rows(self) -> slice:
-        """Of a batch, those of this process: every so manieth, so that the parts of a mixture are spread evenly."""
-        return slice(self.trainer.global_rank, None, self.trainer.world_size)
+        """The rows of a batch for this process: every n-th of n processes, so that the parts of a mixture are spread evenly."""
+        return slice(self.running.global_rank, None, self.running.world_size)
 
 
-def batches(poses: PoseBatch, size: int) -> list[PoseBatch]:
-    """Cut one large batch into batches of `size`."""
-    pieces = {key: values.split(size) for key, values in poses.items()}
-    return [PoseBatch(zip(pieces, piece)) for piece in zip(*pieces.values())]
+def _rows_of(poses: PoseBatch, rows: slice) -> PoseBatch:
+    return cast(PoseBatch, {key: cast(torch.Tensor, values)[rows] for key, values in poses.items()})

@@ -1,12 +1,14 @@
 """A training step in two halves of the batch, each computed by one thread, on however many cores there are."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from riginv.rig.batches import PoseBatch
+from riginv.rig.batches import PoseBatch, split_batch
 from riginv.runs.threads import Workers
 
 HALVES = 2
@@ -37,28 +39,30 @@ def in_halves(
     """
     count = len(batch["coordinates"])
     sizes = [count - count // HALVES, count // HALVES]
-    halves = [PoseBatch(zip(batch, rows)) for rows in zip(*(values.split(sizes) for values in batch.values()))]
+    halves = split_batch(batch, sizes)
 
     def half(part: PoseBatch, share: float) -> tuple[Tensor, Tensor, tuple[Tensor | None, ...]]:
         loss, found = compute(part)
         scale = torch.full_like(loss, share)
         return share * loss.detach(), found, torch.autograd.grad(loss, weights, scale, allow_unused=True)
 
-    tasks = [lambda part=part, size=size: half(part, size / count) for part, size in zip(halves, sizes)]
+    tasks = [partial(half, part, size / count) for part, size in zip(halves, sizes)]
     (loss, found, gradients), (second_loss, second_found, second_gradients) = workers.run(tasks)
-    used = [number for number, gradient in enumerate(gradients) if gradient is not None]
+    pairs = [(one, other) for one, other in zip(gradients, second_gradients) if one is not None and other is not None]
 
     def add(numbers: list[int]) -> None:
-        torch._foreach_add_([gradients[number] for number in numbers], [second_gradients[number] for number in numbers])
+        torch._foreach_add_([pairs[number][0] for number in numbers], [pairs[number][1] for number in numbers])
 
-    workers.run([lambda numbers=numbers: add(numbers) for numbers in _evenly([gradients[n].numel() for n in used], used)])
+    runs = _evenly([one.numel() for one, _ in pairs], list(range(len(pairs))))
+    workers.run([partial(add, numbers) for numbers in runs])
     total = _WithGradients.apply(loss + second_loss, list(gradients), *weights)
     return total, torch.cat([found, second_found])
 
 
 def _evenly(sizes: list[int], numbers: list[int]) -> list[list[int]]:
     """Numbers in `HALVES` runs of about the same total size."""
-    runs, filled, total = [[] for _ in range(HALVES)], 0, max(sum(sizes), 1)
+    runs: list[list[int]] = [[] for _ in range(HALVES)]
+    filled, total = 0, max(sum(sizes), 1)
     for number, size in zip(numbers, sizes):
         runs[min(HALVES - 1, HALVES * filled // total)].append(number)
         filled += size
@@ -69,14 +73,12 @@ class _WithGradients(torch.autograd.Function):
     """A loss whose gradients by the weights are known already."""
 
     @staticmethod
-    def forward(
-        ctx: torch.autograd.function.FunctionCtx, loss: Tensor, gradients: list[Tensor | None], *weights: Tensor
-    ) -> Tensor:
+    def forward(ctx: Any, loss: Tensor, gradients: list[Tensor | None], *weights: Tensor) -> Tensor:
         ctx.gradients = gradients
         return loss.clone()
 
     @staticmethod
-    def backward(ctx: torch.autograd.function.FunctionCtx, scale: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
         gradients, ctx.gradients = ctx.gradients, []  # handed on, not copied: they are as large as the network
         if float(scale) != 1:
             gradients = [None if gradient is None else scale * gradient for gradient in gradients]

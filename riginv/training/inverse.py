@@ -1,5 +1,7 @@
 """The paper's inverse: a network from meshes to controls, with the loss on the mesh that the rig makes of them (Sec. 3.3)."""
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -23,6 +25,8 @@ class InverseModule(RigModule):
     Raises:
         InputError: no gradient passes through the rig.
     """
+
+    network: InverseNetwork
 
     def __init__(
         self,
@@ -79,11 +83,11 @@ class _Summed(torch.autograd.Function):
     """A value whose gradients by raw outputs are known already."""
 
     @staticmethod
-    def forward(ctx: torch.autograd.function.FunctionCtx, value: Tensor, *gradients_and_raws: Tensor) -> Tensor:
+    def forward(ctx: Any, value: Tensor, *gradients_and_raws: Tensor) -> Tensor:
         ctx.save_for_backward(*gradients_and_raws[: len(gradients_and_raws) // 2])
         return value.clone()
 
     @staticmethod
-    def backward(ctx: torch.autograd.function.FunctionCtx, scale: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
         gradients = ctx.saved_tensors
         return None, *(None for _ in gradients), *(scale * gradient for gradient in gradients)

@@ -3,7 +3,7 @@
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, cast
 
 import lightning as L
 import torch
@@ -15,10 +15,12 @@ from torchmetrics import MeanMetric
 from riginv.errors import InputError, NonFiniteLossError
 from riginv.geometry.kernels.library import why_not
 from riginv.meshes.metrics import VertexError
+from riginv.networks.base import RigNetwork
 from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import Workers
+from riginv.training.data import PoseDataModule
 from riginv.training.devices import check_normalisation, over_processes, share_a_batch
 from riginv.training.halves import can_be_halved, in_halves, worth_halving
 from riginv.training.losses import root_mean_square_mm
@@ -44,12 +46,15 @@ class RigModule(L.LightningModule, ABC):
     """
 
     kind = "inverse"
+    rig: RigInMeshSpace
+    network: RigNetwork
+    loss: nn.Module
     true_rig: RigBackend
     stop_below_lr: float | None = None
     workers: Workers | None = None
 
     def __init__(
-        self, rig: RigInMeshSpace, network: nn.Module, make_optimizer: OptimizerFactory, make_schedule: ScheduleFactory
+        self, rig: RigInMeshSpace, network: RigNetwork, make_optimizer: OptimizerFactory, make_schedule: ScheduleFactory
     ) -> None:
         super().__init__()
         self.rig, self.network = rig.requires_grad_(False), network
@@ -79,7 +84,7 @@ class RigModule(L.LightningModule, ABC):
 
     def _in_halves(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         weights = [weight for weight in self.network.parameters() if weight.requires_grad]
-        if not worth_halving(len(batch["coordinates"]), weights):
+        if self.workers is None or not worth_halving(len(batch["coordinates"]), weights):
             return self.loss_and_found(batch)
         return in_halves(self.loss_and_found, batch, weights, self.workers)
 
@@ -97,7 +102,7 @@ class RigModule(L.LightningModule, ABC):
             check_normalisation(self.network, self.trainer.strategy.root_device)
 
     def on_train_start(self) -> None:
-        if self.halved and self.device.type == "cpu" and self.trainer.is_global_zero:
+        if self.workers is not None and self.halved and self.device.type == "cpu" and self.trainer.is_global_zero:
             self.workers.look()
             missing = why_not()
             print(f"training on {self.workers.describe()}{f'; no compiled kernels: {missing}' if missing else ''}", flush=True)
@@ -113,7 +118,7 @@ class RigModule(L.LightningModule, ABC):
         if differing:
             raise InputError(f"the checkpoint does not fit the network: {differing[0]:.80} differs; remove it to start over")
 
-    def configure_optimizers(self) -> dict:
+    def configure_optimizers(self) -> Any:
         optimizer = self.make_optimizer([weight for weight in self.network.parameters() if weight.requires_grad])
         schedule = self.make_schedule(optimizer)
         plateau = isinstance(schedule, ReduceLROnPlateau)
@@ -152,7 +157,7 @@ class RigModule(L.LightningModule, ABC):
 
     @property
     def validation_names(self) -> list[str]:
-        return self.trainer.datamodule.validation_names
+        return cast(PoseDataModule, self.trainer.datamodule).validation_names  # type: ignore[attr-defined]  # set by fit
 
     def on_validation_epoch_start(self) -> None:
         self.errors = [VertexError(of_all_processes=True).to(self.device) for _ in self.validation_names]

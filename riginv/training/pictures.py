@@ -1,19 +1,17 @@
 """Pictures of the worst and the median pose, in TensorBoard."""
 
-from typing import Any
+from typing import cast
 
 import lightning as L
 import numpy as np
 import torch
 from lightning.pytorch.loggers import TensorBoardLogger
-from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from PIL import Image
-from torch.utils.tensorboard.summary import hparams
+from torch.utils.tensorboard import SummaryWriter
 
-from riginv.launch.sweep_hparams import RESULT
 from riginv.meshes.rendering import Pair, comparison
 from riginv.rig.batches import PoseBatch
-from riginv.runs.tables import sets_of
+from riginv.training.data import PoseDataModule
 from riginv.training.module import RigModule
 
 
@@ -27,13 +25,29 @@ class PosePictures(L.Callback):
     def __init__(self, every_n_validations: int) -> None:
         self.every_n_validations, self.validations = every_n_validations, 0
 
-    def on_validation_end(self, trainer: L.Trainer, module: RigModule) -> None:
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        assert isinstance(module, RigModule)
         self.validations += 1
         if self.validations % self.every_n_validations and trainer.global_step < trainer.max_steps:
             return
-        for name, batch in trainer.datamodule.validation.items():
-            picture = worst_and_median(module, {key: values.to(module.device) for key, values in batch.items()})
-            module.logger.experiment.add_image(f"poses/{name}", np.asarray(picture), trainer.global_step, dataformats="HWC")
+        for name, batch in validation_sets(trainer, module).items():
+            picture = worst_and_median(module, batch)
+            writer_of(trainer).add_image(f"poses/{name}", np.asarray(picture), trainer.global_step, dataformats="HWC")
+
+
+def writer_of(trainer: L.Trainer) -> SummaryWriter:
+    """The TensorBoard writer of a trainer."""
+    assert isinstance(trainer.logger, TensorBoardLogger)
+    return trainer.logger.experiment
+
+
+def validation_sets(trainer: L.Trainer, module: RigModule) -> dict[str, PoseBatch]:
+    """The validation sets of a training by name, each as one batch on the module's device."""
+    data: PoseDataModule = trainer.datamodule  # type: ignore[attr-defined]  # set by fit
+    return {
+        name: cast(PoseBatch, {key: cast(torch.Tensor, values).to(module.device) for key, values in batch.items()})
+        for name, batch in data.validation.items()
+    }
 
 
 @torch.no_grad()
@@ -43,30 +57,3 @@ def worst_and_median(module: RigModule, batch: PoseBatch) -> Image.Image:
     order = (results - targets).norm(dim=2).mean(dim=1).argsort(descending=True).tolist()
     rows = {"worst: target": order[0], "median: target": order[len(order) // 2]}
     return comparison(module.true_rig, [Pair(label, targets[row], results[row]) for label, row in rows.items()])
-
-
-@rank_zero_only
-def log_choices(logger: TensorBoardLogger, config: dict[str, Any]) -> None:
-    """Log a plain config as flat hyper-parameters."""
-    choices = _flat(config)
-    logger.log_hyperparams(choices)  # for hparams.yaml
-    _, begun, ended = hparams(choices, {})  # the first would fix the columns by this run alone
-    for summary in (begun, ended):
-        logger.experiment.file_writer.add_summary(summary)
-
-
-def log_results(logger: TensorBoardLogger, metrics: dict[str, float], step: int) -> None:
-    """Log every final metric: the results' columns."""
-    known = {f"{RESULT}/{key}": value for key, value in metrics.items() if key.split("/")[0] in sets_of(metrics)}
-    logger.log_metrics(known, step)
-    logger.save()
-
-
-def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in config.items():
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value if isinstance(value, bool | int | float | str) else str(value)
-    return flat

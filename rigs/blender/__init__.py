@@ -1,1 +1,1 @@
-"""Blender as a rig and as a judge: rigs exported as .blend files, and .blend files evaluated by worker processes."""
+"""Blender: .blend files as rigs, evaluated by worker processes, and export of rigs as .blend files."""

@@ -1,4 +1,4 @@
-"""A rig as a blueprint: plain values that follow from each other, which animation software can rebuild with drivers."""
+"""Blueprints: rigs as graphs of plain values, which animation software can rebuild with drivers."""
 
 import hashlib
 import json
@@ -17,14 +17,14 @@ Operation = Literal["sum", "product", "screen", "least"]
 
 @dataclass(frozen=True)
 class Value:
-    """One number of a rig, computed from controls and from values that stand before it.
+    """A scalar of a rig, computed from controls and earlier values.
 
     Attributes:
         name: unique among values.
         operation: `sum` of the inputs times `factors`, `product`, `screen` 1 - (1 - a)(1 - b)..., or the `least` input.
-        inputs: names of values, or, where `of_controls`, of controls.
+        inputs: names of values, or of controls where `of_controls` is set.
         factors: of a sum, one for each input.
-        curve: through which the result goes.
+        curve: applied to the result.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Value:
 
 
 class Channel(NamedTuple):
-    """What a value does to a joint: its `rotation` (radians) about, or its `location` (mm) along an axis of its frame."""
+    """A degree of freedom of a joint: `rotation` (radians) about or `location` (mm) along an axis of its frame."""
 
     joint: str
     kind: Literal["rotation", "location"]
@@ -45,17 +45,17 @@ class Channel(NamedTuple):
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Joints that carry a mesh by linear blend skinning.
+    """A skeleton for linear blend skinning.
 
     Attributes:
         names: of the joints, parents before their children.
-        parents: the number of each joint's parent, -1 for a root.
+        parents: index of each joint's parent, -1 for a root.
         heads: `(joint, 3)`, mm.
-        lengths: `(joint,)`, mm, of the bones, for the eye.
-        frames: `(joint, 3, 3)`, whose columns are the axes of each joint at rest; the bone lies along the second.
-        order: in which a joint turns about its axes, as in `YZX`: first about the second.
-        weights: `(vertex, joint)`.
-        channels: by name of the value.
+        lengths: display lengths of the bones, `(joint,)`, mm.
+        frames: `(joint, 3, 3)`, whose columns are the axes of each joint at rest; the bone is along the second.
+        order: of rotations, as in `YZX`: first about the second axis.
+        weights: skin weights `(vertex, joint)`.
+        channels: driven degree of freedom by name of the value.
     """
 
     names: tuple[str, ...]
@@ -70,23 +70,23 @@ class Skeleton:
     ARRAYS: ClassVar = ("heads", "lengths", "frames", "weights")
 
     def facts(self) -> dict[str, Any]:
-        """All but the arrays, for JSON."""
+        """Everything except the arrays, for JSON."""
         return {"names": self.names, "parents": self.parents, "order": self.order, "channels": self.channels}
 
 
 @dataclass(frozen=True)
 class Blueprint:
-    """All that is needed to rebuild a rig of shapes or joints elsewhere.
+    """Complete description of a rig of shapes or joints.
 
     Attributes:
         name: of the rig.
-        controls: the rig's.
-        values: in an order in which they can be computed.
-        shapes: the values that are weights of shapes.
+        controls: of the rig.
+        values: in an order of evaluation.
+        shapes: names of the values that are weights of shapes.
         rest_vertices: `(vertex, 3)`, mm, y up.
         faces: `(face, 3)`.
         deltas: `(shape, vertex, 3)`, mm.
-        skeleton: of a rig that has one.
+        skeleton: None for rigs without joints.
     """
 
     name: str
@@ -99,34 +99,38 @@ class Blueprint:
     skeleton: Skeleton | None = None
 
     def facts(self) -> str:
-        """All but the arrays, as JSON."""
-        facts = {"name": self.name, "shapes": self.shapes}
-        facts["controls"] = [asdict(control) for control in self.controls]
-        facts["values"] = [asdict(value) for value in self.values]
-        facts["skeleton"] = self.skeleton and self.skeleton.facts()
+        """Everything except the arrays, as JSON."""
+        facts = {
+            "name": self.name,
+            "shapes": self.shapes,
+            "controls": [asdict(control) for control in self.controls],
+            "values": [asdict(value) for value in self.values],
+            "skeleton": self.skeleton and self.skeleton.facts(),
+        }
         return json.dumps(facts)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name."""
+        """Arrays by name."""
         arrays = {"rest_vertices": self.rest_vertices, "faces": self.faces, "deltas": self.deltas}
         if self.skeleton:
             arrays |= {name: getattr(self.skeleton, name) for name in Skeleton.ARRAYS}
         return arrays
 
     def content_hash(self) -> str:
-        """Of everything in it, in hexadecimal."""
+        """SHA-256 of the blueprint, in hexadecimal."""
         digest = hashlib.sha256(self.facts().encode())
         for array in self.arrays().values():
-            digest.update(np.ascontiguousarray(array))
+            digest.update(np.ascontiguousarray(array).data)
         return digest.hexdigest()
 
     def save(self, path: Path) -> None:
-        """Write it as an .npz that NumPy reads without running code."""
-        np.savez(path, facts=np.frombuffer(self.facts().encode(), np.uint8), **self.arrays())
+        """Write an .npz without pickled objects."""
+        arrays: dict[str, Any] = {"facts": np.frombuffer(self.facts().encode(), np.uint8), **self.arrays()}
+        np.savez(path, **arrays)
 
 
 def unpack_curves(table: Tensor) -> list[Curve]:
-    """The curves of a table of `riginv.geometry.curves.pack_curves`, `(curve, segment, 9)`."""
+    """Curves of a table `(curve, segment, 9)` of `riginv.geometry.curves.pack_curves`."""
     return [_curve([segment for segment in rows if segment[1] > 0]) for rows in table.double().tolist()]
 
 
@@ -135,7 +139,7 @@ def _curve(segments: list[list[float]]) -> Curve:
     for start, width, _, b, c, d, e, f, g in segments:
         right = (width * c / 3, f / 3)
         keys.append(Key(start, g, left, right))
-        inner = (width * (b + 2 * c) / 3, (e + 2 * f) / 3)  # of the second handle, from the start of the segment
+        inner = (width * (b + 2 * c) / 3, (e + 2 * f) / 3)  # second handle relative to the start of the segment
         left = (inner[0] - width, inner[1] - (d + e + f))
     start, width, *_, d, e, f, g = segments[-1]
     return [*keys, Key(start + width, d + e + f + g, left)]

@@ -1,4 +1,4 @@
-"""The blueprint of the default body: its skeleton, and which controls turn and move which joints."""
+"""Blueprint of the default body."""
 
 import numpy as np
 import torch
@@ -8,21 +8,22 @@ from rigs.body import BodyRig
 from rigs.body.build import body_geometry
 from rigs.body.controls import MOVES
 
-BLENDER_ORDER = "YZX"  # what `rigs.body.rig.ORDER` is in Blender, which names the axis first that is turned about first
-COLUMN = (0, 2, 1)  # of a joint's frame, for its first, middle and last axis
+BLENDER_ORDER = "YZX"  # `rigs.body.rig.ORDER` as Blender names it, by the order of application
+COLUMN = (0, 2, 1)  # of a joint's frame for its first, middle and last axis
 
 
 def body_blueprint(rig: BodyRig) -> Blueprint:
-    """What `BodyRig.coefficients` does, joint by joint, read from the tensors that it computes with."""
+    """Blueprint of the body, from the tensors of `BodyRig.coefficients`."""
     geometry = body_geometry()
-    channels, values = {}, []
-    shares = rig.angles.double().unflatten(1, (-1, 3)).cpu().numpy()
+    channels: dict[str, Channel] = {}
+    values: list[Value] = []
+    factors = rig.angles.double().unflatten(1, (-1, 3)).cpu().numpy()
     for joint, name in enumerate(rig.joint_names):
         for axis in range(3):
-            controls = np.flatnonzero(shares[:, joint, axis])
+            controls = np.flatnonzero(factors[:, joint, axis])
             if len(controls):
-                value = f"{name} turn {axis}"
-                values.append(_sum(value, [rig.control_names[c] for c in controls], shares[controls, joint, axis]))
+                value = f"{name} rotation {axis}"
+                values.append(_sum(value, [rig.control_names[c] for c in controls], factors[controls, joint, axis]))
                 channels[value] = Channel(name, "rotation", COLUMN[axis])
     frames = rig.frames.double().cpu().numpy()
     for axis, direction in enumerate(frames[0].T):

@@ -1,4 +1,4 @@
-"""Alembic and FBX as clips: Blender reads them, in a process of its own (`pip install 'riginv[blender]'`)."""
+"""Alembic and FBX clips, read by Blender in a worker process (`pip install 'riginv[blender]'`)."""
 
 from pathlib import Path
 
@@ -8,9 +8,9 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
+from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.interpreter import find_interpreter, script_command
 from rigs.blender.pool import PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefusedError
 
 TIMEOUT_S = 300.0  # for a chunk of frames, or for the import
 FORMATS = {".abc": "Alembic", ".fbx": "FBX"}
@@ -18,14 +18,14 @@ BEGINNINGS = {".abc": (b"Ogawa", b"\x89HDF"), ".fbx": (b"Kaydara FBX Binary", b"
 
 
 class BlenderClip(MeshSequence):
-    """Meshes of an .abc or .fbx, as Blender plays it; several stand one after the other, in the order of its scene.
+    """Meshes of an .abc or .fbx, as Blender evaluates it; several are concatenated in the order of the scene.
 
     Args:
         path: of the file.
         options: `mesh`: names of mesh objects; None: the only mesh that moves, or what fits `vertices`. `animation`: name or
-            number of a take of an FBX; None: the first that moves the meshes. `fps`: at which the file is played; None: the
-            file's own rate. `interpreter`: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
-        vertices: of the rig that the clip is for; None: not known.
+            number of a take of an FBX; None: the first that moves the meshes. `fps`: frame rate; None: the file's own.
+            `interpreter`: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
+        vertices: number of vertices of the clip's rig, where known.
 
     Raises:
         InputError: no Blender, no such file, mesh or animation, or Blender cannot import it.
@@ -34,8 +34,13 @@ class BlenderClip(MeshSequence):
     def __init__(self, path: str, options: ReadingOptions, vertices: int | None = None) -> None:
         file = Path(path).expanduser().absolute()
         _check(path, file)
-        load = {"file": str(file), "meshes": options.mesh_names, "animation": options.animation}
-        load |= {"fps": options.fps, "vertices": vertices}
+        load = {
+            "file": str(file),
+            "meshes": options.mesh_names,
+            "animation": options.animation,
+            "fps": options.fps,
+            "vertices": vertices,
+        }
         self.pool = WorkerPool(script_command(find_interpreter(options.interpreter), "play.py"), load, 1, TIMEOUT_S)
         self.path = path
         try:
@@ -65,7 +70,7 @@ class BlenderClip(MeshSequence):
 
     @classmethod
     def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "BlenderClip":
-        """Open a file that should hold a rig's mesh, by which meshes are chosen that the user did not name.
+        """Open a clip of a rig, whose number of vertices selects the meshes unless the user names them.
 
         Raises:
             InputError: the file cannot be read, or it is not clear which meshes are meant.
@@ -79,13 +84,13 @@ class BlenderClip(MeshSequence):
             raise self._failure(error) from None
 
     def _failure(self, error: Exception) -> InputError:
-        said = " ".join(str(error).split())
-        refused = isinstance(error, WorkerRefusedError) and Path(self.path).name in said
-        return InputError(said if refused else f"{self.path}: Blender cannot read it: {said}")
+        text = " ".join(str(error).split())
+        refused = isinstance(error, WorkerRefusedError) and Path(self.path).name in text
+        return InputError(text if refused else f"{self.path}: Blender cannot read it: {text}")
 
 
 def _check(path: str, file: Path) -> None:
-    """That a file is there and begins as its name says."""
+    """Raises InputError where a file is missing or is not of the format that its name says."""
     if not file.is_file():
         raise InputError(f"{path}: no such file; clip=PATH names a clip")
     with file.open("rb") as opened:

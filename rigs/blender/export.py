@@ -1,29 +1,37 @@
-"""python -m rigs.blender.export: a default rig as a .blend that an animator can open and move."""
+"""python -m rigs.blender.export: a default rig as a .blend that an animator can open and pose."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig
 from rich.console import Console
 
-from riginv.config.building import build
-from riginv.config.validation import validate
+from riginv.config.building import ClassSpec
+from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.launch.command import command
 from riginv.rig.interface import RigBackend
-from riginv.runs.run_folder import plain_config
 from rigs.blender.interpreter import find_interpreter
 from rigs.blender.twin import blueprint_of, write_blend
 
 
+@dataclass(frozen=True)
+class ExportConfig:
+    """The config of `rigs.blender.export`; conf/export_blender.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend]
+    out: str
+    interpreter: str | None
+
+
 def export(config: DictConfig) -> None:
     """Write `config.rig` to `config.out`."""
-    plain = plain_config(config)
-    validate(plain)
-    out = Path(plain["out"])
+    settings = to_typed(config, ExportConfig)
+    out = Path(settings.out)
     if out.suffix.lower() != ".blend":
         raise InputError(f"out={out}: expected the name of a file that ends in .blend")
-    interpreter = find_interpreter(plain["interpreter"])
-    rig = build(plain["rig"], kind=RigBackend)
+    interpreter = find_interpreter(settings.interpreter)
+    rig = settings.rig.build()
     blueprint = blueprint_of(rig)
     write_blend(blueprint, out, interpreter)
     Console().print(

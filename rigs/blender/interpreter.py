@@ -1,4 +1,4 @@
-"""Which program runs the scripts of `in_blender/`: a Python that has bpy, or Blender itself."""
+"""The program that runs the scripts of `in_blender/`: a Python with bpy, or Blender itself."""
 
 import importlib.util
 import os
@@ -34,7 +34,7 @@ def find_interpreter(given: str | None = None) -> str:
 
 
 def script_command(interpreter: str, script: str, *arguments: str) -> list[str]:
-    """The command line that runs a script of `in_blender/`; a program named blender is taken for Blender itself."""
+    """Command line that runs a script of `in_blender/`, by Blender itself where the program is named blender."""
     path = str(SCRIPTS / script)
     if Path(interpreter).name.lower().startswith("blender"):
         return [interpreter, "--background", "--factory-startup", "--python-exit-code", "1", "--python", path, "--", *arguments]

@@ -1,4 +1,4 @@
-"""A .blend file as a rig: a black box that Blender evaluates."""
+"""A .blend file as a black-box rig that Blender evaluates."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -12,13 +12,14 @@ from torch import Tensor
 from riginv.errors import InputError
 from riginv.rig.arkit import ArkitParts
 from riginv.rig.interface import Control, Motion, RigBackend
+from riginv.runs.worker_pool import GROWTH_MB
+from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.interpreter import find_interpreter, script_command
-from rigs.blender.pool import GROWTH_MB, PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefusedError
+from rigs.blender.pool import PoseLostError, WorkerPool
 from rigs.blender.selection import Selection, select
 from rigs.blender.twin import twin_file
 
-BEGINNINGS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")  # of a .blend: plain, and compressed by newer and older Blenders
+BEGINNINGS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")  # uncompressed, Zstandard, gzip
 
 
 class BlenderRig(RigBackend):
@@ -27,20 +28,26 @@ class BlenderRig(RigBackend):
     Args:
         file: the .blend; None: that of `twin_of`.
         mesh: the name of the mesh object; None: the only one.
-        include, exclude, rename, bounds: of the controls that were found, see `Selection`.
-        workers: processes at most; None: one for each CPU core, up to 8.
+        include, exclude, rename, bounds: selection of controls, see `Selection`.
+        workers: most processes; None: one for each CPU core, up to 8.
         interpreter: a Python that has bpy, or Blender itself; None: see `find_interpreter`.
-        timeout_s: after which a worker is taken for hung.
-        growth_mb: a worker that holds so much more memory than after its first poses is replaced; None: never.
-        scripts: whether the file's own Python may run.
-        twin_of: a rig to be exported to Blender, and judged there.
+        timeout_s: longest time for a batch of poses.
+        growth_mb: growth of a worker's memory after its first poses at which it is replaced; None: never.
+        scripts: allow Python of the .blend to run.
+        twin_of: rig that is exported to Blender and evaluated there.
 
     Raises:
         InputError: no Blender, no such file or mesh, or nothing that moves it.
     """
 
     differentiable = False
-    only_by_hand: ClassVar[tuple[str, ...]] = ("interpreter", "scripts", "workers", "timeout_s")  # a bundle runs no programs
+    # Ignored in bundles, which are untrusted:
+    only_by_hand: ClassVar[tuple[str, ...]] = (
+        "interpreter",
+        "scripts",
+        "workers",
+        "timeout_s",
+    )
 
     def __init__(
         self,
@@ -64,9 +71,12 @@ class BlenderRig(RigBackend):
         if growth_mb is not None and not growth_mb > 0:
             raise InputError(f"rig.growth_mb is {growth_mb}, expected megabytes above 0, or null")
         program = find_interpreter(interpreter)
-        if file is None and twin_of is None:
+        if file is not None:
+            path, name = _checked(file), Path(file).stem
+        elif twin_of is not None:
+            path, name = twin_file(twin_of, program), f"{twin_of.name} in Blender"
+        else:
             raise InputError("rig.file must be given: the .blend that holds the rig")
-        path = twin_file(twin_of, program) if file is None else _checked(file)
         load = {"file": str(path), "mesh": mesh, "scripts": scripts}
         command, workers = script_command(program, "worker.py"), workers or min(os.cpu_count() or 1, 8)
         pool = WorkerPool(command, load, workers, timeout_s, growth_mb=growth_mb)
@@ -77,17 +87,16 @@ class BlenderRig(RigBackend):
             raise InputError(str(error) if isinstance(error, WorkerRefusedError) else f"{path}: {error}") from None
         found = [Control(**control) for control in header["controls"]]
         self.found_names, controls = select(found, Selection(include, exclude, rename, bounds), str(path))
-        name = path.stem if file is not None else f"{twin_of.name} in Blender"
         super().__init__(name, controls, *(torch.from_numpy(arrays[key].copy()) for key in ("rest_vertices", "faces")))
         self.pool = pool
-        self._twin_of = (twin_of,) if file is None else ()  # in a tuple: no part of this module
+        self._twin_of = (twin_of,) if file is None and twin_of is not None else ()  # in a tuple: not a submodule
 
     @torch.no_grad()
     def forward(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to vertices `(batch, vertex, 3)`, mm.
 
         Raises:
-            InputError: Blender cannot evaluate a pose, or it ends or hangs on it time after time.
+            InputError: Blender cannot evaluate a pose, or repeatedly crashes or hangs on it.
         """
         values = controls.detach().to("cpu", torch.float32)
         try:
@@ -95,8 +104,9 @@ class BlenderRig(RigBackend):
         except WorkerRefusedError as error:
             raise InputError(str(error)) from None
         except PoseLostError as error:
-            moved = (values[error.row] != self.neutral_controls.cpu()).nonzero()[:, 0].tolist() if len(values) else []
-            pose = ", ".join(f"{self.control_names[control]} {float(values[error.row, control]):g}" for control in moved[:8])
+            row = values[error.row or 0]
+            moved = (row != self.neutral_controls.cpu()).nonzero()[:, 0].tolist() if error.row is not None else []
+            pose = ", ".join(f"{self.control_names[control]} {float(row[control]):g}" for control in moved[:8])
             raise InputError(f"{self.name}: {error}; what it moves: {pose}{', ...' if len(moved) > 8 else ''}") from None
         return torch.from_numpy(np.ascontiguousarray(vertices)).to(controls)
 

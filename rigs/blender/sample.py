@@ -1,11 +1,13 @@
-"""python -m rigs.blender.sample: poses of a rig as a table of pairs, controls and vertices, to train on without the rig.
+"""python -m rigs.blender.sample: poses of a rig as a table of pairs of controls and vertices, to train on without the rig.
 
 The table is an .npz, or a folder of .npy files, with the arrays controls `(pose, control)` and vertices `(pose, vertex, 3)`,
 mm, float32; rest_vertices `(vertex, 3)`; faces `(face, 3)`; control_names, lower, upper, neutral `(control,)`.
 """
 
 import contextlib
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,8 +15,9 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
 
-from riginv.config.building import build
-from riginv.config.validation import validate
+from riginv.config.building import ClassSpec
+from riginv.config.typed import to_typed
+from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
 from riginv.launch.command import command
 from riginv.rig.batches import generator_at
@@ -22,26 +25,35 @@ from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
 from riginv.runs.files import atomic_write, discard
 from riginv.runs.locks import exclusive_lock
-from riginv.runs.run_folder import plain_config
 
 BATCH_SIZE = 128  # poses at a time
 
 
+@dataclass(frozen=True)
+class PairsConfig:
+    """The config of `rigs.blender.sample`; conf/sample_blender.yaml explains each key."""
+
+    rig: ClassSpec[RigBackend]
+    out: str
+    poses: PositiveInt
+    most: int | None
+    seed: NonNegativeInt
+
+
 def sample(config: DictConfig) -> None:
     """Draw poses of `config.rig` and write them to `config.out`."""
-    plain = plain_config(config)
-    validate(plain)
-    out = Path(plain["out"])
+    settings = to_typed(config, PairsConfig)
+    out = Path(settings.out)
     if out.suffix not in ("", ".npz"):
         raise InputError(f"out={out}: expected a name that ends in .npz, or without an ending for a folder of .npy files")
     if out.exists():
         raise InputError(f"out={out}: it is there already; give another name")
-    rig = build(plain["rig"], kind=RigBackend)
-    most = len(rig.controls) if plain["most"] is None else plain["most"]
-    if not (isinstance(most, int) and 1 <= most <= len(rig.controls)):
+    rig = settings.rig.build()
+    most = len(rig.controls) if settings.most is None else settings.most
+    if not 1 <= most <= len(rig.controls):
         raise InputError(f"most is {most}, expected 1 to {len(rig.controls)}, the number of controls of '{rig.name}'")
-    generator = generator_at(plain["seed"], "pairs")
-    controls = sparse_controls(rig.lower, rig.upper, rig.neutral_controls, most, plain["poses"], generator)
+    generator = generator_at(settings.seed, "pairs")
+    controls = sparse_controls(rig.lower, rig.upper, rig.neutral_controls, most, settings.poses, generator)
     write_pairs(rig, controls, out)
     Console().print(
         f"{out}: {len(controls)} poses of rig '{rig.name}', up to {most} controls at a time", highlight=False, markup=False
@@ -50,8 +62,8 @@ def sample(config: DictConfig) -> None:
 
 @torch.no_grad()
 def write_pairs(rig: RigBackend, controls: torch.Tensor, out: Path) -> None:
-    """Write the poses of controls `(pose, control)` as a table of pairs, whole or not at all."""
-    arrays = {
+    """Write the poses of controls `(pose, control)` as a table of pairs, atomically."""
+    arrays: dict[str, Any] = {
         "controls": controls.numpy().astype(np.float32),
         "rest_vertices": rig.rest_vertices.numpy(),
         "faces": rig.faces.numpy(),

@@ -1,4 +1,4 @@
-"""Which of the controls that were found become the rig's, under which names and limits; all by glob."""
+"""Selection, renaming and limits of the controls of a .blend, by globs."""
 
 import difflib
 import re
@@ -13,13 +13,13 @@ from riginv.rig.interface import Control
 
 @dataclass(frozen=True)
 class Selection:
-    """What a config says about controls; globs of `include`, `exclude` and `rename` fit the names that were found.
+    """Selection of controls; globs of `include`, `exclude` and `rename` match names in the .blend.
 
     Attributes:
-        include: only these; empty: all.
-        exclude: but not these.
-        rename: glob -> new name; each `*` of the new name becomes what the same `*` of the glob stood for.
-        bounds: glob of the new names -> (lower, upper).
+        include: controls to keep; empty: all.
+        exclude: controls to leave out.
+        rename: glob -> new name; each `*` of the new name is replaced by what the same `*` of the glob matched.
+        bounds: glob for new names -> (lower, upper).
     """
 
     include: Sequence[str] = ()
@@ -29,13 +29,13 @@ class Selection:
 
 
 def select(found: Sequence[Control], selection: Selection, source: str) -> tuple[list[str], list[Control]]:
-    """The names that were found, and the controls that they become.
+    """Names in the .blend, and the controls of the rig.
 
     Args:
-        source: what messages call the rig.
+        source: of the controls, for messages.
 
     Raises:
-        InputError: a glob fits nothing, a bound is no pair of ascending numbers, or nothing is left.
+        InputError: a glob matches nothing, a bound is not a pair of ascending numbers, or no control remains.
     """
     names = [control.name for control in found]
     for key in ("include", "exclude"):
@@ -70,10 +70,8 @@ def _renamed(name: str, rename: Mapping[str, str]) -> str:
     for pattern, new in rename.items():
         match = re.fullmatch("".join(_as_regex(part) for part in re.split(r"([*?])", pattern)), name)
         if match:
-            pieces = re.split(r"[*?]", new)
-            return pieces[0] + "".join(
-                a + b for a, b in zip_longest(match.groups()[: len(pieces) - 1], pieces[1:], fillvalue="")
-            )
+            first, *parts = re.split(r"[*?]", new)
+            return first + "".join(a + b for a, b in zip_longest(match.groups()[: len(parts)], parts, fillvalue=""))
     return name
 
 

@@ -1,4 +1,4 @@
-"""The Blender twin of a rig: the rig exported once, kept as a .blend, and loaded from then on."""
+"""The Blender twin of a rig: a .blend that is exported once and cached."""
 
 import atexit
 import contextlib
@@ -24,10 +24,10 @@ LONGEST_S = 900.0
 
 
 def blueprint_of(rig: RigBackend) -> Blueprint:
-    """The blueprint of one of the default rigs.
+    """Blueprint of one of the default rigs.
 
     Raises:
-        InputError: there is none.
+        InputError: the rig has none.
     """
     if isinstance(rig, FaceRig):
         return face_blueprint(rig)
@@ -42,13 +42,13 @@ def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
     """Build a .blend from a blueprint, whole or not at all.
 
     Raises:
-        InputError: Blender did not manage to.
+        InputError: Blender failed.
     """
     with tempfile.TemporaryDirectory(prefix="riginv-blend-") as folder, atomic_write(out) as beside:
         saved, built = Path(folder) / "blueprint.npz", Path(folder) / "built.blend"
         blueprint.save(saved)
         command = script_command(interpreter, BUILDER, str(saved), str(built))
-        environment = {**os.environ, "TMPDIR": folder}  # what Blender leaves there goes with it
+        environment = {**os.environ, "TMPDIR": folder}  # removed with the folder
         try:
             done = subprocess.run(
                 command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LONGEST_S
@@ -56,13 +56,13 @@ def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
         except (subprocess.TimeoutExpired, OSError) as error:
             raise InputError(f"{interpreter} could not build {out}: {error}") from None
         if done.returncode or not built.is_file():
-            said = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()]
-            raise InputError(f"{interpreter} could not build {out}: {said[-1] if said else 'it says nothing'}")
+            lines = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()]
+            raise InputError(f"{interpreter} could not build {out}: {lines[-1] if lines else 'no output'}")
         shutil.copyfile(built, beside)
 
 
 def twin_file(rig: RigBackend, interpreter: str) -> Path:
-    """The .blend of a rig's twin, from the cache where this code has built it before."""
+    """The .blend of a rig's twin, cached by its content and the code that builds it."""
     blueprint = blueprint_of(rig)
     code = code_key([SCRIPTS / BUILDER, SCRIPTS / "drivers.py"])
     name = f"blender/{blueprint.name}-{blueprint.content_hash()[:16]}-{code}.blend"

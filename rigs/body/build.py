@@ -1,4 +1,4 @@
-"""The body's geometry as tensors, from the asset."""
+"""The body's geometry and walk as tensors, from the asset."""
 
 import numpy as np
 import torch
@@ -8,11 +8,11 @@ from rigs.geometry.asset import POSITION_MM, read_asset
 
 
 def body_geometry() -> dict[str, Tensor]:
-    """The body's tensors.
+    """The tensors of the body.
 
     Returns:
         rest_vertices `(vertex, 3)`, mm; faces `(face, 3)`; weights `(vertex, joint)`; parents `(joint,)`; heads and tails
-        `(joint, 3)`, mm; rolls `(joint,)`; frames `(joint, 3, 3)`, as `rigs.body.axes.joint_frames` has them.
+        `(joint, 3)`, mm; rolls `(joint,)`; frames `(joint, 3, 3)`, as `rigs.body.skeleton.joint_frames` has them.
     """
     arrays = read_asset()
     positions, parents = arrays["body_positions"], arrays["joint_parents"]
@@ -28,3 +28,18 @@ def body_geometry() -> dict[str, Tensor]:
         "rolls": torch.tensor(arrays["joint_rolls"], dtype=torch.float32),
         "frames": torch.tensor(arrays["joint_frames"], dtype=torch.float64),
     }
+
+
+FPS = 60.0
+
+
+def walk() -> tuple[Tensor, Tensor]:
+    """A walk: rotations of each joint relative to its parent, `(frame, joint, 3, 3)`, and root displacement `(frame, 3)`, mm.
+
+    Made for MakeHuman's skeleton in Blender (`rigs.geometry.anny.walk`).
+    """
+    arrays = read_asset()
+    move = torch.tensor(arrays["walk_move"])
+    rotations = torch.eye(3).repeat(len(move), len(arrays["joint_parents"]), 1, 1)
+    rotations[:, torch.tensor(arrays["walk_joints"].astype("int64"))] = torch.tensor(arrays["walk_rotations"])
+    return rotations, move

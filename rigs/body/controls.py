@@ -1,29 +1,29 @@
-"""The body's controls: what they are called, how far they go, and which joints they turn about which of their axes.
+"""Controls of the body: names, ranges, and the joint axes that they rotate.
 
 Angles are degrees, lengths millimetres. A control of several joints is a macro; it and the controls of single joints add up.
-The signs are anatomical: 0 is the rest pose, and a bend above 0 folds the joint the way that it folds. `left` is the body's.
+Signs are anatomical: 0 is the rest pose, and a positive bend folds the joint in its natural direction. `left` is the body's.
 """
 
 from typing import NamedTuple
 
 from riginv.rig.interface import Control
-from rigs.body.axes import FIRST, LAST, MIDDLE
+from rigs.body.skeleton import FIRST, LAST, MIDDLE
 
 FINGERS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "little": 5}
 SIDES = {"left": ".L", "right": ".R"}
 MOVES = ("root_move_x", "root_move_y", "root_move_z")
 
 
-class Turn(NamedTuple):
-    """One joint's share in a control: degrees about one of its axes for each degree of the control."""
+class JointDrive(NamedTuple):
+    """Rotation of a joint by a control: degrees about one of its axes per degree of the control."""
 
     control: str
     joint: str
     axis: int
-    share: float
+    factor: float
 
 
-# control: lower, upper, then (joint, axis, share) of each joint that it turns.
+# control: lower, upper, then (joint, axis, factor) of each joint that it drives.
 Entry = tuple[float, float, list[tuple[str, int, float]]]
 
 
@@ -92,9 +92,9 @@ def hand_controls() -> dict[str, Entry]:
     fist += [("finger1-1", FIRST, 0.3), ("finger1-2", FIRST, 0.5), ("finger1-3", FIRST, 0.8)]
     entries: dict[str, Entry] = {
         "fist": (-10, 60, fist),
-        "spread": (-10, 20, [(f"finger{n}-1", MIDDLE, share) for n, share in zip((2, 3, 4, 5), (0.9, 0.2, -0.5, -1.0))]),
+        "spread": (-10, 20, [(f"finger{n}-1", MIDDLE, factor) for n, factor in zip((2, 3, 4, 5), (0.9, 0.2, -0.5, -1.0))]),
         "cup": (0, 20, [("metacarpal3", FIRST, 0.5), ("metacarpal4", FIRST, 1.0)]),
-        "thumb_curl": (-25, 45, [(f"finger1-{bone}", FIRST, share) for bone, share in zip((1, 2, 3), (0.5, 0.8, 1.0))]),
+        "thumb_curl": (-25, 45, [(f"finger1-{bone}", FIRST, factor) for bone, factor in zip((1, 2, 3), (0.5, 0.8, 1.0))]),
         "thumb_bend": (-20, 25, [("finger1-1", FIRST, 1.0)]),
         "thumb_side": (-25, 35, [("finger1-1", MIDDLE, 1.0)]),
         "thumb_twist": (-20, 20, [("finger1-1", LAST, 1.0)]),
@@ -110,19 +110,19 @@ def hand_controls() -> dict[str, Entry]:
     return entries
 
 
-def build_controls() -> tuple[list[Control], list[Turn]]:
-    """All controls in the rig's order, and which joints they turn."""
+def build_controls() -> tuple[list[Control], list[JointDrive]]:
+    """All controls in the rig's order, and the joints that they rotate."""
     controls = [Control(name, -1000.0, 1000.0, unit="mm") for name in MOVES]
-    turns: list[Turn] = []
+    drives: list[JointDrive] = []
 
     def add(name: str, entry: Entry, ending: str) -> None:
         lower, upper, joints = entry
         controls.append(Control(name, float(lower), float(upper), unit="deg"))
-        turns.extend(Turn(name, joint + ending, axis, share) for joint, axis, share in joints)
+        drives.extend(JointDrive(name, joint + ending, axis, factor) for joint, axis, factor in joints)
 
     for name, entry in central_controls().items():
         add(name, entry, "")
     for side, ending in SIDES.items():
         for name, entry in (leg_controls() | arm_controls() | hand_controls()).items():
             add(f"{side}_{name}", entry, ending)
-    return controls, turns
+    return controls, drives

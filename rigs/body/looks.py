@@ -1,4 +1,4 @@
-"""Poses of the body worth a name."""
+"""Named poses of the body."""
 
 
 def _both(**controls: float) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""The body rig's logic: from controls to the skinning matrices of its joints."""
+"""The logic of the body rig: from controls to the skinning matrices of its joints."""
 
 import roma
 import torch
@@ -10,34 +10,37 @@ from riginv.geometry.kinematics import Skeleton, forward_kinematics, relative_ro
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig.interface import LinearRig, Motion
 from riginv.rig.jacobian import Jacobian
-from rigs.body.axes import LAST
-from rigs.body.build import body_geometry
+from rigs.body.build import FPS, body_geometry, walk
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
-from rigs.body.skeleton import KEPT
-from rigs.body.walk import FPS, walk
+from rigs.body.skeleton import KEPT, LAST
 
-ORDER = "XZY"  # of a joint's turns in its frame: about its last axis first, then the middle one, then the first (axes.py)
-
-LOCKED = 0.01  # the cosine of the middle angle below which first and last cannot be told apart
-NOISE_TWIST, NOISE_BEND = 12.0, 4.0  # degrees: how far joints turn about their bones, and across, without any control
-PLACE_AND_TURN = 12  # numbers of the root's place and turn, the first of the features
+ORDER = "XZY"  # of the rotations in a joint's frame: last axis first, then the middle one, then the first (skeleton.py)
+LOCKED = 0.01  # cosine of the middle angle below which a joint is in gimbal lock
+NOISE_TWIST, NOISE_BEND = 12.0, 4.0  # degrees: standard deviation of joint noise about and across the bone
+ROOT_FEATURES = 12  # position and rotation matrix of the root, first among the features
 
 
 class BodyRig(LinearRig):
-    """A body of 13,380 vertices, skinned linearly to 77 joints, moved by joint angles; differentiable throughout.
+    """A body of 13,380 vertices with linear blend skinning (LBS) and 77 joints, controlled by joint angles; differentiable.
 
-    The coefficients are, joint by joint, the 12 numbers of its skinning matrix about its place at rest: where it has turned,
-    and where it has gone. Joints that carry no skin have none.
+    The coefficients are, for each joint with skin weights, the 12 entries of its skinning matrix about its rest position.
 
     Attributes:
-        joint_names: all joints, in MakeHuman's names.
-        parents: the number of each joint's parent, -1 for the root.
+        joint_names: names of all joints, as in MakeHuman.
+        parents: index of each joint's parent, -1 for the root.
     """
+
+    angles: Tensor
+    frames: Tensor
+    offsets: Tensor
+    skinned: Tensor
+    feature_frames: Tensor
+    root_to_pelvis: Tensor
 
     def __init__(self) -> None:
         geometry = body_geometry()
-        controls, turns = build_controls()
+        controls, drives = build_controls()
         self.joint_names, self.parents = KEPT, tuple(geometry["parents"].tolist())
         weights = geometry["weights"]
         check_weights(weights, "the body's weights", self.joint_names)
@@ -49,28 +52,27 @@ class BodyRig(LinearRig):
         control = {name: number for number, name in enumerate(self.control_names)}
         joint = {name: number for number, name in enumerate(self.joint_names)}
         angles = torch.zeros(len(controls), 3 * len(KEPT), dtype=torch.float64)
-        for turn in turns:
-            angles[control[turn.control], 3 * joint[turn.joint] + turn.axis] += turn.share
+        for drive in drives:
+            angles[control[drive.control], 3 * joint[drive.joint] + drive.axis] += drive.factor
         heads, parents = geometry["heads"], geometry["parents"]
         offsets = torch.where(parents[:, None] >= 0, heads - heads[parents], heads)
         buffers = {"angles": torch.deg2rad(angles), "frames": geometry["frames"], "offsets": offsets, "skinned": skinned}
         for name, tensor in buffers.items():
             self.register_buffer(name, tensor.to(self.dtype) if tensor.is_floating_point() else tensor, persistent=False)
         self.moves = slice(control[MOVES[0]], control[MOVES[-1]] + 1)
-        # The root carries no skin: the left side of the pelvis, which has no controls of its own, tells how it is turned.
-        place = {int(joint): number for number, joint in enumerate(skinned)}
-        self.pelvis = place[joint["pelvis.L"]]
-        self.skinned_parents = tuple(place.get(self.parents[number], self.pelvis) for number in place)
-        self.skinned_parents = tuple(
-            -1 if number == self.pelvis else parent for number, parent in enumerate(self.skinned_parents)
-        )
+        # The root has no skin: its rotation is that of the left side of the pelvis, which has no controls of its own.
+        row = {number: index for index, number in enumerate(skinned.tolist())}
+        self.pelvis = row[joint["pelvis.L"]]
+        parents_of_skinned = [row.get(self.parents[number], self.pelvis) for number in row]
+        parents_of_skinned[self.pelvis] = -1
+        self.skinned_parents = tuple(parents_of_skinned)
         feature_frames = geometry["frames"][skinned].clone()
         feature_frames[self.pelvis] = geometry["frames"][joint["root"]]
         self.register_buffer("feature_frames", feature_frames.to(self.dtype), persistent=False)
         self.register_buffer("root_to_pelvis", heads[joint["pelvis.L"]] - heads[joint["root"]], persistent=False)
         loose = torch.full((len(KEPT), 3), NOISE_BEND)
         loose[:, LAST] = NOISE_TWIST
-        loose[joint["root"]] = 0.0  # its controls reach everything
+        loose[joint["root"]] = 0.0
         self.joint_noise = torch.deg2rad(loose).flatten().to(self.dtype)
         self.levels = tree_levels(self.parents, self.joint_names)
         self.derivatives = JointJacobian(self.parents, self.angles, skinned)
@@ -85,92 +87,92 @@ class BodyRig(LinearRig):
 
     @torch.no_grad()
     def motion(self) -> Motion:
-        """A walk of 101 frames (`rigs.body.walk`)."""
+        """A walk of 101 frames (`rigs.body.build.walk`)."""
         rotations, move = (values.to(self.rest_vertices) for values in walk())
         change = self.coefficients_of(rotations, move) - self.neutral_coefficients()
         return Motion("walk", FPS, apply_deltas(self.rest_vertices, self.basis, change))
 
     def coefficients(self, controls: Tensor) -> Tensor:
-        """Controls `(batch, control)` to the 12 numbers of each skinned joint's matrix, `(batch, 12 * joint)`."""
+        """Controls `(batch, control)` to the 12 entries of each skinned joint's matrix, `(batch, 12 * joint)`."""
         return self._coefficients(controls @ self.angles.to(controls), controls)
 
     def coefficients_with_joint_noise(self, controls: Tensor, parts: Tensor) -> Tensor:
-        """As `coefficients`, where each joint has also turned on its own by `parts` `(batch, 3 * joint)`, radians."""
+        """As `coefficients`, with angles `parts` `(batch, 3 * joint)`, radians, added to those of the controls."""
         return self._coefficients(controls @ self.angles.to(controls) + parts, controls)
 
     @torch.no_grad()
     def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
-        """As `coefficients`, with the derivative of the skinning matrices (`riginv.geometry.joint_jacobian`)."""
+        """As `coefficients`, with the Jacobian of the skinning matrices (`riginv.geometry.joint_jacobian`)."""
         frames, angles = self.frames.to(controls), (controls @ self.angles.to(controls)).unflatten(1, (-1, 3))
-        turns = roma.euler_to_rotmat(ORDER, angles)
-        worlds = self._worlds(frames @ turns @ frames.mT, controls[:, self.moves])
-        derivatives = self.derivatives(worlds, frames @ euler_axes(angles, turns))
+        rotations = roma.euler_to_rotmat(ORDER, angles)
+        worlds = self._worlds(frames @ rotations @ frames.mT, controls[:, self.moves])
+        derivatives = self.derivatives(worlds, frames @ euler_axes(angles, rotations))
         derivatives[:, self.moves, :, :, 3] = torch.eye(3).to(controls)[:, None]
         return worlds[:, self.skinned].flatten(1), Jacobian(inner=derivatives.flatten(2).transpose(1, 2))
 
     def joint_transforms(self, controls: Tensor) -> Tensor:
-        """Controls `(batch, control)` to the transforms `(batch, joint, 3, 4)` of all joints in the world, mm."""
+        """Controls `(batch, control)` to the world transforms `(batch, joint, 3, 4)` of all joints, mm."""
         return self._worlds(self._rotations(controls @ self.angles.to(controls)), controls[:, self.moves])
 
     def _coefficients(self, angles: Tensor, controls: Tensor) -> Tensor:
         return self.coefficients_of(self._rotations(angles), controls[:, self.moves])
 
     def _rotations(self, angles: Tensor) -> Tensor:
-        """Angles `(batch, 3 * joint)`, radians, to the rotation of each joint against its parent."""
+        """Angles `(batch, 3 * joint)`, radians, to the rotation of each joint relative to its parent."""
         frames = self.frames.to(angles)
         return frames @ roma.euler_to_rotmat(ORDER, angles.unflatten(1, (-1, 3)).unbind(-1)) @ frames.mT
 
     def features(self, coefficients: Tensor) -> Tensor:
-        """Where the root is, in metres, how it is turned, and the angles of each joint against the one above it, radians."""
+        """Position of the root, metres, its rotation matrix, and the angles of each joint relative to its parent, radians."""
         worlds = coefficients.unflatten(1, (-1, 3, 4))
         root = worlds[:, self.pelvis, :, :3]
-        place = worlds[:, self.pelvis, :, 3] - root @ self.root_to_pelvis.to(coefficients)
+        position = worlds[:, self.pelvis, :, 3] - root @ self.root_to_pelvis.to(coefficients)
         frames = self.feature_frames.to(coefficients)
-        turns = frames.mT @ relative_rotations(worlds, self.skinned_parents) @ frames
-        return torch.cat([place / 1000, root.flatten(1), joint_angles(turns).flatten(1)], dim=1)
+        rotations = frames.mT @ relative_rotations(worlds, self.skinned_parents) @ frames
+        return torch.cat([position / 1000, root.flatten(1), joint_angles(rotations).flatten(1)], dim=1)
 
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
         change = after - before
-        angles = torch.remainder(change[:, PLACE_AND_TURN:] + torch.pi, 2 * torch.pi) - torch.pi
-        return torch.cat([change[:, :PLACE_AND_TURN], angles], dim=1)
+        angles = torch.remainder(change[:, ROOT_FEATURES:] + torch.pi, 2 * torch.pi) - torch.pi
+        return torch.cat([change[:, :ROOT_FEATURES], angles], dim=1)
 
     def coefficients_of(self, rotations: Tensor, move: Tensor) -> Tensor:
-        """The coefficients of any pose of the skeleton, in reach of the controls or not.
+        """The coefficients of any pose of the skeleton, also outside the range of the controls.
 
         Args:
-            rotations: of each joint against its parent, `(batch, joint, 3, 3)`; the identity at rest.
-            move: of the root, `(batch, 3)`, mm.
+            rotations: of each joint relative to its parent, `(batch, joint, 3, 3)`; the identity at rest.
+            move: displacement of the root, `(batch, 3)`, mm.
         """
         return self._worlds(rotations, move)[:, self.skinned].flatten(1)
 
     def _worlds(self, rotations: Tensor, move: Tensor) -> Tensor:
-        """The world transforms of all joints, `(batch, joint, 3, 4)`."""
+        """World transforms of all joints, `(batch, joint, 3, 4)`."""
         offsets = self.offsets.to(rotations).expand(rotations.shape[0], -1, -1)
         offsets = torch.cat([offsets[:, :1] + move[:, None], offsets[:, 1:]], dim=1)  # the root is the first joint
         return forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
 
 
-def euler_axes(angles: Tensor, turns: Tensor) -> Tensor:
-    """The axes, as columns `(..., 3, 3)`, that a joint turns about when one of its angles `(..., 3)` changes.
+def euler_axes(angles: Tensor, rotations: Tensor) -> Tensor:
+    """The axes, as columns `(..., 3, 3)`, about which a joint rotates when one of its angles `(..., 3)` changes.
 
     Args:
-        turns: what the angles make, `(..., 3, 3)`. The first axis stays, the middle one has been turned by the first angle,
-            the last one by both.
+        rotations: rotation matrices of the angles, `(..., 3, 3)`. The first axis is fixed, the middle one is rotated by the
+            first angle, the last one by both.
     """
     first, zero = angles[..., 0], torch.zeros_like(angles[..., 0])
     middle = torch.stack([zero, -torch.sin(first), torch.cos(first)], dim=-1)
-    return torch.stack([torch.eye(3).to(angles)[0].expand_as(middle), middle, turns[..., 1]], dim=-1)
+    return torch.stack([torch.eye(3).to(angles)[0].expand_as(middle), middle, rotations[..., 1]], dim=-1)
 
 
-def joint_angles(turns: Tensor) -> Tensor:
-    """The angles `(..., 3)` about first, middle and last axis of turns `(..., 3, 3)`, which need not be quite orthogonal.
+def joint_angles(rotations: Tensor) -> Tensor:
+    """Angles `(..., 3)` about the first, middle and last axis of rotations `(..., 3, 3)`, which may be slightly non-orthogonal.
 
-    In gimbal lock, the middle angle at 90 degrees, first and last are one: it is given to the first.
+    In gimbal lock (middle angle 90 degrees) the whole rotation is assigned to the first angle.
     """
-    upright = torch.hypot(turns[..., 2, 1], turns[..., 1, 1])  # the cosine of the middle angle
-    middle = torch.atan2(-turns[..., 0, 1], upright)
-    locked = upright < LOCKED
-    first = torch.atan2(turns[..., 2, 1], turns[..., 1, 1])
-    both = torch.atan2(-turns[..., 1, 2], middle.sign() * turns[..., 1, 0])
-    last = torch.atan2(turns[..., 0, 2], turns[..., 0, 0])
+    cosine = torch.hypot(rotations[..., 2, 1], rotations[..., 1, 1])  # of the middle angle
+    middle = torch.atan2(-rotations[..., 0, 1], cosine)
+    locked = cosine < LOCKED
+    first = torch.atan2(rotations[..., 2, 1], rotations[..., 1, 1])
+    both = torch.atan2(-rotations[..., 1, 2], middle.sign() * rotations[..., 1, 0])
+    last = torch.atan2(rotations[..., 0, 2], rotations[..., 0, 0])
     return torch.stack([torch.where(locked, both, first), middle, torch.where(locked, 0.0, last)], dim=-1)

@@ -1,5 +1,3 @@
 """DNA files as rigs: read, evaluated, inverted, written (docs/dna.md)."""
 
-from rigs.dna.rig import DnaRig
-
-__all__ = ["DnaRig"]
+from rigs.dna.rig import DnaRig as DnaRig

@@ -1,4 +1,4 @@
-"""Which controls a DNA rig has, and how their values become raw controls."""
+"""Controls of DNA rigs, and their mapping to raw controls."""
 
 from typing import Literal, NamedTuple
 
@@ -11,8 +11,8 @@ from rigs.dna.format import DnaFile
 from rigs.dna.format.layers import Behavior, Definition
 from rigs.dna.logic import Logic
 from rigs.dna.logic.conditions import input_ranges
+from rigs.dna.logic.layout import Stage, put
 from rigs.dna.logic.rotations import normalise
-from rigs.dna.logic.stage import Stage, put
 
 Kind = Literal["gui", "raw"]
 SHOWN = 6  # names in a note, at most
@@ -23,8 +23,8 @@ class ControlSet(NamedTuple):
 
     Attributes:
         controls: in the rig's order.
-        mapping: their values `(batch, control)` to raw controls `(batch, raw)`.
-        notes: what a user should know of them.
+        mapping: from controls `(batch, control)` to raw controls `(batch, raw)`.
+        notes: for the user.
     """
 
     controls: list[Control]
@@ -39,7 +39,7 @@ def control_set(file: DnaFile, logic: Logic, kind: Kind | None) -> ControlSet:
         kind: `gui`, `raw`, or None: GUI controls where the file's table uses any, else raw ones.
 
     Raises:
-        InputError: a name stands twice, or GUI controls were asked for and none does anything.
+        InputError: names are not unique, or GUI controls were requested and none has an effect.
     """
     definition = file.need(Definition)
     for what, names in (("GUI", definition.gui_controls), ("raw", definition.raw_controls)):
@@ -91,7 +91,9 @@ def _quaternion_controls(definition: Definition, groups: np.ndarray) -> list[Con
 
 
 class FromRaw(Stage):
-    """Raw controls to raw controls, quaternions brought to length 1."""
+    """Raw controls with quaternions normalised."""
+
+    quaternions: Tensor
 
     def __init__(self, logic: Logic) -> None:
         super().__init__()
@@ -106,8 +108,11 @@ class FromGui(Stage):
     """GUI controls to raw controls by the table, then quaternions.
 
     Args:
-        used: the GUI controls that the table uses, `(gui,)`.
+        used: indices of the GUI controls that the table uses, `(gui,)`.
     """
+
+    used: Tensor
+    quaternions: Tensor
 
     def __init__(self, logic: Logic, used: np.ndarray) -> None:
         super().__init__()
@@ -122,7 +127,7 @@ class FromGui(Stage):
 
 
 def with_quaternions(raw: Tensor, groups: Tensor, values: Tensor) -> Tensor:
-    """Raw controls `(batch, raw)` with quaternions `(batch, 4 * group)`, brought to length 1, in their places."""
+    """Raw controls `(batch, raw)` with quaternions `(batch, 4 * group)`, normalised."""
     if not len(groups):
         return raw
     return put(raw, groups.flatten(), normalise(values.unflatten(1, (-1, 4))).flatten(1))

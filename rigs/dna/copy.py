@@ -1,31 +1,40 @@
-"""python -m rigs.dna.copy: a DNA file read and written again, to see that nothing of it is lost."""
+"""python -m rigs.dna.copy: read a DNA file and write it again, as a check that nothing is lost."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig
 from rich.console import Console
 
+from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.launch.command import command
-from riginv.runs.run_folder import plain_config
 from rigs.dna.format import read_dna, write_dna
+
+
+@dataclass(frozen=True)
+class CopyConfig:
+    """The config of `rigs.dna.copy`."""
+
+    file: str
+    out: str
 
 
 def copy(config: DictConfig) -> None:
     """Write `config.file` to `config.out`."""
-    plain = plain_config(config)
-    source, out = Path(str(plain["file"])), Path(str(plain["out"]))
+    settings = to_typed(config, CopyConfig)
+    source, out = Path(settings.file), Path(settings.out)
     if out.is_dir() or out.suffix.lower() != ".dna":
         raise InputError(f"out={out}: expected the name of a file that ends in .dna")
     file = read_dna(source)
     write_dna(out, file)
     layers = " ".join(f"{layer.name}@{layer.version[0]}.{layer.version[1]}" for layer in file.layers)
     equal = out.read_bytes() == source.read_bytes() if out.resolve() != source.resolve() else True
-    said = (
+    comparison = (
         "equal to" if equal else f"not equal to ({file.unused_bytes:,} bytes of it belong to no layer, or its layers lie apart)"
     )
     Console().print(
-        f"{out}: DNA 2.{file.version}, {out.stat().st_size:,} bytes, {said} {source}; layers {layers}",
+        f"{out}: DNA 2.{file.version}, {out.stat().st_size:,} bytes, {comparison} {source}; layers {layers}",
         highlight=False,
         markup=False,
         soft_wrap=True,

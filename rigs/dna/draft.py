@@ -1,6 +1,6 @@
-"""DNA files from nothing: what a rig is made of in riginv's terms, and the file that holds it.
+"""Drafts: rigs in the terms of the DNA format, and conversion to files.
 
-Everything is in millimetres along riginv's axes, x to the character's left, y up, z to the front; files are in centimetres.
+Drafts are in millimetres along riginv's axes, x to the character's left, y up, z to the front; files are in centimetres.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ from rigs.dna.logic.rotations import SEQUENCES
 MM = 10.0  # to a centimetre
 RIGHT, UP, FRONT, OTHER = 1, 2, 4, 5
 PLAIN, WITH_CONVENTIONS = 2, 8  # versions 2.2 and 2.8
-TOO_FAINT_MM = 1e-6  # a vertex that a channel moves by less is not in its target
+NEGLIGIBLE_MM = 1e-6  # smaller deltas are left out of targets
 
 
 class Row(NamedTuple):
@@ -63,9 +63,9 @@ class Joint(NamedTuple):
     """A joint at rest.
 
     Attributes:
-        parent: its number, -1 for a root.
-        translation: against its parent, mm.
-        rotation: against its parent, degrees about x, y, z in the sequence of the draft.
+        parent: index, -1 for a root.
+        translation: relative to its parent, mm.
+        rotation: relative to its parent, degrees about x, y, z in the sequence of the draft.
     """
 
     name: str
@@ -91,8 +91,8 @@ class MeshDraft(NamedTuple):
     Attributes:
         vertices: `(vertex, 3)`, mm.
         faces: polygons of vertices.
-        weights: skin weights `(vertex, joint)`; None where no joint carries it.
-        deltas: of each channel that moves it, by the channel's number, `(vertex, 3)`, mm.
+        weights: skin weights `(vertex, joint)`; None: unskinned.
+        deltas: `(vertex, 3)`, mm, by index of the channel.
     """
 
     name: str
@@ -104,11 +104,11 @@ class MeshDraft(NamedTuple):
 
 @dataclass
 class Draft:
-    """What a DNA file is made from; PSDs follow raw controls in the numbers of controls.
+    """Content of a DNA file; the indices of PSDs follow those of raw controls.
 
     Attributes:
-        psds: for each the numbers of the controls that it multiplies.
-        channels: names, and the number of the control that each follows.
+        psds: indices of the controls that each multiplies.
+        channels: name, and index of the control, of each.
         sequence: of rotations, such as `xyz`.
     """
 
@@ -207,7 +207,7 @@ def _mesh(mesh: MeshDraft) -> Mesh:
         )
     targets = []
     for channel, deltas in mesh.deltas.items():
-        moved = np.flatnonzero(np.abs(deltas).max(axis=1) > TOO_FAINT_MM)
+        moved = np.flatnonzero(np.abs(deltas).max(axis=1) > NEGLIGIBLE_MM)
         targets.append(Target(vectors(np.asarray(deltas)[moved] / MM), moved.astype(np.uint32), channel))
     return Mesh(
         positions=vectors(vertices / MM),
@@ -224,7 +224,7 @@ def _mesh(mesh: MeshDraft) -> Mesh:
 
 
 def _normals(vertices: np.ndarray, faces: Ragged) -> np.ndarray:
-    """The normal of each vertex `(vertex, 3)`: those of its faces, by their areas."""
+    """Area-weighted vertex normals `(vertex, 3)`."""
     starts = np.repeat(np.cumsum(faces.sizes) - faces.sizes, faces.sizes)
     corner = np.arange(len(faces.values)) - starts
     after = starts + (corner + 1) % faces.sizes[faces.owners]

@@ -1,9 +1,10 @@
 """python -m rigs.dna.evaluate: every stage of a DNA file for given controls, under the keys of docs/dna.md.
 
-For users to hold their own files to what an engine makes of them: all in the file's units, axes and rotation sequence.
+For comparison with an engine: everything is in the file's units, axes and rotation sequence.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,32 +14,45 @@ from omegaconf import DictConfig
 from rich.console import Console
 from torch import Tensor
 
+from riginv.config.typed import to_typed
+from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError, in_short
 from riginv.launch.command import command
 from riginv.runs.array_files import check_npz
 from riginv.runs.files import atomic_write
-from riginv.runs.run_folder import plain_config
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
 from rigs.dna.geometry.space import Space
 from rigs.dna.inverse import TableInverse
-from rigs.dna.logic import Logic, Stages
+from rigs.dna.logic.stages import Logic, Stages
 from rigs.dna.model import Model
 
 Arrays = dict[str, np.ndarray]
 BATCH_SIZE = 256  # rows at a time
 
 
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """The config of `rigs.dna.evaluate`; conf/evaluate_dna.yaml explains each key."""
+
+    file: str
+    inputs: str
+    out: str
+    lod1_rows: NonNegativeInt
+    quaternion_rows: tuple[NonNegativeInt, NonNegativeInt]
+    vertex_rows: tuple[NonNegativeInt, NonNegativeInt]
+
+
 def evaluate(config: DictConfig) -> None:
     """Evaluate `config.file` for `config.inputs`, and write `config.out`."""
-    plain = plain_config(config)
-    out = Path(str(plain["out"]))
+    settings = to_typed(config, EvaluateConfig)
+    out = Path(settings.out)
     if out.suffix.lower() != ".npz":
         raise InputError(f"out={out}: expected the name of a file that ends in .npz")
-    file = read_dna(str(plain["file"]))
-    given = read_inputs(Path(str(plain["inputs"])), file)
+    file = read_dna(settings.file)
+    given = read_inputs(Path(settings.inputs), file)
     with torch.no_grad():
-        found = all_stages(file, given, plain)
+        found: dict[str, Any] = dict(all_stages(file, given, settings))
     with atomic_write(out) as beside, beside.open("wb") as target:
         np.savez_compressed(target, **found)
     rows = ", ".join(f"{len(given[name])} rows of {name}" for name in ("gui", "raw") if name in given)
@@ -46,10 +60,10 @@ def evaluate(config: DictConfig) -> None:
 
 
 def read_inputs(path: Path, file: DnaFile) -> Arrays:
-    """The arrays `raw` and `gui`, and which rows to make vertices of.
+    """The arrays `raw` and `gui`, and the rows to compute vertices for.
 
     Raises:
-        InputError: there are neither, or they have other controls than the file.
+        InputError: both are missing, or they do not match the controls of the file.
     """
     check_npz(path)
     definition = file.need(Definition)
@@ -70,7 +84,7 @@ def read_inputs(path: Path, file: DnaFile) -> Arrays:
     return found
 
 
-def all_stages(file: DnaFile, given: Arrays, plain: Mapping[str, Any]) -> Arrays:
+def all_stages(file: DnaFile, given: Arrays, settings: EvaluateConfig) -> Arrays:
     """Every stage of the file for given controls, by key, float32."""
     found: Arrays = {}
     logic = _reference(Logic(file))
@@ -85,20 +99,20 @@ def all_stages(file: DnaFile, given: Arrays, plain: Mapping[str, Any]) -> Arrays
         raw = torch.tensor(given["raw"]).double()
         answer = TableInverse(file)(raw.numpy())
         found |= {"raw_gui": answer.gui, "raw_gui_residual": answer.residual}
-        levels = [("raw", 0, raw), ("lod1", 1, raw[: plain["lod1_rows"]])]
+        levels = [("raw", 0, raw), ("lod1", 1, raw[: settings.lod1_rows])]
         for key, lod, rows in levels[: max(1, logic.layout.lod_count)]:
             level = logic if lod == 0 else _reference(Logic(file, lod))
-            stages = _stages(level, rows, plain["quaternion_rows"][lod], joints)
+            stages = _stages(level, rows, settings.quaternion_rows[lod], joints)
             found |= {f"{key}_{name}": value for name, value in stages.items()}
             try:
-                found |= _vertices(file, lod, key, rows, given, plain["vertex_rows"][lod])
+                found |= _vertices(file, lod, key, rows, given, settings.vertex_rows[lod])
             except InputError as error:
                 Console(stderr=True).print(f"no vertices at level of detail {lod}: {error}", highlight=False, markup=False)
     return {name: value.astype(np.float32) if value.dtype.kind == "f" else value for name, value in found.items() if value.size}
 
 
 def _reference(logic: Logic) -> Logic:
-    """The same logic, where float64 controls are rounded as float32 ones are."""
+    """The logic with the rounding of the reference also for float64 controls."""
     if logic.radial is not None:
         logic.radial.round_as_reference()
     return logic
@@ -108,34 +122,34 @@ def _stages(logic: Logic, raw: Tensor, quaternion_rows: int, joints: bool) -> Ar
     """The stages that follow raw controls, by name."""
     layout, batches = logic.layout, [logic(batch) for batch in raw.split(BATCH_SIZE)]
 
-    def together(what: Any) -> np.ndarray:
-        return torch.cat([what(batch) for batch in batches]).numpy() if batches else np.zeros(0)
+    def joined(select: Callable[[Stages], Tensor]) -> np.ndarray:
+        return torch.cat([select(batch) for batch in batches]).numpy() if batches else np.zeros(0)
 
-    controls = together(lambda stages: stages.controls)
+    controls = joined(lambda stages: stages.controls)
     found = {"ml": controls[:, layout.mls], "rbf": controls[:, layout.rbfs], "psd": controls[:, layout.psds]}
     if not np.array_equal(controls[:, : layout.raw], raw.numpy()):
         found["after"] = controls[:, : layout.raw]
     if logic.psds.chained:
         found["psd_second_call"] = _second_call(logic, raw, batches)
-    found["channels"] = together(lambda stages: stages.channels)
-    found["maps"] = together(lambda stages: stages.maps)
+    found["channels"] = joined(lambda stages: stages.channels)
+    found["maps"] = joined(lambda stages: stages.maps)
     if joints:
-        found["joints"] = together(lambda stages: logic.joints.as_euler(stages.joints))
+        found["joints"] = joined(lambda stages: logic.joints.as_euler(stages.joints))
         if quaternion_rows:
-            quaternions = together(lambda stages: logic.joints.as_quaternions(stages.joints))
+            quaternions = joined(lambda stages: logic.joints.as_quaternions(stages.joints))
             found["joints_quaternion"] = quaternions[:quaternion_rows]
     return found
 
 
 def _second_call(logic: Logic, raw: Tensor, batches: list[Stages]) -> np.ndarray:
-    """The PSDs of a second evaluation, in which those that depend on PSDs see the values of the first."""
+    """PSDs of a second evaluation, in which those that depend on PSDs use the values of the first."""
     psds = logic.layout.psds
     before = torch.cat([stages.controls[:, psds] for stages in batches])
     return logic.all_controls(raw, before)[:, psds].numpy()
 
 
 def _vertices(file: DnaFile, lod: int, key: str, raw: Tensor, given: Arrays, count: int) -> Arrays:
-    """Joints in the world and vertices of some rows, in the file's units and axes."""
+    """World transforms of joints, and vertices, of some rows, in the file's units and axes."""
     model = Model(file, lod, unit_mm=Space.of(file).unit_mm, all_joints=True)
     _reference(model.logic)
     rows = given.get(f"{key}_vertex_rows", np.arange(min(count, len(raw)))).astype(np.int64)

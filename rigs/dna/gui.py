@@ -1,7 +1,8 @@
-"""python -m rigs.dna.gui: curves of raw controls as curves of GUI controls, by the exact inverse of the file's table."""
+"""python -m rigs.dna.gui: convert curves of raw controls to curves of GUI controls by the exact inverse of the table."""
 
 import csv
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from riginv.animation.table import write_rows
+from riginv.config.typed import to_typed
+from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
 from riginv.launch.command import command
 from riginv.runs.files import read_text
-from riginv.runs.run_folder import plain_config
 from rigs.dna.format import read_dna
 from rigs.dna.format.layers import Definition
 from rigs.dna.inverse import TableInverse
@@ -23,15 +25,25 @@ BATCH_SIZE = 64  # frames at a time
 DIGITS = 9
 
 
+@dataclass(frozen=True)
+class GuiConfig:
+    """The config of `rigs.dna.gui`; conf/gui_dna.yaml explains each key."""
+
+    file: str
+    curves: str
+    out: str
+    lod: NonNegativeInt
+
+
 def gui(config: DictConfig) -> None:
-    """Write the GUI controls for the raw controls of `config.curves`, and say how near the meshes are."""
-    plain = plain_config(config)
-    source, out = Path(str(plain["curves"])), Path(str(plain["out"]))
+    """Write the GUI controls for the raw controls of `config.curves`, and print the vertex distance."""
+    settings = to_typed(config, GuiConfig)
+    source, out = Path(settings.curves), Path(settings.out)
     if out.suffix.lower() != ".csv" or out.is_dir():
         raise InputError(f"out={out}: expected the name of a file that ends in .csv")
-    file = read_dna(str(plain["file"]))
+    file = read_dna(settings.file)
     definition = file.need(Definition)
-    rig = DnaRig(str(plain["file"]), "raw", plain["lod"])
+    rig = DnaRig(settings.file, "raw", settings.lod)
     columns, rows = read_columns(source)
     raw = np.repeat(rig.neutral_controls.double().numpy()[None], len(rows), axis=0)
     index_of = {name: number for number, name in enumerate(definition.raw_controls)}
@@ -48,7 +60,7 @@ def gui(config: DictConfig) -> None:
     kept += [number for number, _ in quaternions]
     body = [[*(row[number] for number in kept), *values] for row, values in zip(rows, answer.gui.round(DIGITS).tolist())]
     write_rows(out, [*(columns[number] for number in kept), *definition.gui_controls], body)
-    mean, worst = _apart(rig, raw, answer.residual)
+    mean, worst = _distances(rig, raw, answer.residual)
     Console().print(
         f"{out}: {len(rows)} frames of {len(definition.gui_controls)} GUI controls; raw controls are met to "
         f"{np.abs(answer.residual).max(initial=0.0):.2g} at most, vertices to {mean:.2g} mm on average, {worst:.2g} mm at most",
@@ -59,10 +71,10 @@ def gui(config: DictConfig) -> None:
 
 
 def read_columns(path: Path) -> tuple[list[str], list[list[str]]]:
-    """The names and the rows of a table, such as a `curves.csv` of riginv.invert.
+    """Column names and rows of a table, such as a `curves.csv` of riginv.invert.
 
     Raises:
-        InputError: it cannot be read, or a row has other columns.
+        InputError: it cannot be read, or a row has a different number of columns.
     """
     try:
         columns, *rows = [row for row in csv.reader(io.StringIO(read_text(path))) if row]
@@ -85,13 +97,13 @@ def _number(path: Path, line: int, name: str, cell: str) -> float:
 
 
 @torch.no_grad()
-def _apart(rig: DnaRig, raw: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
-    """The mean and the largest distance of vertices, mm, between given raw controls and those that the table makes."""
+def _distances(rig: DnaRig, raw: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
+    """Mean and greatest vertex distance, mm, between given raw controls and those of the table."""
     quaternions = rig.model.logic.quaternions.reshape(-1)
-    made = np.clip(raw, 0, 1) + residual
-    made[:, quaternions] = raw[:, quaternions]
-    pairs = zip(torch.tensor(raw).float().split(BATCH_SIZE), torch.tensor(made).float().split(BATCH_SIZE))
-    found = [(rig(one) - other).norm(dim=2) for one, other in ((given, rig(made)) for given, made in pairs)]
+    reached = np.clip(raw, 0, 1) + residual
+    reached[:, quaternions] = raw[:, quaternions]
+    pairs = zip(torch.tensor(raw).float().split(BATCH_SIZE), torch.tensor(reached).float().split(BATCH_SIZE))
+    found = [(rig(given) - rig(other)).norm(dim=2) for given, other in pairs]
     distances = torch.cat(found) if found else torch.zeros(1)
     return float(distances.mean()), float(distances.max())
 

@@ -1,8 +1,8 @@
-"""Where few joints move, a DNA rig ends in a linear map exactly: its coefficients and their basis.
+"""The exact linear map of DNA rigs with few moving joints: coefficients and basis.
 
-Vertices are the rest mesh plus, for each moving joint, the 12 numbers by which its skinning matrix about its place at rest
-differs from the identity; plus the weight of each channel; plus, for each joint and channel that move a vertex in common,
-the 9 numbers that rotate the channel's deltas times its weight. Without moving joints the weights are all there is.
+Vertices are the rest mesh plus, for each moving joint, the 12 entries by which its skinning matrix about its rest position
+differs from the identity; plus the weight of each channel; plus, for each joint and channel with common vertices, the 9
+entries of the rotation times the weight. Without moving joints the coefficients are the weights of channels.
 """
 
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from scipy import sparse
 from torch import Tensor
 
 from riginv.geometry.skinning import NUMBERS
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Stage
 from rigs.dna.model import Model, Pose
 
-LINEAR = 9  # numbers of a matrix that rotate deltas
+LINEAR = 9  # entries of a matrix that rotate deltas
 MOST_COEFFICIENTS = 1500
 MOST_NUMBERS = 100_000_000  # of a basis
 NEGLIGIBLE_MM = 1e-4  # a joint whose fraction of a channel's deltas stays below this does not rotate them
@@ -24,18 +24,18 @@ NEGLIGIBLE_MM = 1e-4  # a joint whose fraction of a channel's deltas stays below
 
 @dataclass(frozen=True)
 class LinearMap:
-    """The linear map that a rig ends in.
+    """The linear map of a rig.
 
     Attributes:
         basis: `(coefficient, vertex, 3)` float32, mm.
         names: of the coefficients.
-        stage: from a pose to coefficients `(batch, coefficient)`.
-        channels: how many of the coefficients are weights of channels and nothing else; 0 where joints move.
+        stage: from a `Pose` to coefficients `(batch, coefficient)`.
+        channels: number of coefficients where all are weights of channels; 0 where joints move.
     """
 
     basis: Tensor
     names: list[str]
-    stage: "Coefficients"
+    stage: Stage
     channels: int
 
 
@@ -43,10 +43,14 @@ class Coefficients(Stage):
     """From a pose to coefficients.
 
     Args:
-        moving: joints of the model that move and carry vertices, `(moving,)`.
-        centres: their places at rest, `(moving, 3)`, mm.
-        pairs: `(pair, 2)`: numbers among `moving` and among the channels.
+        moving: indices of the joints of the model that move and have skin weights, `(moving,)`.
+        centres: their rest positions, `(moving, 3)`, mm.
+        pairs: `(pair, 2)`: indices into `moving` and into the channels.
     """
+
+    moving: Tensor
+    centres: Tensor
+    pairs: Tensor
 
     def __init__(self, moving: np.ndarray, centres: np.ndarray, pairs: np.ndarray) -> None:
         super().__init__()
@@ -59,14 +63,14 @@ class Coefficients(Stage):
             return weights
         matrices = pose.matrices.index_select(0, self.moving).movedim(-1, 0)
         linear = matrices[..., :3] - torch.eye(3, dtype=matrices.dtype, device=matrices.device)
-        gone = linear @ self.centres.to(linear)[..., None] + matrices[..., 3:]
-        alone = torch.cat([linear, gone], dim=-1).flatten(1)
+        displacement = linear @ self.centres.to(linear)[..., None] + matrices[..., 3:]
+        joints = torch.cat([linear, displacement], dim=-1).flatten(1)
         rotated = linear.flatten(2)[:, self.pairs[:, 0]] * weights[:, self.pairs[:, 1], None]
-        return torch.cat([weights.repeat_interleave(3, dim=1), alone, rotated.flatten(1)], dim=1)
+        return torch.cat([weights.repeat_interleave(3, dim=1), joints, rotated.flatten(1)], dim=1)
 
 
 def moving_joints(model: Model) -> np.ndarray:
-    """The joints of a model, as numbers of its order, that move in some pose and carry vertices."""
+    """Indices of the joints of a model that can move and have skin weights."""
     groups, stage = model.logic.joints.groups, model.logic.joints
     count = len(model.joints)
     rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
@@ -76,12 +80,12 @@ def moving_joints(model: Model) -> np.ndarray:
     for level in model.skeleton.levels[1:]:
         moves[level] |= moves[parents[level]]
     weights = model.skin.weights
-    carries = np.bincount(weights.indices, weights.data, minlength=count + 1)[:count] > 0
-    return np.flatnonzero(moves & carries)
+    skinned = np.bincount(weights.indices, weights.data, minlength=count + 1)[:count] > 0
+    return np.flatnonzero(moves & skinned)
 
 
 def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:
-    """The linear map that a model ends in; None where it would be too large."""
+    """The linear map of a model; None where it would be too large."""
     moving, channels = moving_joints(model), len(model.channels)
     vertices = len(model.surface.rest)
     if not _fits((3 if len(moving) else 1) * channels + NUMBERS * len(moving), vertices):
@@ -122,12 +126,12 @@ def _fits(coefficients: int, vertices: int) -> bool:
 
 
 def _by_axis(deltas: np.ndarray) -> np.ndarray:
-    """Deltas `(channel, vertex, 3)` as three rows each, one for every axis of space."""
+    """Deltas `(channel, vertex, 3)` as three rows each, one for each axis."""
     return (deltas[:, None] * np.eye(3)[:, None]).reshape(-1, *deltas.shape[1:])
 
 
 def _rows(points: np.ndarray) -> np.ndarray:
-    """The basis `(item * 3 * column, vertex, 3)` of matrices, row by row, that act on `(item, vertex, column)`."""
+    """Basis `(item * 3 * column, vertex, 3)` of the entries of matrices, row by row, that act on `(item, vertex, column)`."""
     items, vertices, columns = points.shape
     rows = np.zeros((items, 3, columns, vertices, 3), np.float32)
     for axis in range(3):

@@ -1,4 +1,4 @@
-"""A file made ready to be posed: its logic, joints and meshes at one level of detail."""
+"""The model of a file at one level of detail: logic, joints and meshes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,17 +13,16 @@ from rigs.dna.geometry.skeleton import Skeleton, joint_parents, with_ancestors
 from rigs.dna.geometry.skin import Skin
 from rigs.dna.geometry.space import Space
 from rigs.dna.logic import Logic
-from rigs.dna.logic.layout import Layout
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Layout, Stage
 
 
 @dataclass(frozen=True)
 class Pose:
-    """What moves vertices.
+    """Weights and matrices that determine vertices.
 
     Attributes:
         channels: weights of the blendshape channels that move the meshes, `(batch, channel)`.
-        matrices: skinning matrices of the joints that carry them and of those above these, `(joint, 3, 4, batch)`.
+        matrices: skinning matrices of the evaluated joints, `(joint, 3, 4, batch)`.
     """
 
     channels: Tensor
@@ -31,23 +30,26 @@ class Pose:
 
 
 class Model(Stage):
-    """The meshes of a level of detail and all that moves them, mm along riginv's axes.
+    """The meshes of a level of detail and their logic, mm along riginv's axes.
 
     Args:
         lod: the level of detail.
-        meshes: globs of the meshes; none: all of the level.
-        unit_mm: millimetres to a unit of length, in place of what the file states.
-        all_joints: whether joints that carry no vertex are posed, too.
+        meshes: globs of the meshes; empty: all of the level.
+        unit_mm: millimetres per unit of length; None: as the file states.
+        all_joints: evaluate joints without skin weights, too.
 
     Attributes:
-        space: how the file's coordinates are converted.
+        space: conversion of coordinates.
         surface: the meshes at rest.
-        joints: the joints that carry vertices and those above them, `(joint,)`.
-        channels: the blendshape channels that move vertices, `(channel,)`.
+        joints: indices of joints with skin weights and of their ancestors, `(joint,)`.
+        channels: indices of the blendshape channels that move vertices, `(channel,)`.
 
     Raises:
         InputError: the file is damaged, or has no such meshes.
     """
+
+    centre: Tensor
+    used_channels: Tensor
 
     def __init__(
         self, file: DnaFile, lod: int = 0, meshes: Sequence[str] = (), unit_mm: float | None = None, all_joints: bool = False
@@ -58,9 +60,9 @@ class Model(Stage):
         space = self.space
         self.surface: Surface = read_surface(file, layout, space, chosen_meshes(file, layout, lod, meshes))
         weights, deltas = self.surface.weights, self.surface.deltas
-        carrying = np.unique(weights.indices[weights.data > 0])
-        carrying = np.arange(len(parents)) if all_joints else carrying[carrying < len(parents)]
-        self.joints = with_ancestors(parents, carrying)
+        skinned = np.unique(weights.indices[weights.data > 0])
+        skinned = np.arange(len(parents)) if all_joints else skinned[skinned < len(parents)]
+        self.joints = with_ancestors(parents, skinned)
         self.logic = Logic(file, lod, self.joints)
         driven = self.logic.channel_sources.numpy() < layout.total
         moving = np.bincount(deltas.indices, minlength=deltas.shape[1])[: deltas.shape[1]] > 0
@@ -72,7 +74,7 @@ class Model(Stage):
         self.keep(centre=torch.tensor(centre), used_channels=self.channels)
 
     def pose(self, raw: Tensor) -> Pose:
-        """Raw controls `(batch, raw)`, not clamped, to what moves vertices."""
+        """Raw controls `(batch, raw)`, not clamped, to weights and matrices."""
         controls = self.logic.all_controls(raw)
         channels = self.logic.channels_of(controls).index_select(1, self.used_channels)
         if not len(self.joints):
@@ -87,16 +89,16 @@ class Model(Stage):
 
 
 class SomeVertices(nn.Module):
-    """Some vertices of a rig.
+    """A subset of the vertices of a rig.
 
     Args:
         mapping: from controls to raw controls.
-        rows: the vertices, `(row,)`.
+        rows: indices of the vertices, `(row,)`.
     """
 
     def __init__(self, model: Model, mapping: nn.Module, rows: Tensor) -> None:
         super().__init__()
-        self.of_rig = [mapping, model]  # in a list: they are the rig's and not part of this
+        self.of_rig = (mapping, model)  # in a tuple: not submodules, they belong to the rig
         self.skin = model.skin.some(rows.cpu().numpy())
 
     def forward(self, controls: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Blendshape rigs: which channels controls drive directly, and which correct these."""
+"""Primary and corrective channels of blendshape rigs."""
 
 import dataclasses
 
@@ -7,15 +7,16 @@ from torch import Tensor
 
 from rigs.dna.control_sets import ControlSet
 from rigs.dna.linear import LinearMap
-from rigs.dna.logic.layout import MOST_NUMBERS
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import MOST_NUMBERS, Stage
 from rigs.dna.model import Model, Pose
 
-HALF = 0.5  # the weight above which a channel counts as driven by a control that is at its limit
+HALF = 0.5  # least weight of a channel that a control at its limit drives directly
 
 
 class Reordered(Stage):
-    """Coefficients in another order."""
+    """Reordered coefficients."""
+
+    order: Tensor
 
     def __init__(self, stage: Stage, order: Tensor) -> None:
         super().__init__()
@@ -29,9 +30,11 @@ class Reordered(Stage):
 
 @torch.no_grad()
 def primaries_first(ends_in: LinearMap, model: Model, chosen: ControlSet) -> tuple[LinearMap, int]:
-    """A map whose first coefficients are the weights that controls drive directly, and how many these are.
+    """Reorder a linear map so that primary channels come first.
 
-    0 where the rig is no blendshape rig: joints move, weights leave [0, 1], or some are not 0 at rest.
+    Returns:
+        The map and the number of primary channels; 0 where the rig is no blendshape rig: joints move, weights leave [0, 1], or
+        some are not 0 at rest.
     """
     count = len(chosen.controls)
     if not ends_in.channels or model.layout.ml or model.layout.rbf or count * (count + model.layout.total) > MOST_NUMBERS:
@@ -46,9 +49,9 @@ def primaries_first(ends_in: LinearMap, model: Model, chosen: ControlSet) -> tup
     if weights(neutral[None]).abs().max() > 0 or (model.logic.psds.factors < 0).any():
         return ends_in, 0
     one = torch.eye(len(neutral), dtype=torch.bool)
-    alone = torch.maximum(weights(torch.where(one, upper, neutral)), weights(torch.where(one, lower, neutral))).amax(dim=0)
+    largest = torch.maximum(weights(torch.where(one, upper, neutral)), weights(torch.where(one, lower, neutral))).amax(dim=0)
     sources = model.logic.channel_sources[model.used_channels]
-    direct = (alone > HALF) & (sources < model.layout.raw)
+    direct = (largest > HALF) & (sources < model.layout.raw)
     order = torch.cat([direct.nonzero()[:, 0], (~direct).nonzero()[:, 0]])
     names = [ends_in.names[number] for number in order.tolist()]
     stage = Reordered(ends_in.stage, order)

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -22,29 +23,29 @@ from rigs.dna.primaries import primaries_first
 from rigs.dna.skeletons import skeleton_of
 
 LOG = logging.getLogger(__name__)
-PICTURED = 24  # controls that pictures show alone, at most
-SAME_MM = 1e-2  # how far the rest mesh may lie from the file's neutral mesh without a word
+PICTURED = 24  # most controls shown as expressions
+SAME_MM = 1e-2  # distance of the rest mesh from the file's neutral mesh that is not reported
 
 
 class DnaRig(RigBackend):
     """A character from a DNA file: its GUI or raw controls, and the meshes of one level of detail.
 
-    Where no joint moves, or few do, the rig ends in a linear map and is a `LinearDnaRig`.
+    With few or no moving joints the rig is a `LinearDnaRig`.
 
     Args:
         file: the file, of any version from 2.1 to 2.8.
-        controls: `gui`: what animators move; `raw`: what the logic starts from; None: `gui` where the file has such.
-        lod: the level of detail, 0 for the finest.
-        meshes: globs of the meshes that make the rig; none: all of the level.
-        unit_mm: millimetres to a unit of length, in place of what the file states.
+        controls: `gui`: animators' controls; `raw`: inputs of the logic; None: `gui` where the file has them.
+        lod: level of detail, 0 for the finest.
+        meshes: globs of the meshes of the rig; empty: all of the level.
+        unit_mm: millimetres per unit of length; None: as the file states.
 
     Attributes:
-        parts: the name of each mesh, its first vertex and one past its last.
-        model: what maps raw controls to vertices.
+        parts: name of each mesh, its first vertex and one past its last.
+        model: map from raw controls to vertices.
         joint_names: of all joints of the file.
 
     Raises:
-        InputError: the file cannot be read or holds no rig; the message names the file, and what in it.
+        InputError: the file cannot be read or contains no rig.
     """
 
     poses_subsets = True
@@ -72,7 +73,9 @@ class DnaRig(RigBackend):
         else:
             self.__class__ = LinearDnaRig  # known only once the file has been read
             ends_in, primaries = primaries_first(ends_in, model, chosen)
-            LinearRig.__init__(self, name, chosen.controls, rest.float(), faces, ends_in.basis, ends_in.names, primaries)
+            LinearRig.__init__(
+                cast(LinearRig, self), name, chosen.controls, rest.float(), faces, ends_in.basis, ends_in.names, primaries
+            )
             self.ends_in = ends_in.stage
         self.model, self.mapping = model, chosen.mapping
         self.joint_names = content.need(Definition).joints
@@ -98,7 +101,7 @@ class DnaRig(RigBackend):
         return skeleton_of(self.model, self.mapping, self.joint_names)
 
     def expressions(self) -> dict[str, dict[str, float]]:
-        """Controls alone at their upper limits, evenly spread over the list."""
+        """Single controls at their upper limits, evenly selected."""
         step = max(1, -(-len(self.controls) // PICTURED))
         return {control.name: {control.name: control.upper} for control in self.controls[::step]}
 
@@ -112,7 +115,7 @@ class DnaRig(RigBackend):
         )
 
     def _remarks(self, ends_in: LinearMap | None) -> list[str]:
-        """What a user should know."""
+        """Notes for the user."""
         remarks = []
         away = self._moved_at_rest
         if away > SAME_MM:
@@ -128,7 +131,7 @@ class LinearDnaRig(DnaRig, LinearRig):
     """A DNA rig whose vertices are a linear map of a moderate number of coefficients."""
 
     def coefficients(self, controls: Tensor) -> Tensor:
-        """Controls `(batch, control)` to the weights of channels, and what joints make of them (`rigs.dna.linear`)."""
+        """Controls `(batch, control)` to the coefficients of `rigs.dna.linear`."""
         return self.ends_in(self.model.pose(self.mapping(controls)))
 
     @torch.no_grad()

@@ -1,4 +1,4 @@
-"""The joints of a DNA rig that is skinned and nothing else, for BVH, glTF and USD."""
+"""Skeletons of DNA rigs that are purely skinned, for BVH, glTF and USD."""
 
 import numpy as np
 import torch
@@ -9,11 +9,11 @@ from rigs.dna.model import Model
 
 SCALES = slice(6, 9)  # of a joint's nine attributes
 MOST = 100_000_000  # weights of all vertices for all joints
-BONE = 0.3  # of the distance to its parent: how long the bone of a joint without children is drawn
+BONE = 0.3  # display length of a leaf bone, as a fraction of the distance to its parent
 
 
 def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Skeleton | None:
-    """The skeleton of a model; None where blendshapes move vertices, joints scale or are several trees, or carry not all.
+    """The skeleton of a model; None with blendshapes, scaling joints, several roots or unskinned vertices.
 
     Args:
         mapping: from controls to raw controls.
@@ -39,8 +39,8 @@ def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Ske
     def pose(controls: Tensor) -> Tensor:
         matrices = model.pose(mapping(controls)).matrices.index_select(0, order).movedim(-1, 0)
         linear = matrices[..., :3]
-        heads_now = linear @ heads.to(linear)[..., None] + matrices[..., 3:] + centre.to(linear)[:, None]
-        return torch.cat([linear, heads_now], dim=-1)
+        posed = linear @ heads.to(linear)[..., None] + matrices[..., 3:] + centre.to(linear)[:, None]
+        return torch.cat([linear, posed], dim=-1)
 
     return Skeleton(
         joint_names=tuple(chosen[int(joint)] for joint in order),
@@ -53,7 +53,7 @@ def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Ske
 
 
 def _tails(heads: np.ndarray, parents: tuple[int, ...]) -> np.ndarray:
-    """Where bones end, `(joint, 3)`: at the middle of a joint's children, or a bit beyond it."""
+    """Ends of the bones, `(joint, 3)`: the mean of the children, or beyond a leaf joint."""
     tails = np.zeros_like(heads)
     for joint, parent in enumerate(parents):
         children = [child for child, above in enumerate(parents) if above == joint]

@@ -1,5 +1,3 @@
 """The default rig: a face of 137 controls, 628 blendshape weights and 8,447 vertices on CC0 geometry."""
 
-from rigs.face.rig import FaceRig
-
-__all__ = ["FaceRig"]
+from rigs.face.rig import FaceRig as FaceRig

@@ -1,4 +1,4 @@
-"""The face's geometry as tensors: built in a second from the asset, then cached."""
+"""Geometry of the face as tensors, built from the asset and cached."""
 
 from pathlib import Path
 
@@ -17,11 +17,11 @@ HERE = Path(__file__).parent
 
 
 def face_geometry() -> dict[str, Tensor]:
-    """The face's tensors, from the cache where they have been built by this code before.
+    """The tensors of the face, cached by a key of the code that builds them.
 
     Returns:
         rest_vertices `(vertex, 3)` and basis `(coefficient, vertex, 3)`, mm; faces `(face, 3)`; part `(vertex,)`, indices into
-        `PARTS`; inbetween_shape and inbetween_place, `(in-between,)`; combination_members `(combination, 3)`, -1 for none.
+        `PARTS`; inbetween_shape and inbetween_position `(in-between,)`; combination_members `(combination, 3)`, -1 for none.
     """
     sources = [HERE, Path(arkit.__file__), PATH.with_name("asset.py"), PATH]
     return cached_tensors("face", code_key(sources), build_geometry)
@@ -42,6 +42,6 @@ def build_geometry() -> dict[str, Tensor]:
         "part": torch.tensor(face.parts.astype(np.int64)),
         "basis": torch.tensor(np.stack(basis), dtype=torch.float32),
         "inbetween_shape": torch.tensor([names.index(shape.shape) for shape in inbetweens]),
-        "inbetween_place": torch.tensor([shape.place for shape in inbetweens], dtype=torch.float64),
+        "inbetween_position": torch.tensor([shape.position for shape in inbetweens], dtype=torch.float64),
         "combination_members": torch.tensor(members),
     }

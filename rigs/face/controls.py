@@ -1,7 +1,7 @@
 """The face's 137 controls, and which of them drive which primary shapes, along which curve.
 
 An animator's set: the 52 ARKit controls under their own names, one control for each half of a split shape and for each
-further shape, two-sided controls where two shapes oppose each other, and macros that move several shapes at once.
+further shape, two-sided controls where two shapes oppose each other, and macros that move several shapes.
 """
 
 from typing import NamedTuple
@@ -13,8 +13,8 @@ from rigs.face.shapes import ARKIT_SPLIT, UNITS_SPLIT, UNITS_WHOLE
 
 SIDES = ("Left", "Right")
 
-# Curves of one-sided controls, from (0, 0) to (1, 1), by the handles at their two ends, as offsets from the keys. None
-# starts flat: a control that does nothing near its neutral value is as hard for an animator as it is for a gradient.
+# Curves of one-sided controls from (0, 0) to (1, 1): the handles at both ends as offsets from the keys. None starts flat,
+# so that every control has a gradient at its neutral value.
 STYLES = {
     "even": ((0.3, 0.3), (-0.3, -0.3)),
     "soft": ((0.4, 0.22), (-0.25, -0.32)),
@@ -25,14 +25,14 @@ STYLES = {
 
 
 class Driver(NamedTuple):
-    """One driven key: a control moves a primary shape along a curve."""
+    """A driven key: a control drives a primary shape along a curve."""
 
     control: str
     shape: str
     curve: Curve
 
 
-# Two shapes that oppose each other -> one control in [-1, 1]: name, shapes on its negative and on its positive side.
+# Controls in [-1, 1]: the shapes on the negative and on the positive side.
 TWO_SIDED = {
     "gazeHorizontal": (("eyeLookInLeft", "eyeLookOutRight"), ("eyeLookOutLeft", "eyeLookInRight")),
     "gazeVertical": (("eyeLookDownLeft", "eyeLookDownRight"), ("eyeLookUpLeft", "eyeLookUpRight")),
@@ -69,7 +69,7 @@ SINGLE_SIDED = (
     "eyeBag",
 )
 
-# The style of a control's curve, by the beginning of the name of the shape that it drives; the first that fits.
+# Curve style by the prefix of the name of the driven shape; the first match counts.
 STYLE_OF = {
     "eyeLook": "even",
     "eyeBlink": "settling",
@@ -92,7 +92,8 @@ STYLE_OF = {
 
 def build_controls() -> tuple[list[Control], list[Driver]]:
     """The 137 controls in the rig's order, and their drivers."""
-    controls, drivers = [], []
+    controls: list[Control] = []
+    drivers: list[Driver] = []
 
     def one_sided(name: str, shapes: dict[str, float]) -> None:
         controls.append(Control(name))
@@ -100,8 +101,8 @@ def build_controls() -> tuple[list[Control], list[Driver]]:
 
     for name in ARKIT_NAMES:
         one_sided(name, dict.fromkeys(_halves(name) if name in ARKIT_SPLIT else [name], 1.0))
-    alone = [half for name in (*ARKIT_SPLIT, *UNITS_SPLIT, "laughLine", *SINGLE_SIDED) for half in _halves(name)]
-    for name in (*alone, *UNITS_WHOLE):
+    single = [half for name in (*ARKIT_SPLIT, *UNITS_SPLIT, "laughLine", *SINGLE_SIDED) for half in _halves(name)]
+    for name in (*single, *UNITS_WHOLE):
         one_sided(name, {name: 1.0})
     for name, (negative, positive) in TWO_SIDED.items():
         controls.append(Control(name, lower=-1.0))
@@ -113,7 +114,7 @@ def build_controls() -> tuple[list[Control], list[Driver]]:
 
 
 def style(shape: str) -> str:
-    """The name in `STYLES` of the curve that moves a shape."""
+    """Key in `STYLES` of the curve that drives a shape."""
     return next((style for start, style in STYLE_OF.items() if shape.startswith(start)), "even")
 
 

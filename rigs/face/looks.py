@@ -1,9 +1,9 @@
-"""What the face looks like in pictures: its colours, and expressions worth a name."""
+"""Colours and named expressions of the face."""
 
 import torch
 from torch import Tensor
 
-from rigs.face.parts import PARTS
+from rigs.geometry.asset import PARTS
 
 COLORS = {
     "skin": (0.80, 0.62, 0.53),
@@ -15,7 +15,7 @@ COLORS = {
     "tongue": (0.75, 0.36, 0.36),
 }
 PUPIL, IRIS = (0.03, 0.03, 0.03), (0.22, 0.33, 0.40)
-PUPIL_DEGREES, IRIS_DEGREES = 14.0, 30.0  # from the eyeball's middle
+PUPIL_DEGREES, IRIS_DEGREES = 14.0, 30.0  # from the optical axis
 
 
 def _both(**controls: float) -> dict[str, float]:
@@ -39,7 +39,7 @@ EXPRESSIONS: dict[str, dict[str, float]] = {
 
 
 def paint(rest_vertices: Tensor, part: Tensor) -> Tensor:
-    """Colours `(vertex, 3)` in [0, 1]: skin, teeth and tongue plain, eyes with iris and pupil.
+    """Vertex colours `(vertex, 3)` in [0, 1], with iris and pupil.
 
     Args:
         rest_vertices: `(vertex, 3)`, mm.

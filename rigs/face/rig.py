@@ -1,4 +1,4 @@
-"""The face rig's logic: from controls to the weights of its shapes."""
+"""The logic of the face rig: from controls to the weights of its shapes."""
 
 import torch
 from torch import Tensor
@@ -20,19 +20,34 @@ from rigs.face.shapes import ARKIT_SPLIT, primary_names
 class FaceRig(LinearRig):
     """A programmatic facial blendshape rig: 137 controls, 628 weights in [0, 1], 8,447 vertices; differentiable throughout.
 
-    Controls drive primary shapes along Bezier curves; several drivers of one shape screen each other; a region of the face
-    yields only so far at once; in-betweens follow the weight of their shape, combinations the product of two or three.
+    Controls drive primary shapes along Bezier curves; several drivers of one shape are combined by screen blending; the sum
+    of weights of each region is limited; in-betweens follow the weight of their shape, combinations the product of two or
+    three.
     """
+
+    part: Tensor
+    driver_curves: Tensor
+    driver_control: Tensor
+    driver_of_shape: Tensor
+    ceiling_curves: Tensor
+    ceiling_shape: Tensor
+    ceiling_under: Tensor
+    capacity_taken: Tensor
+    limit_curves: Tensor
+    region_of_shape: Tensor
+    inbetween_curves: Tensor
+    inbetween_shape: Tensor
+    combination_members: Tensor
 
     def __init__(self) -> None:
         geometry = face_geometry()
         controls, drivers = build_controls()
         shapes = primary_names()
         inbetween_shape, members = geometry["inbetween_shape"], geometry["combination_members"]
-        places = geometry["inbetween_place"].tolist()
+        positions = geometry["inbetween_position"].tolist()
         names = [
             *shapes,
-            *(f"{shapes[shape]}{round(100 * place)}" for shape, place in zip(inbetween_shape.tolist(), places)),
+            *(f"{shapes[shape]}{round(100 * position)}" for shape, position in zip(inbetween_shape.tolist(), positions)),
             *("_".join(shapes[shape] for shape in group if shape >= 0) for group in members.tolist()),
         ]
         rest, faces, basis = geometry["rest_vertices"], geometry["faces"], geometry["basis"]
@@ -59,13 +74,14 @@ class FaceRig(LinearRig):
             driver_curves=self._curves([driver.curve for driver in drivers]),
             ceiling_curves=self._curves([ceiling.curve for ceiling in CEILINGS]),
             limit_curves=self._curves([limit_curve(CAPACITY[name]) for name in REGIONS]),
-            inbetween_curves=self._curves([bump(place, count) for place, count in zip(places, counts)]),
+            inbetween_curves=self._curves([bump(position, count) for position, count in zip(positions, counts)]),
         )
 
     def arkit_deltas(self) -> dict[str, Tensor]:
-        place = {name: number for number, name in enumerate(self.coefficient_names)}
+        row = {name: number for number, name in enumerate(self.coefficient_names)}
         halves = {name: (name + "Left", name + "Right") if name in ARKIT_SPLIT else (name,) for name in ARKIT_NAMES}
-        return {name: sum(self.basis[place[shape]] for shape in shapes) for name, shapes in halves.items()}
+        zero = torch.zeros(())
+        return {name: sum((self.basis[row[shape]] for shape in shapes), zero) for name, shapes in halves.items()}
 
     def expressions(self) -> dict[str, dict[str, float]]:
         return EXPRESSIONS
@@ -105,7 +121,7 @@ class FaceRig(LinearRig):
 
 
 def _slots(owners: list[int], count: int) -> Tensor:
-    """For each of `count` owners the places `(owner, slot)` where it stands in `owners`, filled up with -1."""
-    places = [[place for place, owner in enumerate(owners) if owner == number] for number in range(count)]
-    longest = max(len(row) for row in places)
-    return torch.tensor([row + [-1] * (longest - len(row)) for row in places])
+    """Indices `(owner, slot)` at which each of `count` owners occurs in `owners`, padded with -1."""
+    indices = [[index for index, owner in enumerate(owners) if owner == number] for number in range(count)]
+    longest = max(len(row) for row in indices)
+    return torch.tensor([row + [-1] * (longest - len(row)) for row in indices])

@@ -1,6 +1,6 @@
 """The face's 134 primary shapes: the 52 ARKit shapes, MakeHuman's expression units and a few of its morphs.
 
-Shapes that cover the whole mouth, brow or cheeks are split into halves that add up to the whole.
+Shapes of the whole mouth, brow or cheeks are split into a left and a right half.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from rigs.geometry.asset import FaceSource
 ARKIT_FOLDER = "faceunits01/targets/faceunits"
 EXPRESSION_FOLDER = "mpfb2/targets/expression/units"
 MORPH_FOLDER = "mpfb2/targets"
-BLEND_WIDTH = 12.0  # mm on either side of the middle, where the two halves of a split shape overlap
+BLEND_WIDTH = 12.0  # mm on either side of the midline in which the halves of a split shape overlap
 
 ARKIT_SPLIT = (
     "browInnerUp cheekPuff mouthFunnel mouthPucker mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper"
@@ -21,7 +21,7 @@ ARKIT_SPLIT = (
 
 UNIT_VERSIONS = ("african", "asian", "caucasian")
 
-# Name here -> file of an expression unit (the mean of its versions), `{side}` for those that come in two files.
+# Shape -> file of an expression unit (the mean of its versions); `{side}` where there is one file for each side.
 UNITS_SIDED = {
     "lidClose": "eye-{side}-closure",
     "lidRaise": "eye-{side}-opened-up",
@@ -50,7 +50,7 @@ UNITS_SPLIT = {
 }
 UNITS_WHOLE = {"nostrilPinch": "nose-compression", "noseDrop": "nose-depression"}
 
-# Name here -> file of a morph; `{side}` for those that come in two files.
+# Shape -> file of a morph; `{side}` where there is one file for each side.
 MORPHS_SIDED = {
     "cheekSuck": "cheek/{side}-cheek-volume-decr",
     "cheekRaise": "cheek/{side}-cheek-trans-up",
@@ -78,7 +78,7 @@ MORPHS_WHOLE = {
 
 
 class Source(NamedTuple):
-    """Where a shape comes from: the mean of one or more target files, whole or split into a left and a right half."""
+    """Source of a shape: the mean of one or more target files, optionally split into a left and a right half."""
 
     name: str
     files: tuple[str, ...]
@@ -90,7 +90,7 @@ class Source(NamedTuple):
 
 
 def sources() -> list[Source]:
-    """The sources of the primary shapes, in the rig's order."""
+    """Sources of the primary shapes, in the rig's order."""
     result = [Source(name, (f"{ARKIT_FOLDER}/{name}.target",), name in ARKIT_SPLIT) for name in ARKIT_NAMES]
     for side, letter in (("left", "l"), ("right", "r")):
         end = side.capitalize()
@@ -107,13 +107,13 @@ def sources() -> list[Source]:
 
 
 def primary_names() -> list[str]:
-    """The names of the 134 primary shapes, in the rig's order."""
+    """Names of the 134 primary shapes, in the rig's order."""
     return [name for source in sources() for name in source.shapes]
 
 
 def build_primaries(face: FaceSource) -> dict[str, np.ndarray]:
-    """The deltas `(vertex, 3)`, mm, of the primary shapes by name, in the rig's order."""
-    left = _left_share(face.rest[:, 0])[:, None]
+    """Deltas `(vertex, 3)`, mm, of the primary shapes by name, in the rig's order."""
+    left = _left_fraction(face.rest[:, 0])[:, None]
     shapes: dict[str, np.ndarray] = {}
     for source in sources():
         deltas = face.carried(np.mean([face.target(file) for file in source.files], axis=0))
@@ -130,7 +130,7 @@ def _morph_files(name: str) -> tuple[str, ...]:
     return (f"{MORPH_FOLDER}/{name}.target.gz",)
 
 
-def _left_share(x: np.ndarray) -> np.ndarray:
-    """How much of a split shape belongs to its left half: 0 to 1 across the middle, smoothly."""
+def _left_fraction(x: np.ndarray) -> np.ndarray:
+    """Weight of the left half of a split shape: a smooth step from 0 to 1 across the midline."""
     t = np.clip((x + BLEND_WIDTH) / (2 * BLEND_WIDTH), 0, 1)
     return t * t * (3 - 2 * t)

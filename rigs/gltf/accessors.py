@@ -1,4 +1,4 @@
-"""Accessors: typed arrays in the bytes of an avatar, never read outside their buffer view.
+"""Accessors: typed arrays in the buffers of a glTF file, with every access checked against the buffer view.
 
 Source: the glTF 2.0 specification, sections 3.6.2 (accessors) and 3.11 (normalised integers).
 """
@@ -13,14 +13,14 @@ from rigs.gltf.container import GltfFile
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 UNSIGNED = (5121, 5123, 5125)
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-MOST_NUMBERS = 250_000_000  # that an avatar may need: 1 GB as float32; a hostile file can claim any count
+MOST_NUMBERS = 250_000_000  # of an avatar: 1 GB as float32; an untrusted file can claim any count
 
 
 def count_of(file: GltfFile, index: int, user: str) -> int:
-    """How many elements an accessor has, without reading them.
+    """Number of elements of an accessor, without reading them.
 
     Raises:
-        InputError: it does not exist, has none, or absurdly many.
+        InputError: the accessor does not exist, is empty, or too large.
     """
     count = file.item("accessors", index, user)["count"]
     if not 1 <= count <= MOST_NUMBERS:
@@ -29,37 +29,37 @@ def count_of(file: GltfFile, index: int, user: str) -> int:
 
 
 def read_numbers(file: GltfFile, index: int, kind: str, user: str) -> np.ndarray:
-    """The values of an accessor, with normalised integers as the fractions that they stand for.
+    """Values of an accessor; normalised integers become fractions.
 
     Args:
-        kind: the type that it must have, such as `VEC3`.
-        user: what it is, for messages: `POSITION of mesh 'head'`.
+        kind: expected type, such as `VEC3`.
+        user: what refers to it, for messages: `POSITION of mesh 'head'`.
 
     Returns:
         `(count, component)`, float64.
 
     Raises:
-        InputError: it is of another type, lies outside its buffer view, or holds NaN or infinite values; the message names
-            the accessor, and the bytes found and expected.
+        InputError: wrong type, outside its buffer view, or NaN or infinite values; the message names the accessor and the
+            bytes found and expected.
     """
     accessor = _checked(file, index, kind, user)
     values = _values(file, index, accessor, user)
-    with np.errstate(invalid="ignore"):  # said below
+    with np.errstate(invalid="ignore"):  # refused below
         numbers = values.astype(np.float64)
     if accessor.get("normalized") and values.dtype.kind != "f":
         numbers = np.maximum(numbers / np.iinfo(values.dtype).max, -1.0)
     finite = np.isfinite(numbers).all(axis=1)
     if not finite.all():
-        place = int(np.argmin(finite))
-        raise InputError(f"{file.path}: accessors[{index}], {user}, holds NaN or infinity at element {place}: export it again")
+        row = int(np.argmin(finite))
+        raise InputError(f"{file.path}: accessors[{index}], {user}, holds NaN or infinity at element {row}: export it again")
     return numbers
 
 
 def read_indices(file: GltfFile, index: int, kind: str, user: str) -> np.ndarray:
-    """The values of an accessor of indices: `(count, component)`, int64.
+    """Values of an index accessor: `(count, component)`, int64.
 
     Raises:
-        InputError: as `read_numbers`; or its components are no unsigned integers.
+        InputError: as `read_numbers`, or the components are not unsigned integers.
     """
     accessor = _checked(file, index, kind, user)
     if accessor["componentType"] not in UNSIGNED:
@@ -73,7 +73,7 @@ def read_indices(file: GltfFile, index: int, kind: str, user: str) -> np.ndarray
 
 
 def quantised_step(file: GltfFile, index: int) -> float:
-    """The distance between two neighbouring values of a normalised accessor; 0 for floats."""
+    """Quantisation step of a normalised accessor; 0 for floats."""
     dtype = np.dtype(COMPONENTS[file.item("accessors", index, "")["componentType"]])
     return 0.0 if dtype.kind == "f" else 1.0 / np.iinfo(dtype).max
 
@@ -83,8 +83,8 @@ def _checked(file: GltfFile, index: int, kind: str, user: str) -> dict[str, Any]
     count_of(file, index, user)
     for field, known in (("type", (kind,)), ("componentType", tuple(COMPONENTS))):
         if accessor[field] not in known:
-            wanted = " or ".join(str(one) for one in known)
-            raise InputError(f"{file.path}: accessors[{index}], {user}, has {field} {accessor[field]!r:.20}, expected {wanted}")
+            names = " or ".join(map(str, known))
+            raise InputError(f"{file.path}: accessors[{index}], {user}, has {field} {accessor[field]!r:.20}, expected {names}")
     if accessor["count"] * WIDTHS[kind] > MOST_NUMBERS:
         raise InputError(f"{file.path}: accessors[{index}], {user}, has {accessor['count']} elements: too many to be meant")
     return accessor
@@ -95,22 +95,22 @@ def _values(file: GltfFile, index: int, accessor: dict[str, Any], user: str) -> 
     where, sparse = f"accessors[{index}], {user}", accessor.get("sparse")
     if "bufferView" in accessor:
         values = _strided(file, accessor["bufferView"], accessor.get("byteOffset", 0), dtype, width, count, where)
-    else:  # the specification's zeros, which cost no memory until they are changed
+    else:  # zeros by the specification, broadcast to save memory
         values = np.broadcast_to(np.zeros(1, dtype), (count, width))
     if not sparse:
         return values
-    places, changes = sparse["indices"], sparse["values"]
-    if places["componentType"] not in UNSIGNED:
+    indices, changes = sparse["indices"], sparse["values"]
+    if indices["componentType"] not in UNSIGNED:
         raise InputError(
-            f"{file.path}: {where}: sparse indices have component type {places['componentType']}, expected unsigned"
+            f"{file.path}: {where}: sparse indices have component type {indices['componentType']}, expected unsigned"
         )
     if not 1 <= sparse["count"] <= count:
         raise InputError(f"{file.path}: {where}: {sparse['count']} sparse values, expected 1 to {count}, its elements")
     rows = _strided(
         file,
-        places["bufferView"],
-        places.get("byteOffset", 0),
-        np.dtype(COMPONENTS[places["componentType"]]),
+        indices["bufferView"],
+        indices.get("byteOffset", 0),
+        np.dtype(COMPONENTS[indices["componentType"]]),
         1,
         sparse["count"],
         f"{where}, sparse indices",
@@ -125,7 +125,7 @@ def _values(file: GltfFile, index: int, accessor: dict[str, Any], user: str) -> 
 
 
 def _strided(file: GltfFile, view: int, offset: int, dtype: np.dtype, width: int, count: int, where: str) -> np.ndarray:
-    """Elements `(count, width)` in a buffer view, as a view of its bytes."""
+    """Elements `(count, width)` of a buffer view, without copying."""
     data, stride = file.view(view, where)
     size = dtype.itemsize * width
     stride = stride or size

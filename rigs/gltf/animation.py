@@ -1,4 +1,4 @@
-"""What moves one thing in an animation: keys, and the values between them (glTF 2.0, section 3.11 and appendix C)."""
+"""Animation channels: keys and interpolation (glTF 2.0, section 3.11 and appendix C)."""
 
 from typing import NamedTuple
 
@@ -8,78 +8,77 @@ import torch
 
 TRANSLATION, ROTATION, SCALE, WEIGHTS = "translation", "rotation", "scale", "weights"
 STEP, LINEAR, CUBIC = "STEP", "LINEAR", "CUBICSPLINE"
-TANGENTS = 3  # values of each key of a cubic spline: the tangent in, the value, the tangent out
-SAME = 1e-6  # of the largest value, within which the values of keys count as equal
+TANGENTS = 3  # values of each key of a cubic spline: in-tangent, value, out-tangent
+SAME = 1e-6  # relative tolerance within which key values are equal
 
 
 class Channel(NamedTuple):
-    """What moves one thing.
+    """Animation of one property of a node.
 
     Attributes:
-        node: which.
-        what: `translation`, `rotation`, `scale` or `weights`.
-        how: STEP, LINEAR or CUBIC.
-        times: of the keys, `(key,)`, seconds, rising; of two keys at one time the second holds from there.
+        node: index of the node.
+        path: `translation`, `rotation`, `scale` or `weights`.
+        interpolation: STEP, LINEAR or CUBIC.
+        times: of the keys, `(key,)`, seconds, ascending; where two keys have one time the second applies from there on.
         values: `(key, number)`, or `(key, 3, number)` of a cubic spline.
     """
 
     node: int
-    what: str
-    how: str
+    path: str
+    interpolation: str
     times: np.ndarray
     values: np.ndarray
 
     @property
     def key_values(self) -> np.ndarray:
-        """The values at the keys, `(key, number)`."""
-        return self.values[:, 1] if self.how == CUBIC else self.values
+        """Values at the keys, `(key, number)`."""
+        return self.values[:, 1] if self.interpolation == CUBIC else self.values
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """The values at times `(time,)`, `(time, number)`; before the first key and after the last, those of these."""
+        """Values `(time, number)` at times `(time,)`, held constant before the first key and after the last."""
         last = len(self.times) - 1
         before = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, last)
-        if self.how == STEP:
+        if self.interpolation == STEP:
             return self.values[before]
         after = np.minimum(before + 1, last)
         span = np.maximum(self.times[after] - self.times[before], 1e-12)[:, None]
-        share = np.clip((times - self.times[before])[:, None] / span, 0, 1)
-        if self.how == CUBIC:
-            return self._spline(before, after, share, span)
-        if self.what == ROTATION:
-            return _slerp(self.values[before], self.values[after], share)
-        return self.values[before] + share * (self.values[after] - self.values[before])
+        fraction = np.clip((times - self.times[before])[:, None] / span, 0, 1)
+        if self.interpolation == CUBIC:
+            return self._spline(before, after, fraction, span)
+        if self.path == ROTATION:
+            return _slerp(self.values[before], self.values[after], fraction)
+        return self.values[before] + fraction * (self.values[after] - self.values[before])
 
     def varies(self) -> bool:
-        """Whether its values change from key to key, or between keys by their tangents; a rotation is its own negative."""
+        """Whether the values change at or between keys; a quaternion equals its negative."""
         values = self.key_values
-        if self.what == ROTATION:
+        if self.path == ROTATION:
             values = np.where((values * values[:1]).sum(axis=1, keepdims=True) < 0, -values, values)
         least = SAME * max(float(np.abs(values).max()), SAME)
-        tangents = self.how == CUBIC and len(values) > 1 and np.abs(self.values[:, [0, 2]]).max() > least
+        tangents = self.interpolation == CUBIC and len(values) > 1 and np.abs(self.values[:, [0, 2]]).max() > least
         return bool(np.ptp(values, axis=0).max() > least or tangents)
 
     def farthest_key(self) -> int:
-        """The key whose values differ most from those of the first."""
+        """Index of the key that differs most from the first."""
         values = self.key_values
         return int(np.abs(values - values[:1]).max(axis=1).argmax())
 
-    def _spline(self, before: np.ndarray, after: np.ndarray, share: np.ndarray, span: np.ndarray) -> np.ndarray:
+    def _spline(self, before: np.ndarray, after: np.ndarray, t: np.ndarray, span: np.ndarray) -> np.ndarray:
         out, into = span * self.values[before, 2], span * self.values[after, 0]
         start, end = self.values[before, 1], self.values[after, 1]
-        square, cube = share**2, share**3
+        square, cube = t**2, t**3
         return (
             (2 * cube - 3 * square + 1) * start
-            + (cube - 2 * square + share) * out
+            + (cube - 2 * square + t) * out
             + (3 * square - 2 * cube) * end
             + (cube - square) * into
         )
 
 
-def _slerp(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Between unit quaternions `(time, 4)`, the shorter way."""
-    both = [torch.from_numpy(np.ascontiguousarray(one, np.float64)) for one in (first, second)]
-    turns = [roma.quat_normalize(one) for one in both]
-    between = roma.quat_product(roma.quat_conjugation(turns[0]), turns[1])
+def _slerp(first: np.ndarray, second: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Spherical interpolation of quaternions `(time, 4)` along the shorter arc."""
+    start, end = (roma.quat_normalize(torch.from_numpy(np.ascontiguousarray(one, np.float64))) for one in (first, second))
+    between = roma.quat_product(roma.quat_conjugation(start), end)
     between = torch.where(between[:, 3:] < 0, -between, between)
-    part = roma.rotvec_to_unitquat(torch.from_numpy(share) * roma.unitquat_to_rotvec(between))
-    return roma.quat_product(turns[0], part).numpy()
+    part = roma.rotvec_to_unitquat(torch.from_numpy(fraction) * roma.unitquat_to_rotvec(between))
+    return roma.quat_product(start, part).numpy()

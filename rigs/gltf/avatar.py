@@ -1,4 +1,4 @@
-"""An avatar's geometry: vertices, triangles and morph targets of all its chosen meshes, in the world, in millimetres."""
+"""Geometry of an avatar: vertices, triangles and morph targets of its chosen meshes in world space, mm."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,27 +8,26 @@ import numpy as np
 from riginv.errors import InputError
 from rigs.gltf.accessors import MOST_NUMBERS
 from rigs.gltf.container import GltfFile, open_gltf
-from rigs.gltf.pieces import Piece, pieces
 from rigs.gltf.scene import Scene, read_scene
 from rigs.gltf.selection import rig_meshes
-from rigs.gltf.skins import Carriers
+from rigs.gltf.skins import PosedBinding
+from rigs.gltf.submeshes import Submesh, read_submeshes, weld_map
 from rigs.gltf.targets import default_weights
-from rigs.gltf.weld import weld_map
 
-FARTHEST_MM = 1e8  # from the origin that a vertex may lie, 100 km: beyond it a file is damaged
+FARTHEST_MM = 1e8  # greatest distance of a vertex from the origin, 100 km: beyond it a file is damaged
 
 
 @dataclass(frozen=True)
 class Avatar:
-    """What a file holds of a rig.
+    """Geometry read from a file.
 
     Attributes:
-        file, scene: what was read.
-        pieces: where vertices come from, in the order of the file's vertices.
-        targets: the names of the morph targets of all meshes, each once.
-        defaults: the weights of the targets at rest, by name: as the file gives them where that was asked for, else 0.
-        vertex_map: the rig's vertex of each of the file's, `(file vertex,)`.
-        rest: `(vertex, 3)` float64, mm, with every target at 0.
+        file, scene: the file and its scene graph.
+        submeshes: in the order of the file's vertices.
+        targets: unique names of the morph targets of all meshes.
+        defaults: rest weight of each target by name: the file's where requested, else 0.
+        vertex_map: index of the rig's vertex for each of the file's, `(file vertex,)`.
+        rest: `(vertex, 3)` float64, mm, with all targets at 0.
         deltas: `(target, vertex, 3)` float32, mm.
         faces: `(face, 3)`.
         mm: millimetres to a unit of the file.
@@ -36,7 +35,7 @@ class Avatar:
 
     file: GltfFile
     scene: Scene
-    pieces: list[Piece]
+    submeshes: list[Submesh]
     targets: list[str]
     defaults: dict[str, float]
     vertex_map: np.ndarray
@@ -58,21 +57,21 @@ def read_avatar(
     """Read an avatar.
 
     Args:
-        include, exclude: globs of the names of meshes or their nodes.
-        mm: millimetres to a unit of the file, which glTF says is a metre.
-        weld: make one of the vertices that seams split.
-        joints: whether meshes that only a skin moves belong to it.
-        at_defaults: whether the targets rest at the weights that the file gives them.
+        include, exclude: globs for the names of meshes or their nodes.
+        mm: millimetres per unit of the file; glTF's unit is the metre.
+        weld: merge vertices that seams have split.
+        joints: include meshes that are only skinned.
+        at_defaults: use the file's weights of the targets as their rest values.
 
     Raises:
-        InputError: the file cannot be read, holds nothing that moves, or is damaged.
+        InputError: the file cannot be read, is damaged, or has no deformable mesh.
     """
     file = open_gltf(path)
     scene = read_scene(file)
-    parts = pieces(file, rig_meshes(file, scene, include, exclude, joints))
-    targets = list(dict.fromkeys(name for piece in parts for name in piece.targets))
+    parts = read_submeshes(file, rig_meshes(file, scene, include, exclude, joints))
+    targets = list(dict.fromkeys(name for submesh in parts for name in submesh.targets))
     number_of = {name: number for number, name in enumerate(targets)}
-    count = sum(piece.count for piece in parts)
+    count = sum(submesh.count for submesh in parts)
     if 3 * count * (1 + len(targets)) > MOST_NUMBERS:
         raise InputError(
             f"{file.path}: {count} vertices with {len(targets)} morph targets need {12e-9 * count * len(targets):.1f} GB: "
@@ -81,24 +80,24 @@ def read_avatar(
     vertex_map = weld_map(file, scene, parts) if weld else np.arange(count)
     vertices = int(vertex_map.max()) + 1
     rest, deltas = np.zeros((vertices, 3)), np.zeros((len(targets), vertices, 3), np.float32)
-    faces = []
-    for piece in parts:
-        carriers, here = piece.carriers(file, scene), vertex_map[piece.vertices]
-        blend = blended(carriers, slice(None), mm)
-        rest[here] = turned(blend, piece.positions(file)) + blend[:, :, 3]
-        for name, change in piece.deltas(file):
-            deltas[number_of[name], here] = turned(blend, change)
-        triangles = here[piece.triangles(file)]
-        faces.append(triangles[:, ::-1] if np.linalg.det(carriers.transforms[0, :, :3]) < 0 else triangles)
+    all_faces = []
+    for submesh in parts:
+        binding, here = submesh.rest_binding(file, scene), vertex_map[submesh.vertices]
+        blend = blend_transforms(binding, slice(None), mm)
+        rest[here] = transform_vectors(blend, submesh.positions(file)) + blend[:, :, 3]
+        for name, change in submesh.deltas(file):
+            deltas[number_of[name], here] = transform_vectors(blend, change)
+        triangles = here[submesh.triangles(file)]
+        all_faces.append(triangles[:, ::-1] if np.linalg.det(binding.transforms[0, :, :3]) < 0 else triangles)
     check_distances(file, rest, deltas)
-    faces = np.concatenate(faces)
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # welding may have closed one
+    faces = np.concatenate(all_faces)
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # welding may have made some degenerate
     defaults = _defaults(file, parts) if at_defaults else dict.fromkeys(targets, 0.0)
     return Avatar(file, scene, parts, targets, defaults, vertex_map, rest, deltas, faces, mm)
 
 
 def check_distances(file: GltfFile, *arrays: np.ndarray) -> None:
-    """Raises InputError where numbers in mm are beyond what an avatar can have."""
+    """Raises InputError where coordinates, mm, are implausibly large."""
     for array in arrays:
         if not np.abs(array).max(initial=0.0) < FARTHEST_MM:
             raise InputError(
@@ -107,27 +106,27 @@ def check_distances(file: GltfFile, *arrays: np.ndarray) -> None:
             )
 
 
-def blended(carriers: Carriers, some: slice | np.ndarray, mm: float) -> np.ndarray:
-    """What places each vertex in the world: `(vertex, 3, 4)`, mm, the sum over `some` carriers in the shares of each."""
-    shares, transforms = carriers.shares[:, some], carriers.transforms[some] * mm
-    return (shares @ transforms.reshape(-1, 12)).reshape(-1, 3, 4)
+def blend_transforms(binding: PosedBinding, some: slice | np.ndarray, mm: float) -> np.ndarray:
+    """Blended skinning matrices `(vertex, 3, 4)`, mm: the weighted sum over some nodes of a binding."""
+    weights, transforms = binding.weights[:, some], binding.transforms[some] * mm
+    return (weights @ transforms.reshape(-1, 12)).reshape(-1, 3, 4)
 
 
-def turned(blend: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors `(vertex, 3)` of the file's own coordinates in the world, `(vertex, 3)`, mm; nothing is added to them."""
+def transform_vectors(blend: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Apply the linear part of blended matrices to vectors `(vertex, 3)` of the file's coordinates."""
     return (blend[:, :, :3] @ vectors[:, :, None])[:, :, 0]
 
 
-def _defaults(file: GltfFile, parts: list[Piece]) -> dict[str, float]:
-    """The weights at rest of all targets; those that meshes share must agree."""
+def _defaults(file: GltfFile, parts: list[Submesh]) -> dict[str, float]:
+    """Rest weights of all targets; meshes with a target in common must agree."""
     found: dict[str, tuple[float, str]] = {}
-    for piece in parts:
-        node = file.document["nodes"][piece.node]
-        for name, weight in default_weights(file, piece.mesh, node, list(piece.targets)).items():
-            before, label = found.setdefault(name, (weight, piece.label))
+    for submesh in parts:
+        node = file.document["nodes"][submesh.node]
+        for name, weight in default_weights(file, submesh.mesh, node, list(submesh.targets)).items():
+            before, label = found.setdefault(name, (weight, submesh.label))
             if before != weight:
                 raise InputError(
-                    f"{file.path}: target '{name}' rests at {before} in {label}, at {weight} in {piece.label}, which one "
+                    f"{file.path}: target '{name}' rests at {before} in {label}, at {weight} in {submesh.label}, which one "
                     f"control cannot: leave a mesh out with rig.exclude=[NAME], or rest all at 0 by rig.default_weights=false"
                 )
     return {name: weight for name, (weight, _) in found.items()}

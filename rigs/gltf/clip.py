@@ -1,4 +1,4 @@
-"""An animated avatar as a clip: its meshes at each frame, morph weights and skins evaluated."""
+"""Animated glTF avatars as clips, with morph targets and skins evaluated."""
 
 import os
 from pathlib import Path
@@ -14,7 +14,7 @@ from rigs.gltf.channels import animation_names
 from rigs.gltf.choice import Chosen, choice_notes, choose_animation, no_motion
 from rigs.gltf.clip_meshes import ClipMeshes, clip_meshes, welded_faces
 from rigs.gltf.container import GltfFile, open_gltf
-from rigs.gltf.posing import PosedMeshes, moves_at
+from rigs.gltf.posing import PosedMeshes, poses_at
 from rigs.gltf.rig import GltfRig
 from rigs.gltf.scene import Scene, read_scene
 from rigs.gltf.selection import listed, mesh_name, mesh_nodes
@@ -29,8 +29,8 @@ class GltfClip(MeshSequence):
     Args:
         path: of the file.
         options: `mesh`: names or globs of meshes or their nodes; None: the rig's. `animation`: a name, a number from 1 or
-            several of these; None: the first that moves the meshes. `fps`: to sample at; None: what the keys' times tell.
-        rig: that the clip is for, whose meshes are looked for in the file; None: those that a rig of the file would take.
+            several of these; None: the first that moves the meshes. `fps`: sampling rate; None: estimated from key times.
+        rig: rig whose meshes are looked for in the file; None: the meshes that a rig of this file would have.
 
     Raises:
         InputError: the file cannot be read, or holds no animation of the meshes.
@@ -41,7 +41,7 @@ class GltfClip(MeshSequence):
             raise InputError(f"{path}: no such file; clip=PATH names a clip")
         file = open_gltf(path)
         scene = read_scene(file)
-        taken, self.meshes, chosen = _taken(file, scene, options, rig)
+        selection, self.meshes, chosen = _select(file, scene, options, rig)
         timing = timing_of(path, [channel.times for channel in chosen.channels], _positive(options.fps))
         self.times = timing.seconds()
         self.channels = [
@@ -50,13 +50,13 @@ class GltfClip(MeshSequence):
             if self.meshes.follows(channel)
         ]
         faces, self.kept, count = self.meshes.faces(), None, self.meshes.vertex_count
-        if taken.welded is not None:
-            faces = welded_faces(faces, taken.welded)
-            self.kept = np.unique(taken.welded, return_index=True)[1]
+        if selection.welded is not None:
+            faces = welded_faces(faces, selection.welded)
+            self.kept = np.unique(selection.welded, return_index=True)[1]
             count = len(self.kept)
         unit = rig.unit_mm if isinstance(rig, GltfRig) and _same_file(path, rig.file) else METRE
         numbers = timing.first + np.arange(timing.count)
-        facts = _facts(file, scene, taken, self.meshes, chosen, timing)
+        facts = _facts(file, scene, selection, self.meshes, chosen, timing)
         super().__init__(path, numbers, count, Polygons.triangles(faces), timing.rate.fps, unit, "y", facts)
 
     @classmethod
@@ -64,51 +64,55 @@ class GltfClip(MeshSequence):
         return cls(path, options, rig)
 
     def read(self, start: int, stop: int) -> np.ndarray:
-        moves = moves_at(self.channels, self.times[start:stop])
-        values = np.empty((len(moves), self.vertex_count, 3), np.float32)
+        poses = poses_at(self.channels, self.times[start:stop])
+        values = np.empty((len(poses), self.vertex_count, 3), np.float32)
         with np.errstate(over="ignore", invalid="ignore"):
-            for frame, move in enumerate(moves):
-                vertices = self.meshes.vertices(move)
+            for frame, pose in enumerate(poses):
+                vertices = self.meshes.vertices(pose)
                 values[frame] = vertices if self.kept is None else vertices[self.kept]
         return values
 
 
-def _taken(
+def _select(
     file: GltfFile, scene: Scene, options: ReadingOptions, rig: RigBackend | None
 ) -> tuple[ClipMeshes, PosedMeshes, Chosen]:
-    """The meshes and the animation: of meshes that are the rig's alike, the first that an animation moves.
+    """Choose meshes and animation: of equally suitable meshes the first that an animation moves.
 
     Raises:
-        InputError: no animation has anything to do with them, or something is damaged.
+        InputError: no animation affects the meshes, or the file is damaged.
     """
     best = None
-    for taken in clip_meshes(file, scene, options, rig):
-        meshes = PosedMeshes(file, scene, taken.nodes)
+    for selection in clip_meshes(file, scene, options, rig):
+        meshes = PosedMeshes(file, scene, selection.nodes)
         chosen = choose_animation(file, meshes, options.animation)
         if chosen and (best is None or chosen.moves):
-            best = (taken, meshes, chosen)
+            best = (selection, meshes, chosen)
         if chosen and chosen.moves:
             break
     if best is None:
-        raise no_motion(file, listed(mesh_name(file, scene, node) for node in taken.nodes))
+        raise no_motion(file, listed(mesh_name(file, scene, node) for node in selection.nodes))
     return best
 
 
-def _facts(file: GltfFile, scene: Scene, taken: ClipMeshes, meshes: PosedMeshes, chosen: Chosen, timing: Timing) -> SourceFacts:
+def _facts(
+    file: GltfFile, scene: Scene, selection: ClipMeshes, meshes: PosedMeshes, chosen: Chosen, timing: Timing
+) -> SourceFacts:
     names = {node: mesh_name(file, scene, node) for node in mesh_nodes(file, scene)}
-    others = [name for node, name in names.items() if node not in taken.nodes]
+    others = [name for node, name in names.items() if node not in selection.nodes]
     notes = []
-    if others and taken.why:
-        read = listed(names[node] for node in taken.nodes)
-        notes.append(f"Of its meshes {read} were read, {taken.why}; not read: {listed(others)} (reading.mesh=[NAME] chooses).")
-    if taken.welded is not None:
+    if others and selection.reason:
+        read = listed(names[node] for node in selection.nodes)
+        notes.append(
+            f"Of its meshes {read} were read, {selection.reason}; not read: {listed(others)} (reading.mesh=[NAME] chooses)."
+        )
+    if selection.welded is not None:
         notes.append("Vertices at seams were welded as in the rig (rig.weld=true).")
     notes += choice_notes(file, meshes, chosen)
     notes += [timing.rate.note] if timing.rate.note else []
     animations = list(enumerate(animation_names(file)))
     return SourceFacts(
         "glTF",
-        meshes=tuple(names[node].shown for node in taken.nodes),
+        meshes=tuple(names[node].shown for node in selection.nodes),
         other_meshes=tuple(name.shown for name in others),
         animation=", ".join(name for number, name in animations if number in chosen.numbers),
         other_animations=tuple(name for number, name in animations if number not in chosen.numbers),
@@ -118,7 +122,7 @@ def _facts(file: GltfFile, scene: Scene, taken: ClipMeshes, meshes: PosedMeshes,
 
 
 def _positive(fps: Any) -> float | None:
-    """The frames a second that the user gave; what is none of these is refused where clips' rates are."""
+    """A usable frame rate, else None; unusable ones are refused where clips are opened."""
     return float(fps) if isinstance(fps, int | float) and 0 < fps < 1e6 else None
 
 

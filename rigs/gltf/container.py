@@ -1,33 +1,32 @@
-"""An avatar's file, opened: its document checked, its buffers at hand."""
+"""glTF files: the checked document and its buffers."""
 
 import codecs
 import json
-import unicodedata
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from riginv.errors import InputError
+from riginv.errors import InputError, printable
 from rigs.gltf.schema import Document, checked_document
 from rigs.gltf.sources import DATA_URI, MAGIC, VERSION, beside, bytes_of, chunks, from_data_uri
 
 COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
 SUPPORTED = ("KHR_mesh_quantization", "KHR_animation_pointer")
-# Extensions that change how an avatar looks or behaves, not where its vertices are.
+# Extensions that affect appearance or behaviour, not vertices.
 HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp", "VRM")
 
 
 @dataclass(frozen=True)
 class GltfFile:
-    """An avatar's file, opened: its document checked, its bytes not read yet.
+    """An open glTF file; buffers are read on demand.
 
     Attributes:
         path: of the file.
         document: as from `checked_document`.
-        chunk: the binary chunk of a .glb, `(byte,)`; None where there is none.
-        notes: whole sentences: what was mended or passed over while the file was read, each once.
+        chunk: binary chunk of a .glb, `(byte,)`; else None.
+        notes: sentences about what was repaired or ignored.
     """
 
     path: Path
@@ -37,19 +36,19 @@ class GltfFile:
     _buffers: dict[int, np.ndarray] = field(default_factory=dict)
 
     def note(self, sentence: str) -> None:
-        """Add to `notes`; parts of a file may be read twice, and are noted once."""
-        said = printable(sentence)
-        if said not in self.notes:
-            self.notes.append(said)
+        """Add a sentence to `notes`, once."""
+        text = printable(sentence)
+        if text not in self.notes:
+            self.notes.append(text)
 
     def item(self, kind: str, index: int, user: str) -> dict[str, Any]:
-        """One of the document's `kind` (`accessors`, `nodes`...).
+        """An item of one of the document's lists (`accessors`, `nodes`...).
 
         Args:
             user: what refers to it, for the message.
 
         Raises:
-            InputError: there is none of that number.
+            InputError: there is no item of that index.
         """
         items = self.document.get(kind, [])
         if index >= len(items):
@@ -57,10 +56,10 @@ class GltfFile:
         return items[index]
 
     def view(self, index: int, user: str) -> tuple[np.ndarray, int | None]:
-        """The bytes `(byte,)` of a buffer view, and its stride where it has one.
+        """Bytes `(byte,)` of a buffer view, and its stride, if any.
 
         Raises:
-            InputError: it is compressed, or lies outside its buffer; both sizes are named.
+            InputError: it is compressed, or exceeds its buffer.
         """
         view = self.item("bufferViews", index, user)
         where = f"bufferViews[{index}]"
@@ -75,7 +74,7 @@ class GltfFile:
         return data[start : start + length], view.get("byteStride")
 
     def _buffer(self, index: int, user: str, compressed: list[str]) -> np.ndarray:
-        """A buffer's bytes; those of a compressed view may be a fallback that was left out of the file."""
+        """Bytes of a buffer; the fallback buffer of a compressed view may be missing from the file."""
         buffer = self.item("buffers", index, user)
         if index not in self._buffers:
             where, uri = f"buffers[{index}]", buffer.get("uri")
@@ -103,16 +102,11 @@ class GltfFile:
         return self.chunk
 
 
-def printable(text: str) -> str:
-    """A name from a file without what would move a cursor or end a line."""
-    return "".join("?" if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") else letter for letter in text)
-
-
 def open_gltf(path: str | Path) -> GltfFile:
-    """Open an avatar's file and check its document; its content decides what it is, not its name.
+    """Open a glTF file and check its document; .glb and .gltf are told apart by content.
 
     Raises:
-        InputError: the file is missing, truncated or no glTF 2.0, or needs an extension that is not read here.
+        InputError: the file is missing, truncated or not glTF 2.0, or requires an unsupported extension.
     """
     path = Path(path)
     data = bytes_of(path, "rig.file")
@@ -143,7 +137,7 @@ def open_gltf(path: str | Path) -> GltfFile:
 
 
 def compression_error(path: Path, extension: str) -> InputError:
-    """What to say of a compressed file; `cp` decompresses whatever it reads (gltf-transform.dev/cli)."""
+    """The error for a compressed file; `gltf-transform cp` decompresses it (gltf-transform.dev/cli)."""
     return InputError(
         f"{path}: its meshes are compressed with {extension}; decompress it with "
         f"`npx @gltf-transform/cli cp {path.name} plain.glb` and give rig.file=plain.glb"

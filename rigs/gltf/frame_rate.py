@@ -1,4 +1,4 @@
-"""The frame rate that the times of keys point to: glTF has keys at seconds and says nothing of frames."""
+"""Estimation of the frame rate from key times: glTF stores seconds and no rate."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,27 +10,27 @@ from riginv.clips.units import DEFAULT_FPS
 
 COMMON = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)
 NTSC = {base: base * 1000 / 1001 for base in (24.0, 30.0, 48.0, 60.0, 120.0)}  # 23.976, 29.97, 47.95, 59.94, 119.88
-EXACT = 5e-4  # of a frame, that a key may be off it beside the rounding of its time
-DECIMALS, ROUNDED = (2, 3, 4, 5), 0.16  # to which exporters round seconds, and of a frame, that keys may be off it then
-CLEAR = 3.5  # standard errors between a common rate and what television makes of it, for one of them to be clear
-COARSE = 0.25  # of a frame, beyond which a time tells no frame
-HOLD_S, HOLD = 2e-3, 0.15  # seconds, and of a step, within which a key only holds a value up to the next key
-DENSE = 8.0  # keys a second, from which on their spacing may be that of frames
-SAME = 1e-4  # of a rate, within which it is a common one
-EVEN, UNEVEN = 0.1, 0.6  # of a step, that evenly spaced keys, and recorded ones, may be off it
-FEW, MANY = 4, 8  # keys: fewer than FEW make any rate a guess, and MANY show a rate in spite of rounded or stray times
-MOSTLY = 0.8  # of the keys, for the others to count as strays
+EXACT = 5e-4  # tolerance in frames, beside the rounding of times
+DECIMALS, ROUNDED = (2, 3, 4, 5), 0.16  # decimals that exporters round seconds to, and the tolerance in frames then
+CLEAR = 3.5  # standard errors by which a common rate and its NTSC variant are told apart
+COARSE = 0.25  # greatest uncertainty of a time, frames
+HOLD_S, HOLD = 2e-3, 0.15  # seconds, and fraction of a step, within which a key only holds a value up to the next key
+DENSE = 8.0  # fewest keys per second whose spacing may be that of frames
+SAME = 1e-4  # relative tolerance of a common rate
+EVEN, UNEVEN = 0.1, 0.6  # tolerance of evenly spaced and of recorded keys, in steps
+FEW, MANY = 4, 8  # keys: fewer than FEW make any rate a guess; MANY show a rate despite rounded or stray times
+MOSTLY = 0.8  # fraction of the keys, for the others to count as strays
 
 
 @dataclass(frozen=True)
 class Rate:
-    """A frame rate, and what it rests on.
+    """An estimated frame rate.
 
     Attributes:
-        fps: frames a second.
-        source: where it comes from, for the user.
-        tolerance: of a frame, within which a key stands on it.
-        note: a whole sentence where it is a guess.
+        fps: frames per second.
+        source: of the estimate, for the user.
+        tolerance: in frames, within which a key is on a frame.
+        note: a sentence where the rate is a guess.
     """
 
     fps: float
@@ -40,15 +40,15 @@ class Rate:
 
 
 class KeyTimes:
-    """The times of keys, as evidence.
+    """Key times as evidence for a frame rate.
 
     Args:
         times: of all keys of all channels, `(key,)`, seconds.
 
     Attributes:
-        times: each once, rising, without those that only hold a value.
-        resolution: how far apart neighbouring times are in the file, seconds: float32 is coarse far from 0.
-        rounding: how far a key may be from where it stood, seconds, because its time was rounded to decimals; 0: it was not.
+        times: unique, ascending, without keys that only hold a value.
+        resolution: spacing of float32 at these times, seconds.
+        rounding: rounding error of times that were rounded to decimals, seconds; else 0.
     """
 
     def __init__(self, times: np.ndarray) -> None:
@@ -58,19 +58,19 @@ class KeyTimes:
         self.rounding = next((0.5 * 0.1**places for places in DECIMALS if off[places] <= self.resolution + 1e-9), 0.0)
 
     def too_coarse(self) -> bool:
-        """Whether frames cannot be told apart any more by times as large as these."""
+        """Whether float32 cannot resolve frames at times as large as these."""
         return len(self.times) > 1 and self.resolution > COARSE * float(np.median(np.diff(self.times)))
 
     def exact(self, fps: float) -> float:
-        """How far from a frame, in frames, a key may be by the rounding of its time alone."""
+        """Tolerance in frames for the float32 rounding of times."""
         return min(self.resolution * fps + EXACT, COARSE)
 
     def rounded(self, fps: float) -> float:
-        """The same, where times were rounded to decimals."""
+        """Tolerance in frames where times were rounded to decimals."""
         return min(self.rounding * fps + self.exact(fps), ROUNDED)
 
     def phase(self, fps: float, tolerance: float) -> float:
-        """How far after whole frames the keys stand, in frames, in [-0.5, 0.5]: 0, or where most do, or the first."""
+        """Offset of the keys from whole frames, in [-0.5, 0.5] frames: 0, or that of most keys, or of the first."""
         frames = self.times * fps
         mean = float(np.angle(np.exp(2j * np.pi * frames).mean()) / (2 * np.pi))
         for least in (1.0, MOSTLY):
@@ -80,7 +80,7 @@ class KeyTimes:
         return math.remainder(float(frames[0]), 1.0)
 
     def rate(self) -> Rate:
-        """The slowest common rate on whose frames all keys stand, 30 where it is one of several; else the next best guess."""
+        """The slowest common rate on whose frames all keys lie, 30 where it is one of several; else the next best guess."""
         if len(self.times) < 2:
             return self._guess("its keys all stand at one time")
         evidence = (
@@ -118,7 +118,7 @@ class KeyTimes:
         return Rate(fps, "the frames that its keys stand on" + ", a guess" * bool(note), tolerance(fps), note)
 
     def _fitting(self, base: float, tolerance: Callable[[float], float]) -> list[float]:
-        """A common rate and what television makes of it, those that fit; one of them where it clearly fits better."""
+        """A common rate and its NTSC variant, as far as they fit; only one where it clearly fits better."""
         found = {}
         for fps in (base, NTSC.get(base, base)):
             off = _off(self.times * fps, self.phase(fps, tolerance(fps)))
@@ -126,7 +126,7 @@ class KeyTimes:
                 found[fps] = float(np.sqrt((off**2).mean()))
         if len(found) < 2:
             return list(found)
-        better, worse = sorted(found, key=found.get)
+        better, worse = sorted(found, key=found.__getitem__)
         drift = math.sqrt(max(found[worse] ** 2 - found[better] ** 2, 0.0))
         clear = drift * math.sqrt(len(self.times)) > CLEAR * found[better]  # as many standard errors
         if clear and (better == base or len(self.times) >= MANY):
@@ -134,7 +134,7 @@ class KeyTimes:
         return [base, NTSC[base]]
 
     def _evenly_spaced(self, least: float) -> Rate | None:
-        """The rate of keys that stand at every frame."""
+        """The rate of keys at every frame."""
         steps = np.diff(self.times)
         step = float(steps.mean())
         if len(steps) < 2 or step * least > 1 or np.abs(steps - step).max() > EVEN * step + self.resolution:
@@ -151,7 +151,7 @@ class KeyTimes:
         return Rate(fps, source, COARSE, note)
 
     def _mostly_on_frames(self) -> Rate | None:
-        """The rate on whose frames all keys stand but for a few, such as the end of a clip that was cut."""
+        """The rate on whose frames most keys lie, but not, say, the last key of a trimmed clip."""
         if len(self.times) < MANY:
             return None
         strays = {}
@@ -168,7 +168,7 @@ class KeyTimes:
         return Rate(fps, "the frames that most of its keys stand on", self.exact(fps), note)
 
     def _recorded(self) -> Rate | None:
-        """The rate of keys that were recorded as they came, unevenly."""
+        """The rate of unevenly recorded keys."""
         steps = np.diff(self.times)
         near = np.abs(steps - np.median(steps)) < UNEVEN * np.median(steps)
         step = float(steps[near].mean()) if near.mean() >= MOSTLY else math.inf
@@ -180,7 +180,7 @@ class KeyTimes:
 
 
 def _off(frames: np.ndarray, phase: float) -> np.ndarray:
-    """How far from whole frames after a phase."""
+    """Distance from whole frames after a phase."""
     after = frames - phase
     return np.abs(after - np.round(after))
 
@@ -190,7 +190,7 @@ def _preferred(rates: list[float]) -> float:
 
 
 def _nearest(fps: float, rates: Sequence[float], near: float) -> float:
-    """The one of some rates that is near, in parts of it, or the rate itself."""
+    """The nearest of some rates within a relative tolerance, else the rate itself."""
     nearest = min(rates, key=lambda rate: abs(math.log(fps / rate)))
     return nearest if abs(math.log(fps / nearest)) < near else fps
 

@@ -1,4 +1,4 @@
-"""Meshes in the poses that an animation gives their nodes."""
+"""Meshes in the poses of an animation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,108 +10,109 @@ import torch
 from riginv.errors import InputError
 from riginv.geometry.kinematics import transform_from
 from rigs.gltf.animation import ROTATION, SCALE, TRANSLATION, WEIGHTS, Channel
-from rigs.gltf.avatar import blended, turned
+from rigs.gltf.avatar import blend_transforms, transform_vectors
 from rigs.gltf.container import GltfFile
-from rigs.gltf.pieces import Piece, pieces
 from rigs.gltf.scene import Scene
+from rigs.gltf.submeshes import Submesh, read_submeshes
 from rigs.gltf.targets import default_weights
 
 LOCAL = {TRANSLATION, ROTATION, SCALE}
 
-Moves = Mapping[int, Mapping[str, np.ndarray]]  # of nodes: what moves them, and its values
+Pose = Mapping[int, Mapping[str, np.ndarray]]  # values by node and path
 
 
-def moves_at(channels: Sequence[Channel], times: np.ndarray) -> list[Moves]:
-    """Where channels put things at each of some times `(time,)`."""
+def poses_at(channels: Sequence[Channel], times: np.ndarray) -> Sequence[Pose]:
+    """Poses that channels give at times `(time,)`."""
     found: list[dict[int, dict[str, np.ndarray]]] = [{} for _ in times]
     for channel in channels:
-        for moves, values in zip(found, channel.at(times)):
-            moves.setdefault(channel.node, {})[channel.what] = values
+        for pose, values in zip(found, channel.at(times)):
+            pose.setdefault(channel.node, {})[channel.path] = values
     return found
 
 
 class PosedMeshes:
-    """Meshes of a file, posed.
+    """Meshes of a file that can be posed.
 
     Args:
-        nodes: those whose meshes are taken, in the order of their vertices.
+        nodes: nodes of the meshes, in the order of the vertices.
 
     Attributes:
-        pieces: where vertices come from, in the order of the file's vertices.
-        vertex_count: of all of them.
-        carrying: the nodes that carry vertices, themselves or by nodes below them.
-        morphing: the nodes whose morph weights move vertices.
+        submeshes: in the order of the file's vertices.
+        vertex_count: of all submeshes.
+        moving: nodes that move vertices, directly or through nodes below them.
+        morphing: nodes whose morph weights move vertices.
     """
 
     def __init__(self, file: GltfFile, scene: Scene, nodes: list[int]) -> None:
         self.file, self.scene = file, scene
-        self.pieces = pieces(file, nodes)
-        self.vertex_count = sum(piece.count for piece in self.pieces)
-        self._bindings = [piece.binding(file, scene) for piece in self.pieces]
-        self._at_rest = [(piece.positions(file), self._deltas(piece)) for piece in self.pieces]
+        self.submeshes = read_submeshes(file, nodes)
+        self.vertex_count = sum(submesh.count for submesh in self.submeshes)
+        self._bindings = [submesh.binding(file, scene) for submesh in self.submeshes]
+        self._at_rest = [(submesh.positions(file), self._deltas(submesh)) for submesh in self.submeshes]
         self._weights: dict[int, dict[str, float]] = {}
-        self.carrying = self._carrying()
-        self.morphing = {piece.node for piece, (_, deltas) in zip(self.pieces, self._at_rest) if deltas}
+        self.moving = self._moving()
+        self.morphing = {submesh.node for submesh, (_, deltas) in zip(self.submeshes, self._at_rest) if deltas}
 
     def faces(self) -> np.ndarray:
         """Triangles `(face, 3)`."""
-        return np.concatenate([piece.start + piece.triangles(self.file) for piece in self.pieces])
+        return np.concatenate([submesh.start + submesh.triangles(self.file) for submesh in self.submeshes])
 
     def follows(self, channel: Channel) -> bool:
-        """Whether a channel acts on any vertex."""
-        return channel.node in (self.morphing if channel.what == WEIGHTS else self.carrying)
+        """Whether a channel affects any vertex."""
+        return channel.node in (self.morphing if channel.path == WEIGHTS else self.moving)
 
-    def vertices(self, moves: Moves) -> np.ndarray:
-        """Vertices `(vertex, 3)` in the world, metres, where nodes stand as `moves` say, and the others as at rest."""
-        scene = self._posed(moves)
+    def vertices(self, pose: Pose) -> np.ndarray:
+        """Vertices `(vertex, 3)` in world space, metres; nodes that are not in the pose are at rest."""
+        scene = self._posed(pose)
         result = np.empty((self.vertex_count, 3))
-        for piece, bound, (positions, deltas) in zip(self.pieces, self._bindings, self._at_rest):
-            weights = moves.get(piece.node, {}).get(WEIGHTS)
-            named = dict(zip(piece.targets, weights)) if weights is not None else self._resting(piece.node, piece.mesh)
+        for submesh, bound, (positions, deltas) in zip(self.submeshes, self._bindings, self._at_rest):
+            weights = pose.get(submesh.node, {}).get(WEIGHTS)
+            named = dict(zip(submesh.targets, weights)) if weights is not None else self._resting(submesh.node, submesh.mesh)
             points = positions + sum(named[name] * delta for name, delta in deltas.items() if named[name])
-            blend = blended(bound.carriers(scene.world), slice(None), 1.0)
-            result[piece.vertices] = turned(blend, points) + blend[:, :, 3]
+            blend = blend_transforms(bound.posed(scene.world), slice(None), 1.0)
+            result[submesh.vertices] = transform_vectors(blend, points) + blend[:, :, 3]
         return result
 
-    def _deltas(self, piece: Piece) -> dict[str, np.ndarray]:
-        """The deltas `(vertex, 3)` of the targets that move a piece, float32, as most files have them."""
-        found = ((name, delta.astype(np.float32)) for name, delta in piece.deltas(self.file))
+    def _deltas(self, submesh: Submesh) -> dict[str, np.ndarray]:
+        """Deltas `(vertex, 3)` float32 of the targets that move a submesh."""
+        found = ((name, delta.astype(np.float32)) for name, delta in submesh.deltas(self.file))
         return {name: delta for name, delta in found if delta.any()}
 
-    def _carrying(self) -> set[int]:
-        found = {int(node) for bound in self._bindings for node in bound.nodes[(bound.shares > 0).any(axis=0)]}
+    def _moving(self) -> set[int]:
+        found = {int(node) for bound in self._bindings for node in bound.nodes[(bound.weights > 0).any(axis=0)]}
         for level in reversed(self.scene.levels):
             found |= {self.scene.parents[node] for node in level.tolist() if node in found}
         return found - {-1}
 
     def _resting(self, node: int, mesh: int) -> dict[str, float]:
-        """The morph weights of a node that nothing moves."""
+        """Rest values of the morph weights of a node."""
         if node not in self._weights:
-            names = next(list(piece.targets) for piece in self.pieces if piece.node == node)
+            names = next(list(submesh.targets) for submesh in self.submeshes if submesh.node == node)
             self._weights[node] = default_weights(self.file, mesh, self.file.document["nodes"][node], names)
         return self._weights[node]
 
-    def _posed(self, moves: Moves) -> Scene:
-        turning, scaling = self.scene.turning.clone(), self.scene.scaling.clone()
-        for node, move in moves.items():
-            if node not in self.carrying or not move.keys() & LOCAL:
+    def _posed(self, pose: Pose) -> Scene:
+        rigid, scaling = self.scene.rigid.clone(), self.scene.scaling.clone()
+        for node, values in pose.items():
+            if node not in self.moving or not values.keys() & LOCAL:
                 continue
             if "matrix" in self.file.document["nodes"][node]:
                 self._check_matrix(node)
-            turn, scale = turning[node, :, :3], scaling[node, :, :3]
-            if ROTATION in move:
-                rotation = torch.tensor(np.asarray(move[ROTATION], np.float64))
-                turn = roma.unitquat_to_rotmat(rotation / rotation.norm().clamp_min(1e-9))
-            if SCALE in move:
-                scale = torch.diag(torch.tensor(np.asarray(move[SCALE], np.float64)))
-            place = torch.tensor(np.asarray(move[TRANSLATION], np.float64)) if TRANSLATION in move else turning[node, :, 3]
-            turning[node] = transform_from(turn, place)
+            rotation, scale, translation = rigid[node, :, :3], scaling[node, :, :3], rigid[node, :, 3]
+            if ROTATION in values:
+                quaternion = torch.tensor(np.asarray(values[ROTATION], np.float64))
+                rotation = roma.unitquat_to_rotmat(quaternion / quaternion.norm().clamp_min(1e-9))
+            if SCALE in values:
+                scale = torch.diag(torch.tensor(np.asarray(values[SCALE], np.float64)))
+            if TRANSLATION in values:
+                translation = torch.tensor(np.asarray(values[TRANSLATION], np.float64))
+            rigid[node] = transform_from(rotation, translation)
             scaling[node] = transform_from(scale, torch.zeros(3, dtype=torch.float64))
-        return replace(self.scene, turning=turning, scaling=scaling)
+        return replace(self.scene, rigid=rigid, scaling=scaling)
 
     def _check_matrix(self, node: int) -> None:
-        """Engines take the matrix of an animated node apart, which glTF forbids: a shear or a mirror does not allow it."""
-        axes, name = self.scene.turning[node, :, :3], self.scene.names[node]
+        """Raises InputError where the matrix of an animated node, which glTF forbids, cannot be decomposed as engines do."""
+        axes, name = self.scene.rigid[node, :, :3], self.scene.names[node]
         if not torch.allclose(axes @ axes.T, torch.eye(3, dtype=torch.float64), atol=1e-3) or torch.linalg.det(axes) < 0:
             raise InputError(
                 f"{self.file.path}: node '{name}' is animated and has a matrix that is no rotation with a scale, which glTF "

@@ -1,4 +1,4 @@
-"""The scene graph: nodes with their transforms, and where each stands in the world at rest."""
+"""The scene graph: nodes with their local and world transforms at rest."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +12,8 @@ from riginv.errors import InputError
 from riginv.geometry.kinematics import compose, forward_kinematics, transform_from, tree_levels
 from rigs.gltf.container import GltfFile
 
-UNIT_LENGTH = 1e-2  # how far a rotation's quaternion may be from length 1
-SHEAR = 1e-4  # cosine of two axes of a matrix, above which it is not a rotation with a scale
+UNIT_LENGTH = 1e-2  # tolerance of the length of quaternions
+SHEAR = 1e-4  # greatest cosine between the axes of a matrix without shear
 
 
 @dataclass(frozen=True)
@@ -21,31 +21,32 @@ class Scene:
     """The nodes of a file.
 
     Attributes:
-        names: of the nodes, unique: a node without a name, or with one that is taken, is named with its number.
-        parents: of each node, -1 for a root.
-        shown: whether the file's scene holds a node, or it holds no scenes.
-        turning: `(node, 3, 4)`: what places a node in its parent, up to and with its rotation, metres.
-        scaling: `(node, 3, 4)`: what comes after that rotation; `turning` after `scaling` is the node's local transform.
+        names: unique names of the nodes; unnamed and repeated ones get their index.
+        parents: index of each node's parent, -1 for a root.
+        shown: whether each node is in the file's scene; all where there are no scenes.
+        rigid: `(node, 3, 4)`: translation and rotation of the local transform, metres.
+        scaling: `(node, 3, 4)`: the rest of the local transform, which is applied first: local = rigid scaling.
+        levels: node indices by depth.
     """
 
     names: list[str]
     parents: list[int]
     shown: list[bool]
-    turning: Tensor
+    rigid: Tensor
     scaling: Tensor
     levels: list[Tensor]
 
     @cached_property
     def world(self) -> Tensor:
-        """Where each node stands at rest, `(node, 3, 4)`, metres."""
-        return forward_kinematics(compose(self.turning, self.scaling)[None], self.parents, self.levels)[0]
+        """World transforms at rest, `(node, 3, 4)`, metres."""
+        return forward_kinematics(compose(self.rigid, self.scaling)[None], self.parents, self.levels)[0]
 
 
 def read_scene(file: GltfFile) -> Scene:
     """Read the scene graph.
 
     Raises:
-        InputError: a node has two parents or is its own ancestor, or its transform is none; the message names the node.
+        InputError: a node has two parents, is its own ancestor, or has an invalid transform; the message names the node.
     """
     nodes = file.document.get("nodes", [])
     if not nodes:
@@ -57,13 +58,13 @@ def read_scene(file: GltfFile) -> Scene:
     except InputError as error:
         raise InputError(f"{file.path}: {error}") from None
     parts = [_transform(file, node, name) for node, name in zip(nodes, names)]
-    turning, scaling = (torch.stack(part) for part in zip(*parts))
-    return Scene(names, parents, _shown(file, parents, levels), turning, scaling, levels)
+    rigid, scaling = (torch.stack(part) for part in zip(*parts))
+    return Scene(names, parents, _shown(file, parents, levels), rigid, scaling, levels)
 
 
 def _unique_names(nodes: list[dict[str, Any]]) -> list[str]:
     names: list[str] = []
-    taken = set()
+    taken: set[str] = set()
     for number, node in enumerate(nodes):
         name = node.get("name") or f"node_{number}"
         name = f"{name}_{number}" if name in taken else name
@@ -101,8 +102,8 @@ def _shown(file: GltfFile, parents: list[int], levels: list[Tensor]) -> list[boo
 
 
 def _transform(file: GltfFile, node: dict[str, Any], name: str) -> tuple[Tensor, Tensor]:
-    """`turning` and `scaling` of one node, as in `Scene`; float64."""
-    none = torch.zeros(3, dtype=torch.float64)
+    """`rigid` and `scaling` of one node, as in `Scene`; float64."""
+    zero = torch.zeros(3, dtype=torch.float64)
     if "matrix" in node:
         columns = _vector(file, node, "matrix", 16, name).reshape(4, 4)
         if not torch.allclose(columns[:, 3], torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64), atol=1e-5):
@@ -111,17 +112,17 @@ def _transform(file: GltfFile, node: dict[str, Any], name: str) -> tuple[Tensor,
         scale = linear.norm(dim=0)
         axes = linear / scale.clamp_min(1e-12)
         if (axes.T @ axes - torch.eye(3, dtype=torch.float64)).abs().max() > SHEAR:
-            axes, scale = linear, torch.ones_like(scale)  # sheared: a joint of it turns before all of its matrix
-        return transform_from(axes, translation), transform_from(torch.diag(scale), none)
+            axes, scale = linear, torch.ones_like(scale)  # sheared: a joint rotates before all of its matrix
+        return transform_from(axes, translation), transform_from(torch.diag(scale), zero)
     rotation = _vector(file, node, "rotation", 4, name, (0.0, 0.0, 0.0, 1.0))
     if abs(float(rotation.norm()) - 1) > UNIT_LENGTH:
         raise InputError(
             f"{file.path}: the rotation of node '{name}' is a quaternion of length {float(rotation.norm()):.3g}, expected 1: "
             f"export it again"
         )
-    turn = roma.unitquat_to_rotmat(rotation / rotation.norm())
+    matrix = roma.unitquat_to_rotmat(rotation / rotation.norm())
     scale = torch.diag(_vector(file, node, "scale", 3, name, (1.0, 1.0, 1.0)))
-    return transform_from(turn, _vector(file, node, "translation", 3, name, (0.0, 0.0, 0.0))), transform_from(scale, none)
+    return transform_from(matrix, _vector(file, node, "translation", 3, name, (0.0, 0.0, 0.0))), transform_from(scale, zero)
 
 
 def _vector(

@@ -1,7 +1,7 @@
-"""What a glTF document may say: every field that is read later is checked here, so that no later code meets a surprise.
+"""Schema of glTF documents: the type of every field that is read later is checked here.
 
-Libraries that read glTF turn wrong values into others (`"5"` into 5, 1.5 into 1) or fail somewhere within; here the message
-names the field. Source: the glTF 2.0 specification of the Khronos Group, section 5.
+glTF libraries coerce wrong values (`"5"` to 5, 1.5 to 1) or fail deep inside; here the message names the field. Source: the
+glTF 2.0 specification of the Khronos Group, section 5.
 """
 
 import math
@@ -29,10 +29,10 @@ FLAG: Check = (lambda value: isinstance(value, bool), "true or false")
 ANYTHING: Check = (lambda value: True, "anything")
 OBJECT: Check = (lambda value: isinstance(value, dict), "an object {...}")
 
-EACH = "*"  # in a specification: whatever the key
+EACH = "*"  # in a schema: any other key
 ATTRIBUTES = {EACH: WHOLE}
 TARGET = {"extras": ANYTHING, "extra": ANYTHING, EACH: WHOLE}  # `extra` is how UniVRM named targets
-# Field -> a check, a list of one specification for each element, or a dict of fields; a field ending in ! must be there.
+# Field -> a check, a list with the schema of its elements, or a dict of fields; a name ending in ! is required.
 DOCUMENT: Document = {
     "asset!": {"version!": TEXT},
     "extensionsUsed": [TEXT],
@@ -101,14 +101,14 @@ DOCUMENT: Document = {
 
 
 def checked_document(raw: Any, path: Any) -> Document:
-    """The fields of a glTF document that are read, of the types that they must have; null counts as absent.
+    """The fields of a glTF document that are read, with their types checked; null counts as absent.
 
     Args:
-        raw: what the JSON held.
+        raw: the parsed JSON.
         path: of the file, for messages.
 
     Raises:
-        InputError: a field is missing or of another type; the message names it.
+        InputError: a field is missing or has the wrong type; the message names it.
     """
     return _checked(raw, DOCUMENT, str(path), "the document")
 
@@ -125,7 +125,7 @@ def _checked(value: Any, expected: Any, path: str, where: str) -> Any:
         return [_checked(item, expected[0], path, f"{where}[{number}]") for number, item in enumerate(value)]
     if not isinstance(value, dict):
         raise InputError(f"{path}: {where} is {_shown(value)}, expected an object: the file is damaged; export it again")
-    result = {}
+    result: dict[str, Any] = {}
     for key, inner in expected.items():
         if key == EACH:
             others = {name: item for name, item in value.items() if name not in expected}

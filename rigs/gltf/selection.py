@@ -1,31 +1,31 @@
-"""Which meshes of a file are taken: one answer for the rig and for a clip of it."""
+"""Selection of meshes, for rigs and for clips."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
-from riginv.errors import InputError
-from rigs.gltf.container import GltfFile, printable
+from riginv.errors import InputError, printable
+from rigs.gltf.container import GltfFile
 from rigs.gltf.scene import Scene
 from rigs.gltf.targets import target_count
 
-KNOWN = 12  # names that a message lists
+KNOWN = 12  # names listed in a message
 
 
 class MeshName(NamedTuple):
-    """What a mesh may be called by: the name of its node, unique in its file, and its own, which may be empty."""
+    """Names of a mesh: that of its node, unique in the file, and its own, which may be empty."""
 
     node: str
     mesh: str
 
     @property
     def shown(self) -> str:
-        """The name for messages; nodes without a name are numbered, and then the mesh's own says more."""
+        """The name for messages: the mesh's own where its node has none."""
         return printable(self.mesh if self.mesh and self.node.startswith("node_") else self.node)
 
 
 def mesh_nodes(file: GltfFile, scene: Scene) -> list[int]:
-    """The nodes of the file's scene that have a mesh."""
+    """Nodes of the scene that have a mesh."""
     nodes = file.document["nodes"]
     shown = [number for number, node in enumerate(nodes) if "mesh" in node and scene.shown[number]]
     for number in shown:
@@ -38,23 +38,23 @@ def mesh_name(file: GltfFile, scene: Scene, node: int) -> MeshName:
 
 
 def mesh_names(file: GltfFile, scene: Scene, nodes: Iterable[int]) -> tuple[MeshName, ...]:
-    """The names of the meshes of nodes, each node once."""
+    """Names of the meshes of nodes, each node once."""
     return tuple(mesh_name(file, scene, node) for node in dict.fromkeys(nodes))
 
 
 def named_meshes(file: GltfFile, scene: Scene, globs: Sequence[str], key: str) -> list[int]:
-    """The nodes with meshes that names or globs name, in the order of the file; all of them where there are none.
+    """Nodes whose meshes match names or globs, in the order of the file; all nodes with meshes where globs is empty.
 
     Args:
         key: of the config, for messages.
 
     Raises:
-        InputError: one of them names no mesh.
+        InputError: a glob matches no mesh.
     """
     nodes = mesh_nodes(file, scene)
     if not globs:
         return nodes
-    names, found = {node: mesh_name(file, scene, node) for node in nodes}, set()
+    names, found = {node: mesh_name(file, scene, node) for node in nodes}, set[int]()
     for glob in globs:
         matching = _matching(names, glob)
         if not matching:
@@ -66,23 +66,23 @@ def named_meshes(file: GltfFile, scene: Scene, globs: Sequence[str], key: str) -
 
 
 def _matching(names: Mapping[int, MeshName], glob: str) -> set[int]:
-    """The nodes of a name, or else of a glob: a name may hold brackets and asterisks."""
+    """Nodes of an exact name, else of a glob: names may contain brackets and asterisks."""
     exact = {node for node, name in names.items() if glob in name}
     return exact or {node for node, name in names.items() if any(fnmatchcase(one, glob) for one in name)}
 
 
 def rig_meshes(file: GltfFile, scene: Scene, include: list[str], exclude: list[str], joints: bool) -> list[int]:
-    """The nodes whose meshes make a rig: those of the scene that globs name, or without any all that can move.
+    """Nodes whose meshes make a rig: those that match `include`, else all deformable ones.
 
     Args:
-        include, exclude: names or globs of nodes or meshes; without `include` meshes that never move are left out.
-        joints: whether a skin counts as moving.
+        include, exclude: names or globs of nodes or meshes.
+        joints: count skinned meshes as deformable.
 
     Raises:
-        InputError: no mesh is taken.
+        InputError: no mesh remains.
     """
     names = {node: mesh_name(file, scene, node) for node in mesh_nodes(file, scene)}
-    gone = set().union(*(_matching(names, glob) for glob in exclude))
+    gone = set[int]().union(*(_matching(names, glob) for glob in exclude))
     kept = [node for node in named_meshes(file, scene, include, "rig.include") if node not in gone]
     known = listed(names.values())
     if not kept:

@@ -1,4 +1,4 @@
-"""What carries the vertices of a primitive: the joints of a skin in the shares of its weights, or the node alone."""
+"""Skins: the nodes that move the vertices of a primitive, and their weights."""
 
 from typing import NamedTuple
 
@@ -13,47 +13,47 @@ from rigs.gltf.accessors import MOST_NUMBERS, count_of, quantised_step, read_ind
 from rigs.gltf.container import GltfFile
 from rigs.gltf.scene import Scene
 
-NOTHING = 1e-6  # a sum of skin weights at or below which a vertex has none
+NOTHING = 1e-6  # greatest sum of skin weights of a vertex that counts as unskinned
 
 
 class Binding(NamedTuple):
-    """What vertices are bound to, in any pose.
+    """Binding of vertices to nodes.
 
     Attributes:
-        nodes: the numbers of the nodes that carry them, `(carrier,)`.
-        shares: how much each vertex follows each, `(vertex, carrier)`; each row sums to 1.
-        binds: `(carrier, 3, 4)`: from the primitive's own coordinates to those of each node, metres.
+        nodes: indices of the nodes, `(joint,)`.
+        weights: skin weights `(vertex, joint)`; each row sums to 1.
+        inverse_binds: `(joint, 3, 4)`: from the primitive's local coordinates to those of each node, metres.
     """
 
     nodes: np.ndarray
-    shares: np.ndarray
-    binds: np.ndarray
+    weights: np.ndarray
+    inverse_binds: np.ndarray
 
-    def carriers(self, world: Tensor) -> "Carriers":
-        """The carriers where the nodes stand as `world` `(node, 3, 4)` says."""
-        placed = compose(world[torch.from_numpy(self.nodes)], torch.from_numpy(self.binds))
-        return Carriers(self.nodes, self.shares, placed.numpy())
+    def posed(self, world: Tensor) -> "PosedBinding":
+        """The binding for world transforms `(node, 3, 4)`."""
+        transforms = compose(world[torch.from_numpy(self.nodes)], torch.from_numpy(self.inverse_binds))
+        return PosedBinding(self.nodes, self.weights, transforms.numpy())
 
 
-class Carriers(NamedTuple):
-    """The nodes that carry vertices, in one pose.
+class PosedBinding(NamedTuple):
+    """A binding in one pose.
 
     Attributes:
-        nodes: their numbers, `(carrier,)`.
-        shares: how much each vertex follows each, `(vertex, carrier)`; each row sums to 1.
-        transforms: `(carrier, 3, 4)`: from the primitive's own coordinates to the world, metres.
+        nodes: indices of the nodes, `(joint,)`.
+        weights: skin weights `(vertex, joint)`; each row sums to 1.
+        transforms: `(joint, 3, 4)`: from the primitive's local coordinates to world space, metres.
     """
 
     nodes: np.ndarray
-    shares: np.ndarray
+    weights: np.ndarray
     transforms: np.ndarray
 
 
 def binding(file: GltfFile, scene: Scene, node: int, attributes: dict[str, int], vertices: int, user: str) -> Binding:
-    """What carries a primitive's vertices. A skin places them by its joints alone, as glTF wants it, not by the node.
+    """The binding of a primitive. With a skin, the transform of the node is ignored, as glTF specifies.
 
     Raises:
-        InputError: weights are negative, or joints or matrices are missing; the message names the skin.
+        InputError: negative weights, or missing joints or matrices; the message names the skin.
     """
     skin_number = file.document["nodes"][node].get("skin")
     if skin_number is None:
@@ -68,12 +68,12 @@ def binding(file: GltfFile, scene: Scene, node: int, attributes: dict[str, int],
     if vertices * len(joints) > MOST_NUMBERS:
         raise InputError(f"{file.path}: {label} has {len(joints)} joints for {vertices} vertices: too many to be meant")
     names = [scene.names[joint] for joint in joints]
-    shares = _shares(file, attributes, vertices, names, f"{user}, {label}")
-    return Binding(np.array(joints), shares, _inverse_binds(file, skin, len(joints), label))
+    weights = _weights(file, attributes, vertices, names, f"{user}, {label}")
+    return Binding(np.array(joints), weights, _inverse_binds(file, skin, len(joints), label))
 
 
 def _inverse_binds(file: GltfFile, skin: dict, joints: int, label: str) -> np.ndarray:
-    """The inverse bind matrices `(joint, 3, 4)`; identities where the skin has none."""
+    """Inverse bind matrices `(joint, 3, 4)`; identities where the skin has none."""
     if "inverseBindMatrices" not in skin:
         return np.tile(np.eye(4)[:3], (joints, 1, 1))
     accessor, user = skin["inverseBindMatrices"], f"inverseBindMatrices of {label}"
@@ -91,9 +91,9 @@ def _inverse_binds(file: GltfFile, skin: dict, joints: int, label: str) -> np.nd
     return np.ascontiguousarray(matrices[:, :3])
 
 
-def _shares(file: GltfFile, attributes: dict[str, int], vertices: int, names: list[str], user: str) -> np.ndarray:
+def _weights(file: GltfFile, attributes: dict[str, int], vertices: int, names: list[str], user: str) -> np.ndarray:
     """Skin weights `(vertex, joint)` from all sets of JOINTS and WEIGHTS, normalised."""
-    shares, first = np.zeros((vertices, len(names))), np.zeros(vertices, np.int64)
+    total, first = np.zeros((vertices, len(names))), np.zeros(vertices, np.int64)
     tolerance, number = SUM_TOLERANCE, 0
     while number == 0 or f"JOINTS_{number}" in attributes or f"WEIGHTS_{number}" in attributes:
         for field in (f"JOINTS_{number}", f"WEIGHTS_{number}"):
@@ -112,27 +112,27 @@ def _shares(file: GltfFile, attributes: dict[str, int], vertices: int, names: li
         tolerance = max(tolerance, 4 * quantised_step(file, attributes[f"WEIGHTS_{number}"]))
         wrong = (weights != 0) & (joints >= len(names))
         if wrong.any():
-            vertex, place = np.argwhere(wrong)[0]
+            vertex, slot = np.argwhere(wrong)[0]
             raise InputError(
-                f"{file.path}: JOINTS_{number} of {user}: vertex {vertex} follows joint {joints[vertex, place]}, the skin has "
+                f"{file.path}: JOINTS_{number} of {user}: vertex {vertex} follows joint {joints[vertex, slot]}, the skin has "
                 f"joints 0 to {len(names) - 1}: bind it again, or export it again"
             )
         if number == 0:
             first = np.where(joints[:, 0] < len(names), joints[:, 0], 0)
-        np.add.at(shares, (np.arange(vertices)[:, None], np.where(weights != 0, joints, 0)), weights)
+        np.add.at(total, (np.arange(vertices)[:, None], np.where(weights != 0, joints, 0)), weights)
         number += 1
-    shares = _normalised(file, shares, first, tolerance, names, user)
-    check_weights(torch.tensor(shares), f"{file.path}: {user}", names)
-    return shares
+    total = _normalised(file, total, first, tolerance, names, user)
+    check_weights(torch.tensor(total), f"{file.path}: {user}", names)
+    return total
 
 
 def _normalised(
-    file: GltfFile, shares: np.ndarray, first: np.ndarray, tolerance: float, names: list[str], user: str
+    file: GltfFile, weights: np.ndarray, first: np.ndarray, tolerance: float, names: list[str], user: str
 ) -> np.ndarray:
-    """Skin weights that sum to 1, as engines make them; a vertex without any follows its `first` joint."""
-    sums = shares.sum(axis=1)
-    if (shares < 0).any() or not np.isfinite(sums).all():
-        return shares  # refused by name
+    """Skin weights normalised as engines do; a vertex without any follows its `first` joint."""
+    sums = weights.sum(axis=1)
+    if (weights < 0).any() or not np.isfinite(sums).all():
+        return weights  # refused by `check_weights`
     none = sums <= NOTHING
     off = ~none & (np.abs(sums - 1) > tolerance)
     if off.any():
@@ -147,7 +147,7 @@ def _normalised(
             f"{int(none.sum())} vertices of {user} have no skin weights (the first is vertex {vertex}): they follow the first "
             f"joint that the file names for them, '{names[first[vertex]]}' for that one."
         )
-    shares = shares / np.where(none, 1.0, sums)[:, None]
-    shares[none] = 0.0
-    shares[none, first[none]] = 1.0
-    return shares
+    weights = weights / np.where(none, 1.0, sums)[:, None]
+    weights[none] = 0.0
+    weights[none, first[none]] = 1.0
+    return weights

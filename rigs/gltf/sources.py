@@ -1,4 +1,4 @@
-"""Where an avatar's bytes come from: a .glb or .vrm, or a .gltf with buffers beside it or within; nothing else is opened."""
+"""Bytes of a glTF file: chunks of a .glb, files beside a .gltf, and data URIs. Nothing else is opened."""
 
 import base64
 import binascii
@@ -18,7 +18,7 @@ def chunks(path: Path, data: np.ndarray) -> tuple[bytes, np.ndarray | None]:
     """The JSON and the binary chunk of a .glb.
 
     Args:
-        data: all its bytes, `(byte,)`.
+        data: bytes of the file, `(byte,)`.
 
     Raises:
         InputError: it is truncated or damaged.
@@ -48,18 +48,18 @@ def chunks(path: Path, data: np.ndarray) -> tuple[bytes, np.ndarray | None]:
     return found[JSON_CHUNK].tobytes(), found.get(BINARY_CHUNK)
 
 
-def bytes_of(path: Path, asked: str) -> np.ndarray:
-    """The bytes of a file `(byte,)`, mapped, so that only what is used is read.
+def bytes_of(path: Path, user: str) -> np.ndarray:
+    """Bytes of a file `(byte,)`, memory-mapped.
 
     Raises:
-        InputError: it is not there, or cannot be read.
+        InputError: it is missing or cannot be read.
     """
     try:
         found = path.is_file()
     except (OSError, ValueError):
         found = False
     if not found:
-        raise InputError(f"{path}: no such file, asked for by {asked}")
+        raise InputError(f"{path}: no such file, asked for by {user}")
     try:
         return np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
     except (OSError, ValueError) as error:
@@ -67,14 +67,14 @@ def bytes_of(path: Path, asked: str) -> np.ndarray:
 
 
 def beside(path: Path, where: str, uri: str) -> Path:
-    """The file that a URI names, within the folder of the avatar.
+    """The file that a URI names, inside the folder of the glTF file.
 
     Args:
-        path: of the avatar.
+        path: of the glTF file.
         where: what names it, for the message.
 
     Raises:
-        InputError: it lies elsewhere, or a link leads there.
+        InputError: it is outside that folder, links resolved.
     """
     name = unquote(uri)
     folder = path.parent.resolve()
@@ -90,10 +90,10 @@ def beside(path: Path, where: str, uri: str) -> Path:
 
 
 def from_data_uri(path: Path, where: str, uri: str) -> np.ndarray:
-    """The bytes `(byte,)` that stand in a URI itself.
+    """Bytes `(byte,)` of a data URI.
 
     Raises:
-        InputError: they are no base64.
+        InputError: it is not valid base64.
     """
     _, mark, body = uri.partition(BASE64)
     try:

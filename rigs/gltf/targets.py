@@ -1,4 +1,4 @@
-"""Morph targets: their names, and their values at rest."""
+"""Morph targets: names and default weights."""
 
 import re
 from collections import Counter
@@ -8,22 +8,22 @@ from riginv.errors import InputError
 from rigs.gltf.container import GltfFile
 
 MOST_TARGETS = 10_000
-BASIS = "Basis"  # what Blender calls the shape that its shape keys start from; glTF does not list it
+BASIS = "Basis"  # Blender's reference shape, which is no target
 NUMBERED = re.compile(r"accessors?[\s_.-]*\d*", re.IGNORECASE)  # names that exporters give to accessors of any kind
-SHOWN = 4  # names that a note lists
+SHOWN = 4  # names listed in a note
 
 
 def mesh_label(file: GltfFile, mesh: int) -> str:
-    """What messages call a mesh."""
+    """A mesh's name for messages."""
     name = file.document["meshes"][mesh].get("name")
     return f"mesh '{name}'" if name else f"meshes[{mesh}]"
 
 
 def target_count(file: GltfFile, mesh: int) -> int:
-    """How many morph targets a mesh has; primitives without any are not moved by those of the others.
+    """Number of morph targets of a mesh; primitives without any are not moved by those of others.
 
     Raises:
-        InputError: its primitives have different numbers of them, or there are absurdly many.
+        InputError: its primitives have different numbers of targets, or there are too many.
     """
     counts = [len(primitive.get("targets", [])) for primitive in file.document["meshes"][mesh]["primitives"]]
     most = max(counts, default=0)
@@ -41,17 +41,17 @@ def target_count(file: GltfFile, mesh: int) -> int:
 
 
 def target_names(file: GltfFile, meshes: list[int]) -> dict[int, list[str]]:
-    """The names of the morph targets of meshes, by the mesh's number; no two targets of one mesh have the same name.
+    """Unique names of the morph targets of each mesh, by the mesh's index.
 
-    They stand in `extras.targetNames` of the mesh, as exporters agreed on, or of a primitive; older exporters wrote them into
-    the targets themselves or gave them to the accessors of their positions. Targets without names are called `target_0`,
-    `target_1`..., and with the mesh's name before that where several meshes have none: that they are the same targets is
-    nowhere said.
+    Exporters store them in `extras.targetNames` of the mesh or of a primitive; older ones in the targets themselves, or as
+    names of the position accessors. Unnamed targets become `target_0`, `target_1`..., prefixed with the mesh's name where
+    several meshes have none, since these need not be the same targets.
 
     Raises:
-        InputError: names are no texts.
+        InputError: names are not strings.
     """
-    names, nameless = {}, []
+    names: dict[int, list[str]] = {}
+    nameless: list[int] = []
     for mesh in meshes:
         count, found = target_count(file, mesh), _names_in_file(file, mesh)
         if found is None:
@@ -67,10 +67,10 @@ def target_names(file: GltfFile, meshes: list[int]) -> dict[int, list[str]]:
 
 
 def default_weights(file: GltfFile, mesh: int, node: dict, names: list[str]) -> dict[str, float]:
-    """The weights that a file gives morph targets at rest, by name: those of the node before those of the mesh.
+    """Default weights of morph targets by name: those of the node, else of the mesh.
 
     Raises:
-        InputError: there are more or fewer weights than targets.
+        InputError: the numbers of weights and targets differ.
     """
     weights = node.get("weights") or file.document["meshes"][mesh].get("weights") or [0.0] * len(names)
     if len(weights) != len(names):
@@ -86,7 +86,7 @@ def _numbered(number: int) -> str:
 
 
 def _one_for_each(file: GltfFile, mesh: int, found: list[str], count: int) -> list[str]:
-    """A name for each target: names that are missing are numbers, and those beyond the last target are left out."""
+    """One name for each target: missing names are numbered, surplus ones dropped."""
     if len(found) == count + 1 and found[0] == BASIS:
         found = found[1:]
         file.note(f"extras.targetNames of {mesh_label(file, mesh)} begins with '{BASIS}', which is no target: it was left out.")
@@ -100,8 +100,10 @@ def _one_for_each(file: GltfFile, mesh: int, found: list[str], count: int) -> li
 
 
 def _unique(file: GltfFile, mesh: int, names: list[str]) -> list[str]:
-    """The names, where one stands there again with a number that makes it another."""
-    taken, seen, renamed, result = set(names), Counter(), [], []
+    """Names made unique: repeated ones get a number."""
+    taken, seen = set(names), Counter[str]()
+    renamed: list[str] = []
+    result: list[str] = []
     for name in names:
         seen[name] += 1
         new = name
@@ -131,7 +133,7 @@ def _names_in_file(file: GltfFile, mesh: int) -> list[str] | None:
                     f"{file.path}: extras.targetNames of {mesh_label(file, mesh)} is no list of texts: export it again"
                 )
             return names
-    targets = next((primitive["targets"] for primitive in found["primitives"] if primitive.get("targets")), [])
+    targets: list[dict] = next((primitive["targets"] for primitive in found["primitives"] if primitive.get("targets")), [])
     for source in (_names_within, _names_of_accessors):
         names = list(source(file, targets))
         moving = [name for name, target in zip(names, targets) if "POSITION" in target]
@@ -141,7 +143,7 @@ def _names_in_file(file: GltfFile, mesh: int) -> list[str] | None:
 
 
 def _names_within(file: GltfFile, targets: list[dict]) -> Iterator[str]:
-    """The names that UniVRM and others wrote into the targets."""
+    """Names stored in the targets, as by UniVRM."""
     for target in targets:
         extras = target.get("extras", target.get("extra"))
         name = extras.get("name") if isinstance(extras, dict) else None
@@ -149,9 +151,9 @@ def _names_within(file: GltfFile, targets: list[dict]) -> Iterator[str]:
 
 
 def _names_of_accessors(file: GltfFile, targets: list[dict]) -> Iterator[str]:
-    """The names of the accessors of the targets' positions, without those that only number them."""
+    """Names of the position accessors of the targets, except generic ones."""
     accessors = file.document.get("accessors", [])
     for target in targets:
-        place = target.get("POSITION", len(accessors))
-        name = accessors[place].get("name") if place < len(accessors) else None
+        index = target.get("POSITION", len(accessors))
+        name = accessors[index].get("name") if index < len(accessors) else None
         yield name if isinstance(name, str) and not NUMBERED.fullmatch(name) else ""

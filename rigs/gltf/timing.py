@@ -1,4 +1,4 @@
-"""When the frames of an animation are, from its first key to its last."""
+"""Frame times of an animation, from its first key to its last."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from riginv.errors import InputError
 from rigs.gltf.frame_rate import EXACT, KeyTimes, Rate
 
 MOST_FRAMES = 1_000_000
-SAME = 1e-3  # in parts of a rate, within which what the user says is what the keys say
+SAME = 1e-3  # relative tolerance within which the user's rate is that of the keys
 
 
 @dataclass(frozen=True)
@@ -18,9 +18,9 @@ class Timing:
     """The frames of an animation.
 
     Attributes:
-        rate: frames a second.
-        origin: the time of frame 0, seconds.
-        first, count: the number of the first frame, and how many there are.
+        rate: frame rate.
+        origin: time of frame 0, seconds.
+        first, count: number of the first frame, and number of frames.
     """
 
     rate: Rate
@@ -29,11 +29,11 @@ class Timing:
     count: int
 
     def seconds(self) -> np.ndarray:
-        """The time of each frame, `(frame,)`."""
+        """Time of each frame, `(frame,)`."""
         return self._time(self.first + np.arange(self.count, dtype=np.float64))
 
     def on_frames(self, times: np.ndarray) -> np.ndarray:
-        """The times of keys, those that stand on a frame at exactly its time: float32 puts them just before or after it."""
+        """Key times, snapped to the exact time of a frame where float32 rounding put them just beside it."""
         frames = (times - self.origin) * self.rate.fps
         whole = np.round(frames)
         return np.where(np.abs(frames - whole) <= self.rate.tolerance, self._time(whole), times)
@@ -43,15 +43,15 @@ class Timing:
 
 
 def timing_of(path: str, keys: Sequence[np.ndarray], fps: float | None) -> Timing:
-    """The frames of an animation.
+    """Frame times of an animation.
 
     Args:
         path: for messages.
-        keys: the times of the keys of each channel, `(key,)`, seconds.
-        fps: frames a second, where the user says so; None: what the times tell.
+        keys: key times of each channel, `(key,)`, seconds.
+        fps: requested frame rate; None: estimated from the times.
 
     Raises:
-        InputError: there would be absurdly many frames, or times so late that float32 tells no frames apart.
+        InputError: there would be too many frames, or times are so late that float32 cannot resolve frames.
     """
     evidence = KeyTimes(np.concatenate(keys))
     first, last = min(float(times[0]) for times in keys), max(float(times[-1]) for times in keys)

@@ -1,4 +1,4 @@
-"""Triangles of a primitive, from its indices and its mode."""
+"""Triangles of a primitive from its indices and mode."""
 
 import numpy as np
 
@@ -11,18 +11,18 @@ TRIANGLES, STRIP, FAN = 4, 5, 6
 
 
 def read_triangles(file: GltfFile, primitive: dict, vertices: int, user: str) -> np.ndarray:
-    """The triangles of a primitive, without those that use a vertex twice, as strips do to turn.
+    """Triangles of a primitive, without degenerate ones.
 
     Args:
         primitive: of the document.
-        vertices: how many it has.
-        user: what it is, for messages.
+        vertices: number of its vertices.
+        user: its label for messages.
 
     Returns:
-        `(face, 3)` int64, indices of its vertices.
+        `(face, 3)` int64 vertex indices.
 
     Raises:
-        InputError: it is made of points or lines, an index is out of range, or triangles are incomplete.
+        InputError: points or lines, an index out of range, or incomplete triangles.
     """
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP, FAN):
@@ -51,5 +51,5 @@ def _faces(indices: np.ndarray, mode: int) -> np.ndarray:
     if mode == FAN:
         return np.stack([indices[1:-1], indices[2:], np.broadcast_to(indices[0], len(indices) - 2)], axis=1)
     faces = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1)
-    faces[1::2] = faces[1::2, [0, 2, 1]]  # every other triangle of a strip runs the other way round
+    faces[1::2] = faces[1::2, [0, 2, 1]]  # alternate triangles of a strip have the opposite winding
     return faces

@@ -1,4 +1,4 @@
-"""Runs in Maya's Python: poses of a rig as a table of pairs for riginv. Needs nothing but Maya and the standard library.
+"""Sample poses of a Maya rig as a table of pairs; runs in Maya's Python with the standard library only.
 
     mayapy sample.py --scene face.ma --mesh head_geo --controls "ctrl_*" --poses 10000 --most 20 --out pairs
 
@@ -22,29 +22,29 @@ UNLIMITED = {"doubleAngle": (-45.0, 45.0), "doubleLinear": (-1.0, 1.0)}  # degre
 
 
 class NpyFile:
-    """An .npy file that is written row by row."""
+    """An .npy file, written row by row."""
 
     def __init__(self, path: str, dtype: str, shape: tuple) -> None:
-        self.file, self.dtype, self.left = open(path, "wb"), dtype, shape[0]
+        self.file, self.dtype, self.remaining = open(path, "wb"), dtype, shape[0]
         header = f"{{'descr': {dtype!r}, 'fortran_order': False, 'shape': {tuple(shape)!r}, }}"
         header += " " * (-(len(header) + 11) % 64) + "\n"
         self.file.write(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode("latin1"))
 
     def write(self, values: Sequence) -> None:
-        """One row: a flat sequence of numbers, or a text."""
+        """Write a row: a flat sequence of numbers, or a text."""
         if self.dtype.startswith("<U"):
             data = values.encode("utf-32-le")
             data += b"\0" * (4 * int(self.dtype[2:]) - len(data))
         else:
             data = struct.pack(f"<{len(values)}{DTYPES[self.dtype]}", *values)
         self.file.write(data)
-        self.left -= 1
+        self.remaining -= 1
 
     def close(self) -> None:
         """End the file; raises ValueError where rows are missing."""
         self.file.close()
-        if self.left:
-            raise ValueError(f"{self.left} rows are missing")
+        if self.remaining:
+            raise ValueError(f"{self.remaining} rows are missing")
 
 
 def write_npy(path: str, dtype: str, shape: tuple, rows: Iterable) -> None:
@@ -56,7 +56,7 @@ def write_npy(path: str, dtype: str, shape: tuple, rows: Iterable) -> None:
 
 
 def draw_poses(limits: list, most: int, count: int, seed: int) -> Iterator[list]:
-    """The paper's random poses: how many controls leave neutral is uniform up to `most`, and so are their values.
+    """The paper's random poses: a uniform number of controls, up to `most`, get uniform values; the others are neutral.
 
     limits: (lower, upper, neutral) of each control.
     """
@@ -79,8 +79,8 @@ def write_table(
         return os.path.join(folder, name + ".npy")
 
     write_npy(path("control_names"), f"<U{width}", (len(names),), names)
-    for place, name in enumerate(("lower", "upper", "neutral")):
-        write_npy(path(name), "<f4", (len(names),), [[limit[place]] for limit in limits])
+    for index, name in enumerate(("lower", "upper", "neutral")):
+        write_npy(path(name), "<f4", (len(names),), [[limit[index]] for limit in limits])
     write_npy(path("rest_vertices"), "<f4", (len(rest) // 3, 3), [rest[i : i + 3] for i in range(0, len(rest), 3)])
     write_npy(path("faces"), "<i4", (len(faces) // 3, 3), [faces[i : i + 3] for i in range(0, len(faces), 3)])
     write_npy(path("controls"), "<f4", (len(poses), len(names)), poses)
@@ -93,7 +93,7 @@ def write_table(
 
 
 def bounded(name: str, limits: tuple, bounds: list) -> tuple:
-    """The limits of a control, with what the command line says of them: GLOB=LOWER:UPPER."""
+    """Limits of a control, overridden by GLOB=LOWER:UPPER of the command line."""
     lower, upper, neutral = limits
     for bound in bounds:
         pattern, _, values = bound.rpartition("=")
@@ -149,10 +149,10 @@ class MayaRig:
             enabled = cmds.transformLimits(node, query=True, **{"e" + flag: True})
             values = cmds.transformLimits(node, query=True, **{flag: True})
             limits = [value if on else limit for on, value, limit in zip(enabled, values, limits)]
-        for place, side in enumerate(("min", "max")):
+        for index, side in enumerate(("min", "max")):
             for query in (side, "soft" + side.capitalize()):
                 if cmds.attributeQuery(name, node=node, **{query + "Exists": True}):
-                    limits[place] = cmds.attributeQuery(name, node=node, **{query: True})[0]
+                    limits[index] = cmds.attributeQuery(name, node=node, **{query: True})[0]
                     break
         return limits[0], limits[1], neutral
 

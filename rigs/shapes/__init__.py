@@ -1,5 +1,3 @@
-"""A folder of sculpted shapes as a rig (docs/shapes.md)."""
+"""Folders of sculpted shapes as rigs (docs/shapes.md)."""
 
-from rigs.shapes.rig import ShapesRig
-
-__all__ = ["ShapesRig"]
+from rigs.shapes.rig import ShapesRig as ShapesRig

@@ -1,4 +1,4 @@
-"""From the files of a folder to a rest mesh and a basis, kept in the cache until a file or a setting changes."""
+"""Rest mesh and basis from the files of a folder, cached until a file or a setting changes."""
 
 import hashlib
 import json
@@ -26,14 +26,14 @@ from rigs.shapes.names import Convention
 def shape_geometry(
     neutral: Path, sources: Mapping[str, Source], shapes: Convention, logic: ShapeLogic, unit_mm: float
 ) -> dict[str, Tensor]:
-    """The tensors of a folder of shapes.
+    """Tensors of a folder of shapes.
 
     Returns:
         rest_vertices `(vertex, 3)` and basis `(shape, vertex, 3)`, mm, in the order of `shapes.names`; faces `(face, 3)`;
-        notes `(byte,)`: sentences for the user, a line each, in UTF-8.
+        notes `(byte,)`: sentences for the user, one per line, UTF-8.
 
     Raises:
-        InputError: a file cannot be read, or does not fit the neutral.
+        InputError: a file cannot be read, or does not match the neutral.
     """
     files = [neutral, *sorted({source.path for source in sources.values()})]
     facts = {
@@ -67,12 +67,12 @@ def build_geometry(
 
 
 def notes_of(geometry: Mapping[str, Tensor]) -> tuple[str, ...]:
-    """The sentences for the user that `shape_geometry` returns."""
+    """Notes for the user from the tensors of `shape_geometry`."""
     return tuple(filter(None, bytes(geometry["notes"].tolist()).decode().split("\n")))
 
 
 def _read(name: str, source: Source, neutral: Sculpt, notes: list[str]) -> np.ndarray:
-    """How far a file moves each vertex of the neutral, `(vertex, 3)`, in the file's unit."""
+    """Displacement of each vertex of the neutral, `(vertex, 3)`, in the file's unit."""
     if source.path.suffix.lower() not in READERS:
         return read_deltas(source.path, name, len(neutral.vertices)).astype(np.float32)
     mesh = read_sculpt(source.path, neutral)
@@ -82,11 +82,10 @@ def _read(name: str, source: Source, neutral: Sculpt, notes: list[str]) -> np.nd
 
 
 def solve_basis(found: np.ndarray, sources: Mapping[str, Source], shapes: Convention, logic: ShapeLogic) -> np.ndarray:
-    """The deltas `(shape, vertex, 3)` with which the rig makes each sculpt exactly, in the pose it was sculpted for.
+    """Deltas `(shape, vertex, 3)` with which the rig reproduces each sculpt exactly in its pose.
 
-    The rig adds weights times deltas. With the weights of all shapes in the pose of each sculpt as the rows of a matrix,
-    weights @ deltas = sculpts - neutral; so a combination's deltas are its sculpt less what its parts make together. Where a
-    file holds deltas already, they stand as they are.
+    With the weights of all shapes in the pose of each sculpt as the rows of a matrix, weights @ deltas = sculpts - neutral: the
+    deltas of a combination are its sculpt minus the sum of its parts. Files with deltas are taken as they are.
 
     Args:
         found: `(shape, vertex, 3)`: sculpt less neutral, or deltas.

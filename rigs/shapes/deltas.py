@@ -13,9 +13,9 @@ from safetensors import SafetensorError, safe_open
 from riginv.errors import InputError
 from riginv.runs.array_files import check_npy, check_npz
 
-# What numpy, zipfile and safetensors raise for damaged files; RuntimeError: encrypted, or of a kind that zipfile cannot read.
-DAMAGE = (OSError, EOFError, ValueError, KeyError, MemoryError, RuntimeError, SyntaxError, tokenize.TokenError)
-DAMAGE += (zlib.error, zipfile.BadZipFile, SafetensorError)
+# Raised by numpy, zipfile and safetensors for damaged files; RuntimeError: encrypted or unsupported zip files.
+DAMAGE: tuple[type[Exception], ...] = (OSError, EOFError, ValueError, KeyError, MemoryError, RuntimeError, SyntaxError)
+DAMAGE += (tokenize.TokenError, zlib.error, zipfile.BadZipFile, SafetensorError)
 
 
 @contextmanager
@@ -41,7 +41,7 @@ READERS = {".npy": _open_npy, ".npz": _open_npz, ".safetensors": _open_safetenso
 
 
 def names_in(path: Path) -> list[str]:
-    """The names of the shapes in a file: those of a table, else the name of the file without its ending.
+    """Names of the shapes in a file: those of a table, else the file's stem.
 
     Raises:
         InputError: the table cannot be read.
@@ -53,7 +53,7 @@ def names_in(path: Path) -> list[str]:
 
 
 def read_deltas(path: Path, name: str, vertex_count: int) -> np.ndarray:
-    """The deltas `(vertex, 3)` of one shape, in the file's unit.
+    """Deltas `(vertex, 3)` of a shape, in the file's unit.
 
     Raises:
         InputError: the file is damaged, or the array is not `(vertex, 3)` finite numbers.

@@ -1,4 +1,4 @@
-"""What lies in a folder of shapes: a name for each shape, and where it stands. Nothing large is read here."""
+"""Listing of a folder of shapes: names and sources. Only headers are read here."""
 
 import difflib
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ LISTED = 8  # names in a message, at most
 
 
 class Source(NamedTuple):
-    """Where a shape stands.
+    """Source of a shape.
 
     Attributes:
         path: the file.
-        is_deltas: whether it holds deltas instead of a mesh.
+        is_deltas: whether it contains deltas instead of a mesh.
     """
 
     path: Path
@@ -29,12 +29,12 @@ class Source(NamedTuple):
 def find_shapes(
     folder: str | Path, neutral: str, include: Sequence[str], exclude: Sequence[str], deltas: bool | Sequence[str]
 ) -> tuple[Path, dict[str, Source]]:
-    """The file of the neutral, and the source of each shape, by name.
+    """File of the neutral, and source of each shape by name.
 
     Args:
         neutral: the neutral's name or file name.
         include, exclude: globs on names or file names.
-        deltas: which meshes hold deltas: all (true), none (false), or those that globs match. Arrays always do.
+        deltas: meshes that contain deltas: all (true), none (false), or those that match globs. Arrays always do.
 
     Raises:
         InputError: the folder, its neutral or its shapes are missing, two shapes have one name, or a glob matches nothing.
@@ -46,18 +46,18 @@ def find_shapes(
     meshes = [path for path in files if path.suffix.lower() in MESH_READERS]
     known = ", ".join((*MESH_READERS, *DELTA_READERS))
     if not meshes:
-        there = f"its {len(files)} files are {_listed([path.name for path in files])}" if files else "it is empty"
-        raise InputError(f"{folder}: no meshes there: {there}; expected a neutral and one file for each shape ({known})")
+        content = f"its {len(files)} files are {_listed([path.name for path in files])}" if files else "it is empty"
+        raise InputError(f"{folder}: no meshes there: {content}; expected a neutral and one file for each shape ({known})")
     neutral_path = _neutral(folder, neutral, meshes)
     readable = [path for path in files if path.suffix.lower() in (*MESH_READERS, *DELTA_READERS)]
-    there = [(name, path) for path in readable if path != neutral_path for name in names_in(path)]
-    if not there:
+    named = [(name, path) for path in readable if path != neutral_path for name in names_in(path)]
+    if not named:
         raise InputError(
             f"{folder}: {neutral_path.name} is the only shape there; expected one more file for each shape ({known})"
         )
-    _check_globs("include", include, there, folder)
+    _check_globs("include", include, named, folder)
     shapes: dict[str, Path] = {}
-    for name, path in there:
+    for name, path in named:
         if not _matches(name, path, include) or _matches(name, path, exclude):
             continue
         twin = neutral_path if name == neutral_path.stem else shapes.get(name)
@@ -93,11 +93,11 @@ def _matches(name: str, path: Path, globs: Sequence[str]) -> bool:
     return any(fnmatchcase(name, glob) or fnmatchcase(path.name, glob) for glob in globs)
 
 
-def _check_globs(field: str, globs: Sequence[str], there: list[tuple[str, Path]], folder: Path) -> None:
+def _check_globs(field: str, globs: Sequence[str], named: list[tuple[str, Path]], folder: Path) -> None:
     for glob in globs:
-        if not any(_matches(name, path, [glob]) for name, path in there):
-            names = _listed([name for name, _ in there])
-            raise InputError(f"rig.{field}: '{glob}' matches none of the {len(there)} shapes in {folder} ({names})")
+        if not any(_matches(name, path, [glob]) for name, path in named):
+            names = _listed([name for name, _ in named])
+            raise InputError(f"rig.{field}: '{glob}' matches none of the {len(named)} shapes in {folder} ({names})")
 
 
 def _listed(names: list[str]) -> str:

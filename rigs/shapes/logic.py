@@ -13,33 +13,41 @@ Combination = Literal["product", "min"]
 
 
 class ShapeLogic(nn.Module):
-    """What in-betweens and combinations do while the primary shapes move.
+    """Weights of in-betweens and combinations.
 
     Args:
-        shapes: what each shape is.
-        combination: the weight of a combination: the `product` of those of its parts, or the `min`.
+        shapes: kind of each shape.
+        combination: weight of a combination: `product` or `min` of the weights of its parts.
 
     Raises:
         InputError: `combination` is something else.
     """
+
+    members: Tensor
+    inbetween_owner: Tensor
+    inbetween_knots: Tensor
+    combination_owner: Tensor
+    combination_knots: Tensor
 
     def __init__(self, shapes: Convention, combination: Combination = "product") -> None:
         super().__init__()
         if combination not in get_args(Combination):
             raise InputError(f"rig.combination is '{combination}', expected {' or '.join(get_args(Combination))}")
         self.combine = combination_weights if combination == "product" else smallest_weights
-        parts = [*shapes.primaries, *shapes.inbetweens]
+        sources = [*shapes.primaries, *shapes.inbetweens]
         most = max((len(members) for members in shapes.combinations.values()), default=1)
-        members = [[parts.index(part) for part in group] for group in shapes.combinations.values()]
+        members = [[sources.index(part) for part in group] for group in shapes.combinations.values()]
         padded = [row + [-1] * (most - len(row)) for row in members]
         self._keep(members=torch.tensor(padded, dtype=torch.long).reshape(-1, most))
         order = {name: number for number, name in enumerate(shapes.primaries)}
-        self._keep_hats("inbetween", [(order[shape], place) for shape, place in shapes.inbetweens.values()])
+        self._keep_hats("inbetween", [(order[shape], position) for shape, position in shapes.inbetweens.values()])
         order = {name: number for number, name in enumerate(shapes.combinations)}
-        places = []
-        for name, place in shapes.combination_inbetweens.values():
-            places.append((order[name], place ** len(shapes.combinations[name]) if combination == "product" else place))
-        self._keep_hats("combination", places)
+        positions = []
+        for name, position in shapes.combination_inbetweens.values():
+            positions.append(
+                (order[name], position ** len(shapes.combinations[name]) if combination == "product" else position)
+            )
+        self._keep_hats("combination", positions)
 
     def forward(self, primary: Tensor) -> Tensor:
         """Weights of the primary shapes `(batch, primary)` to those of all shapes `(batch, shape)`, primary ones first."""
@@ -51,14 +59,14 @@ class ShapeLogic(nn.Module):
         for name, tensor in tensors.items():
             self.register_buffer(name, tensor, persistent=False)
 
-    def _keep_hats(self, kind: str, places: list[tuple[int, float]]) -> None:
-        """Keep for each in-between the shape that it belongs to and its three knots: its neighbours on the path, and itself."""
+    def _keep_hats(self, kind: str, positions: list[tuple[int, float]]) -> None:
+        """Register the owner and the three knots of each in-between: its neighbours on the path, and itself."""
         knots = []
-        for owner, place in places:
-            path = [0.0, *sorted(other for of, other in places if of == owner), 1.0]
-            number = path.index(place)
-            knots.append([path[number - 1], place, path[number + 1]])
-        self._keep(**{f"{kind}_owner": torch.tensor([owner for owner, _ in places], dtype=torch.long)})
+        for owner, position in positions:
+            path = [0.0, *sorted(other for of, other in positions if of == owner), 1.0]
+            number = path.index(position)
+            knots.append([path[number - 1], position, path[number + 1]])
+        self._keep(**{f"{kind}_owner": torch.tensor([owner for owner, _ in positions], dtype=torch.long)})
         self._keep(**{f"{kind}_knots": torch.tensor(knots, dtype=torch.float64).reshape(-1, 3)})
 
 
@@ -70,7 +78,7 @@ def hats(weights: Tensor, knots: Tensor) -> Tensor:
         knots: `(hat, 3)`, ascending.
 
     Returns:
-        `(batch, hat)` in [0, 1]. At 0 the derivative is that of the rising side, so that a control at rest has a gradient.
+        `(batch, hat)` in [0, 1]. At 0 the derivative is that of the rising side, for a gradient at rest.
     """
     left, middle, right = knots.to(weights).unbind(1)
     return torch.minimum((weights - left) / (middle - left), (right - weights) / (right - middle)).clamp_min(0)

@@ -1,4 +1,4 @@
-"""A sculpted mesh: as its file states it, and whole."""
+"""Validated sculpted meshes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +13,11 @@ from riginv.meshes.reading import read_mesh
 
 @dataclass(frozen=True)
 class Sculpt:
-    """A mesh of which every coordinate is known, and every face has at least three corners.
+    """A mesh with finite coordinates and faces of at least three corners.
 
     Attributes:
-        file: where it stands.
-        faces: of any size.
+        file: the file as it was read.
+        faces: polygons.
     """
 
     file: MeshFile
@@ -34,11 +34,11 @@ class Sculpt:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Whole sentences: what was mended, and that several objects are one mesh here."""
+        """Sentences about repairs and merged objects."""
         return (*self.file.notes, *note_on_objects(self.path, self.file.objects))
 
     def check_like(self, neutral: "Sculpt") -> None:
-        """Raises InputError where this mesh does not have the neutral's vertices and faces, in its order."""
+        """Raises InputError where vertices or faces differ from the neutral's in number or order."""
         for what, here, there in (
             ("vertices", len(self.vertices), len(neutral.vertices)),
             ("faces", len(self.faces), len(neutral.faces)),
@@ -62,7 +62,7 @@ def read_sculpt(path: Path, like: Sculpt | None = None) -> Sculpt:
     """Read an OBJ or PLY file.
 
     Args:
-        like: another mesh, whose faces are taken where the files have these in common word for word.
+        like: another mesh, whose faces are reused where they are equal byte for byte.
 
     Raises:
         InputError: it cannot be read, is truncated, holds no vertices, NaN or infinite coordinates, faces with fewer than

@@ -1,7 +1,7 @@
-"""The naming convention of riggers: which shapes correct which.
+"""The naming convention of in-betweens and combinations.
 
-`a50` is the in-between of `a`: what `a` looks like at half its weight. `a_b`, `a_b_c` ... are combinations: what `a` and `b`
-look like together. The parts of a combination may be in-betweens (`a50_b`), and a combination may have in-betweens of its own
+`a50` is the in-between of `a` at half its weight. `a_b`, `a_b_c` ... are combinations: `a` and `b` (and `c`) at weight 1.
+The parts of a combination may be in-betweens (`a50_b`), and a combination may have in-betweens of its own
 (`a_b50`, where there is no shape `b50`: both at half). Every other name is a primary shape, whatever it contains (`brow_up_L`).
 """
 
@@ -18,13 +18,13 @@ INBETWEEN = re.compile(r"(.*\D)(\d\d)")  # two digits: percent
 
 @dataclass(frozen=True)
 class Convention:
-    """What each shape is, by its name.
+    """Shapes by kind.
 
     Attributes:
-        primaries: shapes with a control of their own.
-        inbetweens: name -> the primary shape, and the weight of it at which the in-between stands.
-        combinations: name -> the primary shapes and in-betweens that it combines.
-        combination_inbetweens: name -> the combination, and the weight of all its shapes at which the in-between stands.
+        primaries: shapes with their own controls.
+        inbetweens: name -> primary shape, and its weight at the in-between.
+        combinations: name -> primary shapes and in-betweens that it combines.
+        combination_inbetweens: name -> combination, and the weight of its shapes at the in-between.
     """
 
     primaries: list[str] = field(default_factory=list)
@@ -38,7 +38,7 @@ class Convention:
         return [*self.primaries, *self.inbetweens, *self.combinations, *self.combination_inbetweens]
 
     def counts(self) -> str:
-        """How many there are of each kind, in words."""
+        """Number of shapes of each kind, in words."""
         kinds = {
             "primary shape{}": self.primaries,
             "in-between{}": self.inbetweens,
@@ -56,13 +56,13 @@ class Convention:
         if name in self.combinations:
             return {shape: weight for member in self.combinations[name] for shape, weight in self.pose(member).items()}
         if name in self.combination_inbetweens:
-            combination, place = self.combination_inbetweens[name]
-            return dict.fromkeys(self.pose(combination), place)
+            combination, position = self.combination_inbetweens[name]
+            return dict.fromkeys(self.pose(combination), position)
         return {name: 1.0}
 
 
 def read_names(names: Iterable[str]) -> Convention:
-    """Sort shapes by the convention: shorter names first, so that a name's parts are known before it.
+    """Classify shapes by the convention: shorter names first, so that the parts of a name are known before it.
 
     Raises:
         InputError: two shapes are combinations of the same shapes.
@@ -72,7 +72,7 @@ def read_names(names: Iterable[str]) -> Convention:
     for name in sorted(names, key=lambda name: (name.count("_"), len(name), name)):
         members = _members(name, found)
         digits = INBETWEEN.fullmatch(name)
-        whole, place = (digits[1], int(digits[2]) / 100) if digits and digits[2] != "00" else ("", 0.0)
+        owner, position = (digits[1], int(digits[2]) / 100) if digits and digits[2] != "00" else ("", 0.0)
         if members:
             twin = combined.setdefault(frozenset(members), name)
             if twin != name:
@@ -81,10 +81,10 @@ def read_names(names: Iterable[str]) -> Convention:
                     "with rig.exclude"
                 )
             found.combinations[name] = members
-        elif whole in found.primaries:
-            found.inbetweens[name] = (whole, place)
-        elif whole in found.combinations and all(member in found.primaries for member in found.combinations[whole]):
-            found.combination_inbetweens[name] = (whole, place)
+        elif owner in found.primaries:
+            found.inbetweens[name] = (owner, position)
+        elif owner in found.combinations and all(member in found.primaries for member in found.combinations[owner]):
+            found.combination_inbetweens[name] = (owner, position)
         else:
             found.primaries.append(name)
     found.primaries.sort()
@@ -92,7 +92,7 @@ def read_names(names: Iterable[str]) -> Convention:
 
 
 def misspelt_notes(found: Convention) -> list[str]:
-    """Sentences about primary shapes that look like combinations with a misspelt part; of many only the first are named."""
+    """Notes on primary shapes that look like combinations with a misspelt part, limited in number."""
     notes = [
         f"{name} is a shape of its own, for there is no '{part}'; if '{near}' is meant, rename the file"
         for name, (part, near) in misspelt_parts(found).items()
@@ -102,7 +102,7 @@ def misspelt_notes(found: Convention) -> list[str]:
 
 
 def misspelt_parts(found: Convention) -> dict[str, tuple[str, str]]:
-    """Primary shapes that look like combinations with a misspelt part: name -> that part, and what may be meant."""
+    """Primary shapes that look like combinations with a misspelt part: name -> that part, and the probable spelling."""
     result = {}
     known = [*found.primaries, *found.inbetweens]
     for name in found.primaries:
@@ -116,12 +116,12 @@ def misspelt_parts(found: Convention) -> dict[str, tuple[str, str]]:
 
 
 def _members(name: str, found: Convention) -> tuple[str, ...]:
-    """The shapes that a name joins by underscores; empty where it joins none.
+    """Shapes that a name joins by underscores; empty for none.
 
-    Where it can be read in several ways, the first part is as long as can be, then the second, and so on.
+    Ambiguous names are split greedily: the longest first part, then the longest second part, and so on.
     """
     parts = name.split("_")
-    split: dict[int, list[str]] = {len(parts): []}  # where the rest of the name starts -> the shapes that it joins
+    split: dict[int, list[str]] = {len(parts): []}  # start of the remaining name -> shapes that it joins
     for start in reversed(range(len(parts))):
         for end in range(len(parts), start, -1):
             first = "_".join(parts[start:end])

@@ -1,4 +1,4 @@
-"""A folder of sculpted shapes as a rig: one control for each primary shape; in-betweens and combinations follow by name."""
+"""Folders of sculpted shapes as rigs: one control for each primary shape; in-betweens and combinations follow by name."""
 
 import logging
 import math
@@ -21,14 +21,14 @@ class ShapesRig(LinearRig):
     """A neutral mesh and one file for each shape; differentiable.
 
     Args:
-        folder: where the files lie: .obj and .ply meshes, .npy, .npz and .safetensors deltas.
-        neutral: the name of the rest mesh's file, with or without its ending.
-        include: globs; only shapes whose name or file name matches one are read.
-        exclude: globs; shapes whose name or file name matches one are left out.
-        unit_mm: how many mm the files' unit is.
+        folder: folder of the files: .obj and .ply meshes, .npy, .npz and .safetensors deltas.
+        neutral: name of the rest mesh's file, with or without suffix.
+        include: globs for names or file names of the shapes to read.
+        exclude: globs for names or file names of shapes to leave out.
+        unit_mm: millimetres per unit of the files.
         corrective_names: whether `a50` is an in-between of `a`, and `a_b` the combination of `a` and `b`.
-        combination: the weight of a combination: `product` or `min` of those of its parts.
-        deltas: which meshes hold deltas instead of sculpts: all, none, or those that globs match.
+        combination: weight of a combination: `product` or `min` of the weights of its parts.
+        deltas: meshes that contain deltas instead of sculpts: all, none, or those that match globs.
 
     Raises:
         InputError: the folder does not make a rig; the message names the file.
@@ -75,16 +75,17 @@ class ShapesRig(LinearRig):
         return arkit_deltas(self.arkit_parts(), dict(zip(self.shapes.primaries, self.basis)))
 
     def expressions(self) -> dict[str, dict[str, float]]:
-        """Each shape as it was sculpted, primary shapes before those that correct them."""
+        """Each shape as sculpted, primary shapes first."""
         return {name: dict(self.shapes.pose(name)) for name in self.shapes.names}
 
     def describe(self) -> str:
-        """What each name was taken as: one line for each shape that corrects others."""
+        """Interpretation of the names: one line for each corrective shape."""
         shapes = self.shapes
         lines = [f"{self.name}: {self.contents}"]
-        lines += [f"  {name}: in-between of {shape} at {place:g}" for name, (shape, place) in shapes.inbetweens.items()]
+        lines += [f"  {name}: in-between of {shape} at {position:g}" for name, (shape, position) in shapes.inbetweens.items()]
         lines += [f"  {name}: combination of {' and '.join(parts)}" for name, parts in shapes.combinations.items()]
-        lines += [f"  {name}: in-between of {of} at {place:g}" for name, (of, place) in shapes.combination_inbetweens.items()]
+        inbetweens = shapes.combination_inbetweens.items()
+        lines += [f"  {name}: in-between of {shape} at {position:g}" for name, (shape, position) in inbetweens]
         return "\n".join(lines)
 
 

@@ -1,1 +1,1 @@
-"""USD stages, read in a process of their own: a damaged one can bring the library down that reads it."""
+"""USD stages as clips, read in a worker process, since damaged files can crash the library."""

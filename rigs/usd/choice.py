@@ -1,23 +1,23 @@
-"""Which meshes of a stage are read, and which of its animations."""
+"""Selection of the meshes and animations of a stage."""
 
 from collections.abc import Callable, Sequence
 
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from rigs.blender.in_blender.mesh_choice import choose_meshes, listing, unclear
 from rigs.usd.posed_mesh import PosedMesh
 from rigs.usd.skins import PROXIES, Skins, editable
 from rigs.usd.stage_clock import UnusableStageError
 
-MOST_PRIMS = 300_000  # instances within instances multiply: more is damage
+MOST_PRIMS = 300_000  # limit for nested instances
 
 
 class StageContents:
-    """The meshes and SkelAnimations of a stage, in its order.
+    """Meshes and SkelAnimations of a stage, in its order.
 
     Args:
-        stage: what is read of it; its session layer may be written to.
-        prims: all of them, those within instances, too.
+        stage: the stage; its session layer is modified.
+        prims: all prims, including those within instances.
     """
 
     def __init__(self, stage: Usd.Stage, prims: list[Usd.Prim]) -> None:
@@ -26,20 +26,20 @@ class StageContents:
         self.animation_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdSkel.Animation)]
         self.skins = Skins(stage)
 
-    def mesh(self, path: object) -> PosedMesh:
+    def mesh(self, path: Sdf.Path) -> PosedMesh:
         prim = self.stage.GetPrimAtPath(path)
         return PosedMesh(prim, self.skins.of(prim))
 
-    def bind_animation(self, asked: str | int) -> None:
-        """Bind a SkelAnimation to every skeleton that has joints or blend shapes of its names.
+    def bind_animation(self, requested: str | int) -> None:
+        """Bind a SkelAnimation to every skeleton with joints or blend shapes of its names.
 
         Args:
-            asked: its path, its name, or its number from 1.
+            requested: path, name, or number from 1.
 
         Raises:
-            UnusableStageError: there is none, or more than one, or it fits no skeleton.
+            UnusableStageError: none or several match, or it fits no skeleton.
         """
-        path = self._animation_path(asked)
+        path = self._animation_path(requested)
         moves = UsdSkel.Animation(self.stage.GetPrimAtPath(path))
         names = {*(moves.GetJointsAttr().Get() or []), *(moves.GetBlendShapesAttr().Get() or [])}
         skins = [mesh.skin for mesh in map(self.mesh, self.mesh_paths) if mesh.skin]
@@ -50,7 +50,7 @@ class StageContents:
         }
         if not fitting:
             raise UnusableStageError(
-                f"reading.animation={asked}: it has no joint or blend shape of a skeleton that a mesh uses"
+                f"reading.animation={requested}: it has no joint or blend shape of a skeleton that a mesh uses"
             )
         with Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
             for skeleton in fitting:
@@ -58,21 +58,21 @@ class StageContents:
                 UsdSkel.BindingAPI.Apply(prim).CreateAnimationSourceRel().SetTargets([path])
         self.skins = Skins(self.stage)
 
-    def _animation_path(self, asked: str | int) -> object:
+    def _animation_path(self, requested: str | int) -> Sdf.Path:
         listed = listing([str(path) for path in self.animation_paths])
-        number = int(asked) if isinstance(asked, int) or asked.isdecimal() else None
-        fitting = [path for path in self.animation_paths if str(asked) in (str(path), path.name)]
+        number = int(requested) if isinstance(requested, int) or requested.isdecimal() else None
+        fitting = [path for path in self.animation_paths if str(requested) in (str(path), path.name)]
         if not fitting and number is not None and 1 <= number <= len(self.animation_paths):
             return self.animation_paths[number - 1]
         if len(fitting) != 1:
             raise UnusableStageError(
-                f"reading.animation={asked} names {len(fitting)} of its SkelAnimations, expected one; they are: {listed}"
+                f"reading.animation={requested} names {len(fitting)} of its SkelAnimations, expected one; they are: {listed}"
             )
         return fitting[0]
 
 
 def all_prims(stage: Usd.Stage) -> list[Usd.Prim]:
-    """The prims of a stage, those within instances, too.
+    """Prims of a stage, including those within instances.
 
     Raises:
         UnusableStageError: there are too many.
@@ -90,13 +90,13 @@ def chosen_meshes(contents: StageContents, names: Sequence[str], vertex_count: i
 
     Args:
         contents: of the stage.
-        names: of meshes or of prims that hold one mesh each, or their paths; none: whatever moves, if that is one mesh, or has
-            `vertex_count` vertices, alone or together.
-        vertex_count: of the rig that the clip is for, where it is known.
-        notes: for how they were chosen.
+        names: of meshes, or of prims with one mesh each, or their paths; empty: the moving mesh, or meshes that have
+            `vertex_count` vertices alone or together.
+        vertex_count: of the clip's rig, where known.
+        notes: receives a note on the choice.
 
     Raises:
-        UnusableStageError: a name fits none or several, or it is not clear which are meant.
+        UnusableStageError: a name matches none or several, or the choice is ambiguous.
     """
     if names:
         paths = {_named_mesh(contents, name) for name in names}
@@ -112,10 +112,10 @@ def chosen_meshes(contents: StageContents, names: Sequence[str], vertex_count: i
     return found
 
 
-def _named_mesh(contents: StageContents, name: str) -> object:
-    """The path of the mesh with a name or path, or below the prim with that name or path."""
+def _named_mesh(contents: StageContents, name: str) -> Sdf.Path:
+    """Path of the mesh with a name or path, or below the prim with that name or path."""
     paths = contents.mesh_paths
-    tests: tuple[Callable[[object], bool], ...] = (
+    tests: tuple[Callable[[Sdf.Path], bool], ...] = (
         lambda path: name in (str(path), path.name),
         lambda path: any(name in (str(above), above.name) for above in path.GetPrefixes()),
     )

@@ -1,4 +1,4 @@
-"""USD stages as clips (`pip install 'riginv[usd]'`): meshes as skeletons, blend shapes, samples and transforms move them."""
+"""USD stages as clips, with skeletons, blend shapes, time samples and transforms (`pip install 'riginv[usd]'`)."""
 
 import importlib.util
 import sys
@@ -10,25 +10,24 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
+from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.pool import PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefusedError
 
 TIMEOUT_S = 120.0  # for a chunk of frames, or for opening the stage
 SCRIPT = Path(__file__).parent / "play_usd.py"
 
 
 class UsdClip(MeshSequence):
-    """Meshes of a USD stage in the world, frame by frame; several stand one after the other, in the stage's order.
+    """Meshes of a USD stage in world space, frame by frame; several are concatenated in the stage's order.
 
     Args:
         path: the stage.
         options: `mesh`: paths or names; None: the only mesh that moves, or what fits `vertices`. `animation`: path, name or
-            number of a SkelAnimation; None: the one that is bound. `fps`: where samples lie between whole time codes, the rate
-            that they are read at.
-        vertices: of the rig that the clip is for; None: not known.
+            number of a SkelAnimation; None: the bound one. `fps`: frame rate, where samples lie between whole time codes.
+        vertices: number of vertices of the clip's rig, where known.
 
     Raises:
-        InputError: usd-core is not installed, the stage cannot be opened, or no mesh, or more than one, could be meant.
+        InputError: usd-core is not installed, the stage cannot be opened, or the choice of meshes is ambiguous.
     """
 
     def __init__(self, path: str, options: ReadingOptions, vertices: int | None = None) -> None:
@@ -36,8 +35,13 @@ class UsdClip(MeshSequence):
             raise InputError(f"{path}: reading USD needs usd-core: pip install 'riginv[usd]'")
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file; clip=PATH names a clip")
-        load = {"file": str(Path(path).absolute()), "meshes": options.mesh_names, "animation": options.animation}
-        load |= {"fps": options.fps, "vertices": vertices}
+        load = {
+            "file": str(Path(path).absolute()),
+            "meshes": options.mesh_names,
+            "animation": options.animation,
+            "fps": options.fps,
+            "vertices": vertices,
+        }
         self.path = path
         self.pool = WorkerPool([sys.executable, str(SCRIPT)], load, 1, TIMEOUT_S)
         try:
@@ -69,7 +73,7 @@ class UsdClip(MeshSequence):
 
     @classmethod
     def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "UsdClip":
-        """Open a stage that should hold a rig's mesh, by which meshes are chosen that the user did not name.
+        """Open a clip of a rig, whose number of vertices selects the meshes unless the user names them.
 
         Raises:
             InputError: the stage cannot be read, or it is not clear which meshes are meant.
@@ -83,7 +87,7 @@ class UsdClip(MeshSequence):
             raise self._failure(error) from None
 
     def _failure(self, error: Exception) -> InputError:
-        said = (
+        text = (
             str(error) if isinstance(error, WorkerRefusedError) else f"{self.path}: the process that reads USD is lost: {error}"
         )
-        return InputError(" ".join(said.split()))
+        return InputError(" ".join(text.split()))

@@ -1,4 +1,4 @@
-"""The frames of a USD stage: whole steps of its clock, over all samples that move the mesh and the stage's own range."""
+"""Frames of a USD stage: whole steps of its clock, over the time samples of the mesh and the stage's range."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ from rigs.usd.stage_clock import (
     whole_numbers,
 )
 
-SAME = 2e-7  # of a time code, or of its value where that is larger
+SAME = 2e-7  # tolerance of equal time codes, absolute and relative
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class FrameGrid:
     """Frames.
 
     Attributes:
-        numbers: `(frame,)`, rising by one; time codes where these count frames.
-        times: the time code of each, `(frame,)`.
-        fps: frames a second.
-        source: where that comes from.
-        notes: whole sentences: what was guessed, passed over, or contradicts itself.
+        numbers: `(frame,)`, ascending by one; time codes where these count frames.
+        times: time code of each, `(frame,)`.
+        fps: frames per second.
+        source: of the frame rate.
+        notes: sentences about guesses, contradictions, and what was ignored.
     """
 
     numbers: np.ndarray
@@ -40,10 +40,10 @@ class FrameGrid:
 
 
 def frame_grid(samples: np.ndarray, clock: StageClock) -> FrameGrid:
-    """The frames from the first time sample to the last, and over the stage's range where that is larger.
+    """Frames from the first time sample to the last, extended to the stage's range.
 
     Args:
-        samples: time codes of whatever moves the mesh, `(sample,)`, rising, none twice; none or one: one still frame.
+        samples: distinct time codes of everything that moves the mesh, `(sample,)`, ascending; none or one: a still frame.
         clock: the stage's metadata.
 
     Raises:
@@ -54,43 +54,45 @@ def frame_grid(samples: np.ndarray, clock: StageClock) -> FrameGrid:
     notes: list[str] = []
     samples = _distinct(samples)
     rate, source = clock.rate(notes)
-    start, end = _range(samples, clock, rate, notes)
+    stage_range = _range(samples, clock, rate, notes)
     if len(samples) < 2:
-        time = float(samples[0]) if len(samples) else start or 0.0
-        said = f", though the stage says time codes {start:g} to {end:g}" if start is not None and end > start else ""
-        notes.append(f"Nothing moves the mesh: one still frame was read{said}.")
+        start, end = stage_range or (0.0, 0.0)
+        time = float(samples[0]) if len(samples) else start
+        though = f", though the stage says time codes {start:g} to {end:g}" if end > start else ""
+        notes.append(f"Nothing moves the mesh: one still frame was read{though}.")
         return FrameGrid(whole_numbers(np.floor([time])), np.array([time]), rate, source, tuple(notes))
     grid = grid_of(samples, rate, clock, notes)
-    low, high = (samples[0], samples[-1]) if start is None else (min(samples[0], start), max(samples[-1], end))
+    start, end = stage_range or (samples[0], samples[-1])
+    low, high = min(samples[0], start), max(samples[-1], end)
     numbers, times = _frames(grid, samples, low, high)
-    _tell_of_samples(samples, times, grid, rate, notes)
+    _note_samples(samples, times, grid, rate, notes)
     return FrameGrid(numbers, times, rate / grid.step, _source(grid, rate, source, clock), tuple(notes))
 
 
 def _distinct(samples: np.ndarray) -> np.ndarray:
-    """Without those that are the sample before but for rounding."""
+    """Samples without those equal to the one before, up to rounding."""
     return samples[np.diff(samples, prepend=-np.inf) > SAME * np.maximum(np.abs(samples), 1)]
 
 
-def _range(samples: np.ndarray, clock: StageClock, rate: float, notes: list[str]) -> tuple[float, float] | tuple[None, None]:
-    """The stage's first and last time code, where they can be meant."""
+def _range(samples: np.ndarray, clock: StageClock, rate: float, notes: list[str]) -> tuple[float, float] | None:
+    """The stage's first and last time code, where they are plausible."""
     start, end = clock.start, clock.end
     if start is None or end is None:
-        return None, None
-    said = f"startTimeCode {start:g} and endTimeCode {end:g}"
+        return None
+    text = f"startTimeCode {start:g} and endTimeCode {end:g}"
     if not (np.isfinite([start, end]).all() and start <= end):
-        notes.append(f"{said} are no range: they were passed over.")
-        return None, None
+        notes.append(f"{text} are no range: they were passed over.")
+        return None
     if len(samples) < 2:
         return start, end
     first, last = samples[0], samples[-1]
     if end < first or start > last:
-        notes.append(f"{said} lie beside all its samples, which go from {first:g} to {last:g}: these were read.")
-        return None, None
+        notes.append(f"{text} lie beside all its samples, which go from {first:g} to {last:g}: these were read.")
+        return None
     frame = max(1.0, rate / FALLBACK)
     if first < start - frame or last > end + frame:
         notes.append(
-            f"Its samples go from {first:g} to {last:g}, beyond {said}: all were read (frames.first and frames.last leave "
+            f"Its samples go from {first:g} to {last:g}, beyond {text}: all were read (frames.first and frames.last leave "
             f"frames out)."
         )
     if start < first - frame or end > last + frame:
@@ -102,7 +104,7 @@ def _range(samples: np.ndarray, clock: StageClock, rate: float, notes: list[str]
 
 
 def _frames(grid: Grid, samples: np.ndarray, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers and times of a grid's frames from one time code to another; a sample that stands at a frame is its time."""
+    """Numbers and times of a grid's frames between two time codes; times snap to samples at the frame."""
     first = np.ceil((low - grid.origin) / grid.step - grid.slack)
     last = np.floor((high - grid.origin) / grid.step + grid.slack)
     if not last - first < MOST_FRAMES:
@@ -122,17 +124,17 @@ def _frames(grid: Grid, samples: np.ndarray, low: float, high: float) -> tuple[n
 
 
 def _source(grid: Grid, rate: float, source: str, clock: StageClock) -> str:
-    """Where the frames a second come from."""
+    """Source of the frame rate."""
     if abs(grid.step - 1) <= NEAR:
         return source
-    for name, fps in (("framesPerSecond", clock.frames_per_second), ("reading.fps", clock.asked)):
+    for name, fps in (("framesPerSecond", clock.frames_per_second), ("reading.fps", clock.requested)):
         if fps and abs(rate / grid.step / fps - 1) < NEAR:
             return name
     return f"the spacing of its samples and {source}"
 
 
-def _tell_of_samples(samples: np.ndarray, times: np.ndarray, grid: Grid, rate: float, notes: list[str]) -> None:
-    """Notes about samples that are no frames, and frames that are no samples."""
+def _note_samples(samples: np.ndarray, times: np.ndarray, grid: Grid, rate: float, notes: list[str]) -> None:
+    """Add notes on samples between frames, and frames without samples."""
     passed_over = len(samples) - len(np.intersect1d(samples, times))
     if passed_over:
         finest = np.diff(samples).min()

@@ -1,4 +1,4 @@
-"""Which layers a stage may be made of, and how much memory it may take: files are untrusted."""
+"""Limits for untrusted stages: the layers that they may reference, and memory."""
 
 import sys
 from pathlib import Path
@@ -12,13 +12,13 @@ MOST_LAYERS = 1000
 
 
 def refuse_layers_elsewhere(file: str) -> list[str]:
-    """Other layers that a stage is composed of lie in its own folder; none is fetched, and no device or pipe is opened.
+    """Check that all layers of a stage are in its folder; none is fetched, and no device or pipe is opened.
 
     Returns:
-        What it refers to that is not there.
+        Missing assets.
 
     Raises:
-        RefusedError: one lies elsewhere, or there are too many.
+        RefusedError: a layer is elsewhere, or there are too many.
     """
     root = Path(file).resolve()
     waiting, seen, missing = [str(root)], set(), []
@@ -46,7 +46,7 @@ def refuse_layers_elsewhere(file: str) -> list[str]:
 
 
 def limit_memory(most: int) -> None:
-    """On systems that can: what asks for more bytes than that fails, and does not take the machine with it."""
+    """Limit the address space of this process, on Linux."""
     if sys.platform == "linux":
         import resource
 
@@ -54,18 +54,18 @@ def limit_memory(most: int) -> None:
 
 
 def _target_of(folder: Path, name: str) -> Path | None:
-    """The file that an asset names, a package for what lies in one; None where it is no plain path."""
+    """The file of an asset, or the package that contains it; None where it is no plain path."""
     path = _outer(name)
     return None if "\0" in path or ":" in path else (folder / path).resolve()
 
 
 def _outer(path: str) -> str:
-    """The package of what lies in one, else the path itself."""
+    """The package of a package-relative path, else the path itself."""
     return Ar.SplitPackageRelativePathOuter(path)[0] if Ar.IsPackageRelativePath(path) else path
 
 
 def _assets_of(layer: Sdf.Layer) -> list[str]:
-    """What a layer is composed of: sublayers, references, payloads and value clips, as it writes them."""
+    """Assets of a layer: sublayers, references, payloads and value clips."""
     found = list(layer.GetCompositionAssetDependencies())
 
     def visit(path: Sdf.Path) -> None:

@@ -1,4 +1,4 @@
-"""Plays meshes of a USD stage for another process, frame by frame (docs/worker-protocol.md).
+"""A worker that evaluates frames of a USD stage (docs/worker-protocol.md).
 
 PYTHON play_usd.py
 """
@@ -19,14 +19,14 @@ from rigs.blender.in_blender.worker import RefusedError, serve
 from rigs.usd.choice import StageContents, all_prims, chosen_meshes
 from rigs.usd.frame_grid import frame_grid
 from rigs.usd.layers import limit_memory, refuse_layers_elsewhere
-from rigs.usd.skins import mend_bindings
+from rigs.usd.skins import repair_bindings
 from rigs.usd.stage_clock import StageClock, UnusableStageError
 from rigs.usd.stage_facts import animations, faces, notes_of_skins, notes_of_variants, notes_of_visibility
 
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
-MEMORY = 4 << 30  # more is damage
-MEMORY_SHARE = 20
-MOST_NAMED = 1000  # meshes and animations that are named to the user
+MEMORY = 4 << 30  # limit in bytes
+MEMORY_PER_BYTE = 20  # additional limit per byte of the file
+MOST_NAMED = 1000  # meshes and animations named to the user
 DAMAGED = (Tf.ErrorException, Tf.CppException, RuntimeError, ValueError, TypeError, MemoryError)
 
 
@@ -34,7 +34,7 @@ class UsdScene:
     """Loads a stage, describes it, and evaluates frames of it: its `controls` are indices of frames.
 
     Args:
-        memory: bytes that this process may take beyond MEMORY_SHARE times the stage's file; None: any number.
+        memory: limit in bytes beyond MEMORY_PER_BYTE times the size of the file; None: unlimited.
     """
 
     def __init__(self, memory: int | None = None) -> None:
@@ -54,18 +54,19 @@ class UsdScene:
             file: the stage.
             meshes: names or paths; none: see `chosen_meshes`.
             animation: path, name or number of the SkelAnimation to bind; None: what the stage binds.
-            fps: frames a second that the user asked for.
+            fps: requested frame rate.
             vertices: of the rig that the clip is for, where known.
         """
         if self.memory is not None:
-            limit_memory(self.memory + MEMORY_SHARE * Path(file).stat().st_size)
-        self.file, self.notes = file, []
+            limit_memory(self.memory + MEMORY_PER_BYTE * Path(file).stat().st_size)
+        self.file = file
+        self.notes: list[str] = []
         with self.refusing("open"):
             missing = refuse_layers_elsewhere(file)
             if missing:
                 self.notes.append(f"Layers that it refers to are not there: {listing(missing)}.")
             self.stage = Usd.Stage.Open(file)
-            self.notes += mend_bindings(self.stage, all_prims(self.stage))
+            self.notes += repair_bindings(self.stage, all_prims(self.stage))
             self.contents = StageContents(self.stage, all_prims(self.stage))
             if not self.contents.mesh_paths:
                 raise UnusableStageError(f"expected one mesh, and it has none. {' '.join(self.notes)}".strip())
@@ -77,7 +78,7 @@ class UsdScene:
         return {"mesh": self.meshes[0].path}, {}
 
     def describe(self) -> Answer:
-        """Frames and faces, what was read and what was left out; units and the axis that is up, where the stage says them."""
+        """Frames, faces, what was read and left out, and the units and up axis, where the stage states them."""
         stage, meshes, grid = self.stage, self.meshes, self.grid
         with self.refusing("read"):
             self.frame(0)
@@ -116,20 +117,20 @@ class UsdScene:
             points = [mesh.world_points(time, transforms).astype(np.float32) for mesh in self.meshes]
         return np.concatenate(points)
 
-    def clock(self, asked: float | None) -> StageClock:
-        """What the stage's metadata says of time."""
+    def clock(self, requested: float | None) -> StageClock:
+        """Time metadata of the stage."""
         stage = self.stage
         rates = {
             "time_codes_per_second": stage.GetTimeCodesPerSecond() if stage.HasAuthoredMetadata("timeCodesPerSecond") else None,
             "frames_per_second": stage.GetFramesPerSecond() if stage.HasAuthoredMetadata("framesPerSecond") else None,
         }
         if not stage.HasAuthoredTimeCodeRange():
-            return StageClock(**rates, asked=asked)
-        return StageClock(**rates, start=stage.GetStartTimeCode(), end=stage.GetEndTimeCode(), asked=asked)
+            return StageClock(**rates, requested=requested)
+        return StageClock(**rates, start=stage.GetStartTimeCode(), end=stage.GetEndTimeCode(), requested=requested)
 
     @contextmanager
     def refusing(self, what: str) -> Iterator[None]:
-        """Errors of usd-core, and of what a stage holds, as sentences with the file's name."""
+        """Convert errors to refusals that name the file."""
         try:
             yield
         except UnusableStageError as error:

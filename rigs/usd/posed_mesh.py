@@ -1,4 +1,4 @@
-"""A mesh of a stage at a time: its points, blend shapes and skin, and where it lies in the world."""
+"""Meshes of a stage, evaluated at a time: points, blend shapes, skin and world transform."""
 
 import numpy as np
 from pxr import Usd, UsdGeom, Vt
@@ -6,22 +6,22 @@ from pxr import Usd, UsdGeom, Vt
 from rigs.usd.skins import Skin
 from rigs.usd.stage_clock import MOST_FRAMES, UnusableStageError
 
-LOOKS = 64  # at a mesh, to see whether it moves
+LOOKS = 64  # sampled times to detect motion
 
 
 class PosedMesh:
-    """A mesh and whatever moves it.
+    """A mesh with its skin.
 
     Args:
         prim: the mesh.
-        skin: what poses it; None: nothing.
+        skin: None: unskinned.
     """
 
     def __init__(self, prim: Usd.Prim, skin: Skin | None) -> None:
         self.prim, self.skin, self.path = prim, skin, str(prim.GetPath())
         self._points = UsdGeom.Mesh(prim).GetPointsAttr()
-        self._placed = skin.placed if skin and skin.has_joints else prim  # whose transform counts
-        self._rest = self._points.Get() if skin else None  # what UsdSkel poses, even where the points have samples, too
+        self._placed = skin.placed if skin and skin.has_joints else prim  # whose transform applies
+        self._rest = self._points.Get() if skin else None  # UsdSkel ignores time samples of the points
         self.times = self._sample_times()
         self.vertex_count = len(self._points_at(self.first_time) or [])
 
@@ -30,14 +30,14 @@ class PosedMesh:
         return float(self.times[0]) if len(self.times) else Usd.TimeCode.EarliestTime()
 
     def world_points(self, time: float, transforms: UsdGeom.XformCache) -> np.ndarray:
-        """The points `(vertex, 3)` in the world, float64.
+        """Points `(vertex, 3)` in world space, float64.
 
         Args:
             time: a time code.
             transforms: of that time.
 
         Raises:
-            UnusableStageError: there are none, not as many as at first, or the skin cannot be evaluated.
+            UnusableStageError: points are missing, their number changes, or the skin cannot be evaluated.
         """
         points = self._points_at(time)
         if points is None or not len(points):
@@ -55,11 +55,11 @@ class PosedMesh:
             return np.array(points, np.float64) @ placed[:3, :3] + placed[3, :3]
 
     def points_are_ignored(self) -> bool:
-        """Whether its points have samples that its skin does not pose."""
+        """Whether the points have time samples that the skin ignores."""
         return self._rest is not None and self._points.GetNumTimeSamples() > 1
 
     def moves(self) -> bool:
-        """Whether its points differ between some of its time samples."""
+        """Whether the points differ between time samples."""
         if len(self.times) < 2:
             return False
         chosen = np.unique(np.linspace(0, len(self.times) - 1, LOOKS).astype(int))
@@ -74,7 +74,7 @@ class PosedMesh:
         return False
 
     def is_shown(self) -> bool:
-        """Whether it is drawn at first, and is no guide, no stand-in, and no prototype of scattered copies."""
+        """Whether it is rendered: visible at some time, no guide or proxy, no prototype of a point instancer."""
         image = UsdGeom.Imageable(self.prim)
         if image.ComputePurpose() in (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy) or self._is_scattered():
             return False
@@ -95,7 +95,7 @@ class PosedMesh:
         return any(one.IsA(UsdGeom.PointInstancer) for one in _upwards(self.prim))
 
     def _sample_times(self) -> np.ndarray:
-        """Time samples of the points, the skin and every transform above; attributes with one sample stand still."""
+        """Time samples of points, skin and all transforms above; attributes with one sample are constant."""
         found: set[float] = set()
         points = [self._points] if self._rest is None else []
         for attribute in (*points, *(self.skin.attributes() if self.skin else ()), *_transform_attributes(self._placed)):
@@ -110,7 +110,7 @@ class PosedMesh:
 
 
 def _upwards(prim: Usd.Prim) -> list[Usd.Prim]:
-    """A prim and all above it."""
+    """A prim and its ancestors."""
     found = []
     while prim and not prim.IsPseudoRoot():
         found.append(prim)
@@ -119,7 +119,7 @@ def _upwards(prim: Usd.Prim) -> list[Usd.Prim]:
 
 
 def _transform_attributes(prim: Usd.Prim) -> list[Usd.Attribute]:
-    """The operations that place a prim in the world, up to where the stack is reset."""
+    """Transform operations of a prim and its ancestors, up to a reset of the stack."""
     found = []
     for one in _upwards(prim):
         placed = UsdGeom.Xformable(one)

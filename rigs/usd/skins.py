@@ -1,4 +1,4 @@
-"""Skeletons and blend shapes of a stage, as usd-core's UsdSkel evaluates them; bindings that it passes over are mended."""
+"""Skeletons and blend shapes of a stage, evaluated by UsdSkel; bindings that it would ignore are repaired."""
 
 from dataclasses import dataclass
 
@@ -9,20 +9,20 @@ from rigs.usd.stage_clock import UnusableStageError
 
 BINDING = ("skel:skeleton", "skel:animationSource", "skel:blendShapeTargets", "primvars:skel:jointIndices")
 PROXIES = Usd.TraverseInstanceProxies()
-MENDED_SKELETON = "riginv_skeleton"
+ADDED_SKELETON = "riginv_skeleton"
 
 
 @dataclass(frozen=True)
 class Skin:
-    """What poses one mesh.
+    """The skin of a mesh.
 
     Attributes:
-        query: its joints' influences, and how it names its blend shapes.
-        skeleton: the skeleton that it is bound to, with its animation.
-        placed: the prim whose transform places the skeleton; within an instance that of `skeleton` may be its prototype's.
-        shapes: its blend shapes; None: it has none.
-        vertices: that each blend shape moves, one array a shape.
-        offsets: of these, one array for each shape and in-between.
+        query: joint influences and blend shape names.
+        skeleton: the bound skeleton, with its animation.
+        placed: the prim with the transform of the skeleton; that of `skeleton` may be of an instance's prototype.
+        shapes: blend shapes; None: none.
+        vertices: indices of the vertices that each blend shape moves.
+        offsets: of these vertices, for each shape and in-between.
     """
 
     query: UsdSkel.SkinningQuery
@@ -34,13 +34,13 @@ class Skin:
 
     @property
     def animation(self) -> UsdSkel.AnimQuery | None:
-        """What is bound to the skeleton; None: nothing, and it stays at rest."""
+        """The bound animation, if any."""
         found = self.skeleton.GetAnimQuery()
         return found if found else None
 
     @property
     def animation_path(self) -> str:
-        """The path of the animation, within the instance where it is in one; empty: there is none."""
+        """Path of the animation, within its instance, if any; else empty."""
         if not self.animation:
             return ""
         source = UsdSkel.BindingAPI(self.placed).GetInheritedAnimationSource()
@@ -51,7 +51,7 @@ class Skin:
         return self.query.HasJointInfluences()
 
     def attributes(self) -> list[Usd.Attribute]:
-        """Whatever may move the mesh in time, but transforms."""
+        """Attributes that may move the mesh in time, except transforms."""
         query, found = self.query, []
         if self.has_joints:
             primvars = query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar()
@@ -70,7 +70,9 @@ class Skin:
         Raises:
             UnusableStageError: UsdSkel cannot evaluate them.
         """
-        weights = self.animation.ComputeBlendShapeWeights(time) if self.shapes and self.animation else None
+        if not self.shapes or not self.animation:
+            return points
+        weights = self.animation.ComputeBlendShapeWeights(time)
         if not weights:
             return points
         mapper = self.query.GetBlendShapeMapper()
@@ -102,15 +104,16 @@ class Skin:
 
 
 class Skins:
-    """The skins of a stage, by mesh."""
+    """Skins of a stage, by mesh."""
 
     def __init__(self, stage: Usd.Stage) -> None:
-        self._cache, self._populated = UsdSkel.Cache(), set()
+        self._cache = UsdSkel.Cache()
+        self._populated: set[Sdf.Path] = set()
         self._skeletons: dict[Sdf.Path, tuple[UsdSkel.SkeletonQuery, Usd.Prim]] = {}
         self._stage = stage
 
     def of(self, mesh: Usd.Prim) -> Skin | None:
-        """What poses a mesh; None: nothing."""
+        """The skin of a mesh, if any."""
         root = outermost_root(mesh)
         if root is None:
             return None
@@ -134,7 +137,7 @@ class Skins:
 
 
 def outermost_root(prim: Usd.Prim) -> Usd.Prim | None:
-    """The SkelRoot below which a prim is posed; None: there is none."""
+    """The outermost SkelRoot above a prim, if any."""
     found = None
     while prim and not prim.IsPseudoRoot():
         found = prim if prim.IsA(UsdSkel.Root) else found
@@ -142,22 +145,22 @@ def outermost_root(prim: Usd.Prim) -> Usd.Prim | None:
     return found
 
 
-def mend_bindings(stage: Usd.Stage, prims: list[Usd.Prim]) -> list[str]:
-    """Make bindings valid that UsdSkel would pass over, in the session layer, which is never saved.
+def repair_bindings(stage: Usd.Stage, prims: list[Usd.Prim]) -> list[str]:
+    """Repair bindings that UsdSkel would ignore, in the session layer, which is never saved.
 
     Returns:
-        What was mended, one sentence for each kind.
+        Notes, one for each kind of repair.
     """
     bound = [prim.GetPath() for prim in prims if any(prim.HasProperty(name) for name in BINDING)]
     notes = []
     with Usd.EditContext(stage, stage.GetSessionLayer()):
-        for mend in (_apply_schemas, _add_roots, _add_skeletons):
-            notes += mend(stage, [stage.GetPrimAtPath(path) for path in bound])
+        for repair in (_apply_schemas, _add_roots, _add_skeletons):
+            notes += repair(stage, [stage.GetPrimAtPath(path) for path in bound])
     return notes
 
 
 def editable(prim: Usd.Prim) -> Usd.Prim:
-    """A prim that may be changed: what it is a part of is an instance no longer."""
+    """The prim made editable, by making the instances above it non-instanceable."""
     stage, path = prim.GetStage(), prim.GetPath()
     while stage.GetPrimAtPath(path).IsInstanceProxy():
         above = stage.GetPrimAtPath(path).GetParent()
@@ -187,19 +190,19 @@ def _add_roots(stage: Usd.Stage, bound: list[Usd.Prim]) -> list[str]:
 
 
 def _add_skeletons(stage: Usd.Stage, bound: list[Usd.Prim]) -> list[str]:
-    """A skeleton without joints for meshes that have blend shapes and an animation."""
-    mended = []
-    for place in [prim.GetPath() for prim in bound if prim.IsA(UsdGeom.Mesh) and prim.HasProperty("skel:blendShapeTargets")]:
-        prim = stage.GetPrimAtPath(place)
+    """Add a skeleton without joints for meshes that have blend shapes and an animation."""
+    repaired: list[Sdf.Path] = []
+    for mesh in [prim.GetPath() for prim in bound if prim.IsA(UsdGeom.Mesh) and prim.HasProperty("skel:blendShapeTargets")]:
+        prim = stage.GetPrimAtPath(mesh)
         binding, root = UsdSkel.BindingAPI(prim), outermost_root(prim)
         animation = binding.GetInheritedAnimationSource()
         if binding.GetInheritedSkeleton() or not animation or root is None:
             continue
-        source, path = animation.GetPath(), editable(root).GetPath().AppendChild(f"{MENDED_SKELETON}_{len(mended)}")
+        source, path = animation.GetPath(), editable(root).GetPath().AppendChild(f"{ADDED_SKELETON}_{len(repaired)}")
         skeleton = UsdSkel.Skeleton.Define(stage, path)
         UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([source])
-        UsdSkel.BindingAPI(editable(stage.GetPrimAtPath(place))).CreateSkeletonRel().SetTargets([path])
-        mended.append(place)
-    if not mended:
+        UsdSkel.BindingAPI(editable(stage.GetPrimAtPath(mesh))).CreateSkeletonRel().SetTargets([path])
+        repaired.append(mesh)
+    if not repaired:
         return []
-    return [f"{mended[0]} has blend shapes and an animation, but no skeleton, which USD demands: it was shaped all the same."]
+    return [f"{repaired[0]} has blend shapes and an animation, but no skeleton, which USD demands: it was shaped all the same."]

@@ -1,8 +1,7 @@
-"""Which times of a USD stage are frames, by the rates that it authors and where its time samples stand.
+"""Frame times of a USD stage, from its authored rates and its time samples.
 
-USD defines the clock: `timeCodesPerSecond`, else `framesPerSecond`, else 24. Which times are frames it does not define: here
-each whole time code where the clock counts frames, and what `framesPerSecond` or the samples say where it counts seconds or
-ticks.
+USD defines the clock: `timeCodesPerSecond`, else `framesPerSecond`, else 24. It does not define frames: here these are whole
+time codes where the clock counts frames, and follow `framesPerSecond` or the samples where it counts seconds or ticks.
 """
 
 from dataclasses import dataclass
@@ -10,16 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 MOST_FRAMES = 10_000_000
-FALLBACK = 24.0  # USD's, for both rates
-FRAME_RATES = (10.0, 240.0)  # clocks that count frames; others count seconds, milliseconds or ticks
-SLOWEST = 5.0  # frames a second for regular samples to be frames, not keys
-MOST_BLUR = 16  # samples within a frame, at most, for motion blur
-COVERED = 0.9  # of the frames that need a sample of their own where others lie in between
-NEAR = 1e-3  # of a frame that a sample may lie beside it
-JITTER = 0.15  # of a frame, for samples that stand in no grid exactly
+FALLBACK = 24.0  # USD's default of both rates
+FRAME_RATES = (10.0, 240.0)  # range of clocks that count frames; others count seconds, milliseconds or ticks
+SLOWEST = 5.0  # least rate of regular samples that are frames, not keys
+MOST_BLUR = 16  # most samples per frame for motion blur
+COVERED = 0.9  # fraction of frames that need a sample where others lie in between
+NEAR = 1e-3  # tolerance in frames
+JITTER = 0.15  # tolerance in frames for irregular samples
 COMMON_RATES = (15.0, 24_000 / 1001, 24.0, 25.0, 30_000 / 1001, 30.0, 48.0, 50.0, 60_000 / 1001, 60.0, 90.0, 100.0, 120.0)
-SAME_RATE = 0.01  # of a time code
-DRIFT = 0.1  # of a frame over all samples, within which a measured rate is a common one
+SAME_RATE = 0.01  # tolerance in time codes
+DRIFT = 0.1  # greatest drift in frames between a measured and a common rate
 
 
 class UnusableStageError(Exception):
@@ -28,25 +27,25 @@ class UnusableStageError(Exception):
 
 @dataclass(frozen=True)
 class StageClock:
-    """What a stage's metadata says of time, None where nothing is authored.
+    """Time metadata of a stage, None where not authored.
 
     Attributes:
         time_codes_per_second, frames_per_second: the rates.
         start, end: time codes; both or neither.
-        asked: frames a second that the user asked for.
+        requested: frame rate requested by the user.
     """
 
     time_codes_per_second: float | None = None
     frames_per_second: float | None = None
     start: float | None = None
     end: float | None = None
-    asked: float | None = None
+    requested: float | None = None
 
     def rate(self, notes: list[str]) -> tuple[float, str]:
-        """Time codes a second, and where they come from.
+        """Time codes per second, and their source.
 
         Raises:
-            UnusableStageError: what is authored is no rate, and the user asked for none.
+            UnusableStageError: the authored rate is invalid, and the user requested none.
         """
         named = {"timeCodesPerSecond": self.time_codes_per_second, "framesPerSecond": self.frames_per_second}
         for name, rate in named.items():
@@ -54,7 +53,7 @@ class StageClock:
                 continue
             if _is_rate(rate):
                 return float(rate), name
-            if self.asked is None:
+            if self.requested is None:
                 raise UnusableStageError(f"{name} is {rate:g}, expected a number above 0: give the rate with reading.fps=...")
             notes.append(f"{name} is {rate:g}, which is no rate: only reading.fps counts.")
             return FALLBACK, "reading.fps"
@@ -70,7 +69,7 @@ class Grid:
     """Frame `first + n` at time code `origin + step * n`.
 
     Attributes:
-        slack: the fraction of a step that a sample may lie beside its frame.
+        slack: tolerance of samples, as a fraction of a step.
     """
 
     step: float
@@ -80,13 +79,13 @@ class Grid:
 
 
 def grid_of(samples: np.ndarray, rate: float, clock: StageClock, notes: list[str]) -> Grid:
-    """The grid of frames: from the rates that are authored, and where the samples stand.
+    """The grid of frames, from the authored rates and the samples.
 
     Args:
-        samples: two time codes or more, rising.
-        rate: time codes a second.
+        samples: two time codes or more, ascending.
+        rate: time codes per second.
         clock: the stage's metadata.
-        notes: for what is guessed or contradicts itself.
+        notes: receives notes on guesses and contradictions.
     """
     authored = clock.frames_per_second if clock.time_codes_per_second is not None else None
     authored = authored if authored is not None and _is_rate(authored) else None
@@ -96,21 +95,21 @@ def grid_of(samples: np.ndarray, rate: float, clock: StageClock, notes: list[str
         spaced = None
     steps = sorted({step for step in (whole, spaced) if step}, reverse=True)
     fitting = [step for step in steps if is_on(samples, step)]
-    asked = rate / clock.asked if clock.asked else None
-    if asked and not fitting and is_on(samples, asked):
-        return Grid(asked)
+    requested = rate / clock.requested if clock.requested else None
+    if requested and not fitting and is_on(samples, requested):
+        return Grid(requested)
     fitting = fitting or [step for step in steps if _covers(samples, step)]
     if fitting:
-        _tell_of_contradiction(rate, authored, fitting[0], notes)
+        _note_contradiction(rate, authored, fitting[0], notes)
         return Grid(fitting[0])
     regular = _regular(samples, rate, [known for known in (rate, authored) if known])
     if regular and not any(abs(step / regular.step - n) < NEAR * n for step in steps for n in range(2, MOST_BLUR + 1)):
-        _tell_of_spacing(samples, rate, regular, notes)
+        _note_spacing(samples, rate, regular, notes)
         return regular
     if steps:
         return Grid(spaced or steps[0])
-    if asked:
-        return Grid(asked)
+    if requested:
+        return Grid(requested)
     notes.append(
         f"{rate:g} time codes make a second, the samples stand in no regular grid, and framesPerSecond is not authored: "
         f"{FALLBACK:g} frames a second were taken, USD's fallback (reading.fps=... gives another rate)."
@@ -119,7 +118,7 @@ def grid_of(samples: np.ndarray, rate: float, clock: StageClock, notes: list[str
 
 
 def is_on(samples: np.ndarray, step: float) -> bool:
-    """Whether all samples stand at whole steps."""
+    """Whether all samples are at whole steps."""
     return bool(_whole(samples / step).all())
 
 
@@ -138,7 +137,7 @@ def _is_rate(rate: float) -> bool:
     return bool(np.isfinite(rate)) and 0 < rate <= 1e6
 
 
-def _tell_of_contradiction(rate: float, authored: float | None, step: float, notes: list[str]) -> None:
+def _note_contradiction(rate: float, authored: float | None, step: float, notes: list[str]) -> None:
     if authored and abs(step * authored / rate - 1) > NEAR:
         notes.append(
             f"timeCodesPerSecond is {rate:g} and framesPerSecond {authored:g}: {rate / step:g} frames a second were taken, "
@@ -146,7 +145,7 @@ def _tell_of_contradiction(rate: float, authored: float | None, step: float, not
         )
 
 
-def _tell_of_spacing(samples: np.ndarray, rate: float, regular: Grid, notes: list[str]) -> None:
+def _note_spacing(samples: np.ndarray, rate: float, regular: Grid, notes: list[str]) -> None:
     if abs(regular.step - 1) < NEAR:
         notes.append(f"Its samples stand beside the whole time codes: frame {regular.first} is time code {samples[0]:.6g}.")
         return
@@ -157,12 +156,12 @@ def _tell_of_spacing(samples: np.ndarray, rate: float, regular: Grid, notes: lis
 
 
 def _whole(index: np.ndarray) -> np.ndarray:
-    """Which are whole numbers, as far as times kept as float32 seconds can tell."""
+    """Mask of whole numbers, within the precision of float32 seconds."""
     return np.abs(index - np.round(index)) <= NEAR + 1e-7 * np.abs(index)
 
 
 def _covers(samples: np.ndarray, step: float) -> bool:
-    """Whether nearly all frames of a grid have a sample, so that those in between are for motion blur."""
+    """Whether nearly all frames of a grid have a sample, so that the other samples are for motion blur."""
     index = samples / step
     on = np.unique(np.round(index)[_whole(index)])
     frames = np.floor(index[-1] + NEAR) - np.ceil(index[0] - NEAR) + 1
@@ -170,7 +169,7 @@ def _covers(samples: np.ndarray, step: float) -> bool:
 
 
 def _regular(samples: np.ndarray, rate: float, known: list[float]) -> Grid | None:
-    """The grid of samples that stand apart alike, some perhaps missing, each perhaps a little early or late."""
+    """The grid of evenly spaced samples, with gaps and jitter allowed."""
     if len(samples) < 4:
         return None
     gaps = np.diff(samples)

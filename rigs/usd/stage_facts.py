@@ -1,4 +1,4 @@
-"""What is told about what was read of a stage: its animations, what stays at rest or is hidden, which variants stand."""
+"""Facts about a stage for the user: animations, resting skeletons, hidden meshes, variants."""
 
 import numpy as np
 from pxr import Usd, UsdGeom
@@ -7,12 +7,12 @@ from rigs.blender.in_blender.mesh_choice import listing
 from rigs.usd.choice import StageContents
 from rigs.usd.posed_mesh import PosedMesh
 
-MOST_LOOKS = 10_000  # frames in which a mesh's visibility is looked up
+MOST_LOOKS = 10_000  # frames in which visibility is checked
 MOST_VARIANT_SETS = 3
 
 
 def animations(contents: StageContents, meshes: list[PosedMesh]) -> tuple[list[str], list[str]]:
-    """The paths of the SkelAnimations that move the meshes, and of those that do not."""
+    """Paths of the SkelAnimations that move the meshes, and of the others."""
     bound = {mesh.skin.animation_path for mesh in meshes if mesh.skin}
     paths = [str(path) for path in contents.animation_paths]
     return [path for path in paths if path in bound], [path for path in paths if path not in bound]

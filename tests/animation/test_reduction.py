@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from riginv.animation.animation import Animation
 from riginv.animation.formats import write_formats
 from riginv.animation.reduction import reduced, straight_line_keys
-from riginv.animation.resampling import resampled, unbroken
+from riginv.animation.resampling import fill_gaps, resampled
 from riginv.errors import InputError
 from tests.support.animations import errors_of, moving
 from tests.support.toys import BlackBox, Plain, ToyRig
@@ -97,7 +97,7 @@ def test_every_frame_of_the_source_that_falls_on_a_new_one_keeps_its_values():
 
 
 def test_gaps_are_filled():
-    found = unbroken(moving(ToyRig()))
+    found = fill_gaps(moving(ToyRig()))
     assert found.frame_numbers.tolist() == list(range(101, 116))
 
 

@@ -94,7 +94,7 @@ def test_times_tell_rate_and_frames(name, dtype, tmp_path):
 
 def test_a_rate_and_times_that_contradict_are_said(tmp_path):
     sequence = saved(tmp_path / "a.npz", fps=24.0, times=np.arange(8) / 30)
-    assert sequence.fps == 24 and sequence.facts.notes == ("fps is 24, and its times tell 30 frames a second: fps was taken.",)
+    assert sequence.fps == 24 and sequence.facts.notes == ("fps is 24, and its times give 30 frames a second: fps was taken.",)
     sequence = saved(tmp_path / "b.npz", fps=30.0, times=np.array([0, 1, 2, 3, 4, 5, 8, 9]) / 30)
     assert sequence.fps == 30 and sequence.frame_numbers.tolist() == [0, 1, 2, 3, 4, 5, 8, 9]
 

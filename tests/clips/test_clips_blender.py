@@ -8,15 +8,14 @@ import pytest
 
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
 from riginv.errors import InputError
 from tests.support.blends import blender
-from tests.support.clips import performance
+from tests.support.clips import performance, reading_options
 from tests.support.toys import ToyRig
 
-OPTIONS = ReadingOptions(fps=25.0)
+OPTIONS = reading_options(fps=25.0)
 FRAMES = 6
 MAKE = """
 import os, sys, bpy, numpy as np
@@ -63,8 +62,8 @@ def test_what_blender_writes_is_read(name, written):
     rig = ToyRig()
     sequence = open_sequence(str(written / name), rig, OPTIONS)
     assert not check_topology(sequence, rig)
-    clip = Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", OPTIONS.fps))
-    assert len(clip) == FRAMES and clip.meaning.mm == 10
+    clip = Clip(sequence, resolve_units(sequence, rig, OPTIONS))
+    assert len(clip) == FRAMES and clip.units.mm == 10
     expected = performance(rig, FRAMES)
     for start, stop in ((0, FRAMES), (2, 4), (FRAMES - 1, FRAMES)):
         assert np.abs(clip.vertices(start, stop).numpy() - expected[start:stop]).max() < 2e-3
@@ -94,4 +93,4 @@ def test_damaged_files_end_in_a_sentence(name, written, tmp_path):
 
 def test_a_mesh_that_is_not_there_is_said(written):
     with pytest.raises(InputError, match="there is no mesh 'body'; it has 'head'"):
-        open_sequence(str(written / "head.abc"), ToyRig(), ReadingOptions(fps=25.0, mesh="body"))
+        open_sequence(str(written / "head.abc"), ToyRig(), reading_options(fps=25.0, mesh="body"))

@@ -5,10 +5,10 @@ import subprocess
 import numpy as np
 import pytest
 
-from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
 from rigs.blender.clip import BlenderClip
 from tests.support.blends import blender
+from tests.support.clips import reading_options
 
 MAKE = """
 import math, os, sys, bpy, numpy as np
@@ -99,7 +99,7 @@ def written(tmp_path_factory):
 
 
 def opened(path, vertices=None, **options):
-    return BlenderClip(str(path), ReadingOptions(**options), vertices)
+    return BlenderClip(str(path), reading_options(**options), vertices)
 
 
 @pytest.mark.parametrize("name", ["shots.fbx", "shots.abc", "blur.abc"])

@@ -152,7 +152,7 @@ def test_a_file_beside_the_curves_that_contradicts_them_is_said(rig, controls, t
     for content, said in (
         ('{"fps": 25.0}', ""),
         ('{"fps": 60}', "60 frames a second, and its rows lie 25"),
-        ("[", "passed over"),
+        ("[", "ignored"),
     ):
         (tmp_path / "take.json").write_text(content)
         clip, notes = clip_of(path, rig)

@@ -10,12 +10,12 @@ import pytest
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.description_text import LONGEST_LINE, in_short, line, rows, show_clip
-from riginv.clips.open import open_clip, open_exclusively
-from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.open import open_clip, open_sequence
+from riginv.clips.options import FrameOptions
 from riginv.clips.sequence import MeshSequence, SourceFacts
-from riginv.clips.units import meaning_of, meaning_without_rig
+from riginv.clips.units import resolve_units, resolve_units_without_rig
 from riginv.errors import InputError
-from tests.support.clips import obj_sequence, performance, write_mdd, write_npz, write_pc2
+from tests.support.clips import obj_sequence, performance, reading_options, write_mdd, write_npz, write_pc2
 from tests.support.toys import ToyRig
 
 
@@ -43,7 +43,7 @@ class Made(MeshSequence):
 
 
 def described(path: Path | str, rig: ToyRig, frames: FrameOptions | None = None, **reading) -> ClipDescription:
-    return describe(open_clip(str(path), rig, ReadingOptions(**reading), frames or FrameOptions())[0])
+    return describe(open_clip(str(path), rig, reading_options(**reading), frames or FrameOptions())[0])
 
 
 def saved(path: Path, meshes: np.ndarray, **more) -> Path:
@@ -73,19 +73,19 @@ def test_what_a_scene_held_and_what_was_passed_over(rig, meshes):
     said = line(found)
     for words in (
         "USD, mesh head (40 left out)",
-        "animation talk (2 passed over)",
+        "animation talk (2 ignored)",
         "30 fps (timeCodesPerSecond)",
         "unit mm",
     ):
         assert words in said
     table = dict(rows(found))
-    assert table["animations passed over"] == "idle, walk" and "mesh_11 and 28 more" in table["meshes left out"]
+    assert table["animations ignored"] == "idle, walk" and "mesh_11 and 28 more" in table["meshes left out"]
     assert dict(rows(found, None))["meshes left out"] == ", ".join(many)
     assert found.as_json()["other_meshes"] == list(many) and "a note." in found.as_json()["notes"]
 
 
 def as_clip(sequence: MeshSequence, rig: ToyRig, **frames) -> Clip:
-    return Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", None), **frames)
+    return Clip(sequence, resolve_units(sequence, rig, reading_options()), **frames)
 
 
 def test_a_line_is_short_whatever_names_the_file_has(rig, meshes):
@@ -150,7 +150,7 @@ def test_a_clip_that_never_moves_is_said_to_be_so(write, rig, meshes, tmp_path):
 def test_a_clip_that_moves_where_nobody_looked_is_not_said_to_be_still_once_it_was_read(rig, meshes, tmp_path):
     still = np.repeat(meshes[:1], 1000, axis=0)
     still[100:110] = meshes[12]
-    clip, _ = open_clip(str(saved(tmp_path / "rare.npz", still, fps=24.0)), rig, ReadingOptions(), FrameOptions())
+    clip, _ = open_clip(str(saved(tmp_path / "rare.npz", still, fps=24.0)), rig, reading_options(), FrameOptions())
     before = describe(clip)
     assert before.motion.frames == 96 and "never moves" in before.warnings[0]
     for _ in clip.batches(64):
@@ -212,14 +212,14 @@ def test_only_a_bounded_number_of_frames_is_looked_at(rig, meshes):
 
 
 def test_without_a_rig_lengths_are_in_the_files_unit(rig, meshes, tmp_path):
-    sequence = open_exclusively(str(saved(tmp_path / "take.npz", meshes / 7, fps=24.0)), ReadingOptions())
-    found = describe(Clip(sequence, meaning_without_rig(sequence, "auto", 1.0, "auto", None)))
+    sequence = open_sequence(str(saved(tmp_path / "take.npz", meshes / 7, fps=24.0)), None, reading_options())
+    found = describe(Clip(sequence, resolve_units_without_rig(sequence, reading_options())))
     assert "units, unit not known" in line(found) and found.unit_mm is None and found.motion.fastest_m_s == 0
     np.testing.assert_allclose(found.as_json()["size"], np.ptp(meshes[0] / 7, axis=0), rtol=1e-4)
-    given = describe(Clip(sequence, meaning_without_rig(sequence, "cm", 0.7, "y", None)))
+    given = describe(Clip(sequence, resolve_units_without_rig(sequence, reading_options(unit="cm", scale=0.7, up="y"))))
     assert given.unit_mm == pytest.approx(7) and "unit 7 mm (as given)" in line(given)
     with pytest.raises(InputError, match="reading.unit is 'ell'"):
-        meaning_without_rig(sequence, "ell", 1.0, "auto", None)
+        reading_options(unit="ell")
 
 
 def test_facts_stand_beside_the_curves_and_on_the_page(run: Callable, rig, meshes, tmp_path):

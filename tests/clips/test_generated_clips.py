@@ -10,11 +10,10 @@ import pytest
 import trimesh
 
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
 from riginv.errors import InputError
-from tests.support.clips import performance
+from tests.support.clips import performance, reading_options
 from tests.support.ply_writer import FORMS, Written, faces, ply, vertices
 from tests.support.toys import ToyRig
 
@@ -131,7 +130,7 @@ def check(kind: str, folder: Path, random: np.random.Generator) -> None:
     path = WRITERS[kind](folder, made, random)
     missing = "bridge" if kind in ("obj", "ply") else "error"
     try:
-        sequence = open_sequence(path, RIG, ReadingOptions(missing_frames=missing))
+        sequence = open_sequence(path, RIG, reading_options(missing_frames=missing))
     except InputError as refusal:  # of a name in which a dash may be a sign
         assert "a dash stands before" in str(refusal) and made.numbers[-1] < 0
         return
@@ -146,8 +145,8 @@ def check(kind: str, folder: Path, random: np.random.Generator) -> None:
     assert len(sequence) == len(made.numbers) or (missing == "bridge" and np.isnan(np.delete(found, rows, axis=0)).all())
     if kind in ("arrays", "mdd"):
         span = made.numbers[-1] - made.numbers[0]
-        meaning = meaning_of(sequence, RIG, "mm", 1.0, "y", None)
-        assert abs(span / meaning.fps - span / made.fps) < 1e-3 * span / made.fps + 1e-6, (path, meaning.fps, made.fps)
+        units = resolve_units(sequence, RIG, reading_options(unit="mm", up="y"))
+        assert abs(span / units.fps - span / made.fps) < 1e-3 * span / made.fps + 1e-6, (path, units.fps, made.fps)
 
 
 @pytest.mark.parametrize("kind", WRITERS)

@@ -9,8 +9,8 @@ import pytest
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence
-from riginv.clips.times import frames_of
-from riginv.clips.units import meaning_of
+from riginv.clips.times import frames_from_times
+from riginv.clips.units import resolve_units
 from riginv.errors import InputError
 from tests.support.clips import performance, write_mdd, write_pc2
 from tests.support.toys import ToyRig
@@ -41,7 +41,7 @@ def said(sequence: MeshSequence) -> str:
 
 def seconds(sequence: MeshSequence) -> float:
     """From the first frame to the last, as the commands count."""
-    fps = meaning_of(sequence, RIG, "mm", 1.0, "y", None).fps
+    fps = resolve_units(sequence, RIG, ReadingOptions(unit="mm", up="y")).fps
     return float(sequence.frame_numbers[-1] - sequence.frame_numbers[0]) / fps
 
 
@@ -129,7 +129,7 @@ def test_times_in_half_frames_and_milliseconds(tmp_path):
         (np.zeros(8), "do not rise"),
         (np.arange(8)[::-1] / 24, "do not rise"),
         (np.full(8, np.nan), "not all numbers"),
-        (np.arange(8) * 1e-5, "cannot be meant"),
+        (np.arange(8) * 1e-5, "implausible"),
         ([0, 1, 2, 4, 4.5, 6, 7.2, 8], "uneven"),
     ],
 )
@@ -184,6 +184,6 @@ def test_random_times_come_back():
         first, count = int(random.integers(-100, 20_000)), int(random.integers(20, 200))
         steps = np.where(random.random(count - 1) < 0.05, random.integers(2, 9, count - 1), 1)
         numbers = first + np.concatenate([[0], np.cumsum(steps)])
-        found = frames_of((numbers / fps).astype(random.choice([np.float32, np.float64])), "times")
+        found = frames_from_times((numbers / fps).astype(random.choice([np.float32, np.float64])), "times")
         assert found.fps == pytest.approx(fps, rel=1e-9), (fps, first, count)
         assert found.numbers.tolist() == numbers.tolist()

@@ -94,6 +94,6 @@ def test_a_loss_that_becomes_nan_stops_the_run_and_keeps_the_last_good_checkpoin
 
 
 def test_a_bug_is_not_passed_off_as_a_users_mistake(run, monkeypatch):
-    monkeypatch.setattr("riginv.train.build_rig", lambda config: 1 / 0)
+    monkeypatch.setattr("riginv.train.build_rig", lambda *arguments: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run("train")

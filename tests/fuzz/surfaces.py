@@ -8,9 +8,9 @@ import torch
 from riginv.clips.options import ReadingOptions
 from riginv.tracking.priors.files import load_prior, save_prior
 from riginv.tracking.priors.prior import ControlPrior, learn_prior
-from riginv.tracking.surfaces.meaning import meaning_of_scans
-from riginv.tracking.surfaces.scans import RaggedArrays
+from riginv.tracking.surfaces.scan_files import RaggedArrays
 from riginv.tracking.surfaces.triangles import Surface
+from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.fuzz.tally import Target
 from tests.support.scans import resampled, write_ragged
 from tests.support.toys import ToyRig
@@ -23,9 +23,9 @@ def _rig() -> ToyRig:
 def read_scans(path: Path) -> list[Surface]:
     """As the command does: opened, measured, and made into surfaces one by one."""
     scans = RaggedArrays(path)
-    meaning = meaning_of_scans(scans, _rig(), ReadingOptions())
+    units = resolve_scan_units(scans, _rig(), ReadingOptions())
     found = [scans.scan(number).cleaned() for number in range(len(scans))]
-    surfaces = [scan.surface(meaning.mm, np.eye(3)) for scan in found if scan is not None]
+    surfaces = [scan.surface(units.mm, np.eye(3)) for scan in found if scan is not None]
     assert all(np.isfinite(surface.points).all() for surface in surfaces)
     return surfaces
 

@@ -16,27 +16,24 @@ from omegaconf import DictConfig, OmegaConf
 
 from riginv.check import CheckConfig
 from riginv.clips.open import open_clip
-from riginv.clips.options import clip_options
 from riginv.compare import CompareConfig
-from riginv.config.building import DOES_NOT_FIT, ClassSpec
+from riginv.config.building import DOES_NOT_FIT
 from riginv.config.diagnosis import wrong_kind
 from riginv.config.messages import CONFIGS, explain
-from riginv.config.typed import MeshSpaceConfig, convert, to_typed
+from riginv.config.typed import to_typed
 from riginv.config.validation import validate
 from riginv.contact_sheet import ContactSheetConfig
 from riginv.errors import InputError
 from riginv.evaluate import EvaluateConfig
-from riginv.inspect import show_clip_file
-from riginv.invert import named_in
+from riginv.inspect import InspectConfig, show_clip_file
+from riginv.invert import InvertConfig, build_rigs
 from riginv.launch.command import options_first
 from riginv.methods.base import suited_methods
 from riginv.reproduce.cast import rig_in_space
 from riginv.reproduce.preflight import check_budget, check_capture, check_rig, choose_true_rig
-from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import RunFolder, plain_config, register_folder_resolvers
-from riginv.tracking.assembly import build_parts, chosen_method
-from riginv.tracking.results import check_after
+from riginv.tracking.assembly import build_parts
 from riginv.training.assembly import (
     build_clip,
     build_module,
@@ -70,16 +67,12 @@ def before_training(config: DictConfig, folder: Path) -> None:
 
 def before_inverting(config: DictConfig, folder: Path) -> None:
     """What riginv.invert does before its first frame."""
-    plain = plain_config(config)
-    validate(plain)
-    chosen_method(plain)
-    if plain["bundle"]:
+    settings = to_typed(config, InvertConfig)
+    if settings.bundle:
         raise InputError("a bundle is read by what reads bundles")
-    rig = build_rig(named_in(plain), convert(plain["mesh_space"], MeshSpaceConfig, "mesh_space"))
-    true_rig = build_true_rig(convert(plain["true_rig"], ClassSpec[RigBackend] | None, "true_rig"), rig)
-    check_after(plain["after"], plain["look"])
-    clip, _ = open_clip(str(plain["clip"]), true_rig, *clip_options(plain))
-    build_parts(plain, clip, rig, true_rig, None)
+    inverse, rig, true_rig = build_rigs(settings)
+    clip, _ = open_clip(settings.clip, true_rig, settings.reading, settings.frames)
+    build_parts(settings, clip, rig, true_rig, inverse)
 
 
 def before_evaluating(config: DictConfig, folder: Path) -> None:
@@ -105,9 +98,7 @@ def before_comparing(config: DictConfig, folder: Path) -> None:
 
 
 def before_inspecting(config: DictConfig, folder: Path) -> None:
-    plain = plain_config(config)
-    validate(plain)
-    show_clip_file(plain, None)
+    show_clip_file(to_typed(config, InspectConfig), None)
 
 
 def before_reproducing(config: DictConfig, folder: Path) -> None:

@@ -10,7 +10,7 @@ import yaml
 from riginv.errors import InputError
 from riginv.inference.bundle import read_bundle
 from riginv.inference.inverse import load_inverse
-from riginv.runs.files import sha256
+from riginv.runs.checksums import sha256
 from tests.support.toys import ToyRig
 
 

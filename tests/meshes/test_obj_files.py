@@ -111,8 +111,8 @@ def test_what_a_format_has_no_names_for_is_passed_over_and_said(name, tmp_path):
     if name == "a.obj":
         path.write_text(path.read_text().replace("o head", ""))
     notes = open_sequence(str(path), toy(), ReadingOptions(mesh="head", animation=2)).facts.notes
-    assert any("reading.mesh=head was passed over" in note for note in notes)
-    assert any("reading.animation=2 was passed over" in note for note in notes)
+    assert any("reading.mesh=head was ignored" in note for note in notes)
+    assert any("reading.animation=2 was ignored" in note for note in notes)
 
 
 @pytest.mark.parametrize(

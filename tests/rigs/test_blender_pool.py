@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.pool import PoseLostError, WorkerPool
-from rigs.blender.process import WorkerRefusedError
 from tests.support.toy_worker import CRASHES, HANGS, NAMES, REFUSES, REST
 
 TOY = str(Path(__file__).parents[1] / "support/toy_worker.py")

@@ -11,10 +11,9 @@ from rigs.face.build import build_geometry, face_geometry
 from rigs.face.controls import build_controls
 from rigs.face.inbetweens import bump
 from rigs.face.limits import CAPACITY, CEILINGS, cost, limit_curve, region
-from rigs.face.parts import PARTS
 from rigs.face.shapes import ARKIT_FOLDER, ARKIT_SPLIT, primary_names
 from rigs.geometry.anny.subdivision import loop_matrix, unique_edges
-from rigs.geometry.asset import FaceSource, read_asset
+from rigs.geometry.asset import PARTS, FaceSource, read_asset
 from tests.geometry.test_curves import reference
 
 
@@ -51,7 +50,7 @@ def plain_weights(face, controls: dict[str, float]) -> dict[str, float]:
     geometry = face_geometry()
     owners = [primary_names()[shape] for shape in geometry["inbetween_shape"].tolist()]
     result = list(weights.values())
-    for shape, place in zip(owners, geometry["inbetween_place"].tolist()):
+    for shape, place in zip(owners, geometry["inbetween_position"].tolist()):
         result.append(reference(bump(place, owners.count(shape)), weights[shape]))
     for group in geometry["combination_members"].tolist():
         result.append(np.prod([weights[primary_names()[shape]] for shape in group if shape >= 0]))

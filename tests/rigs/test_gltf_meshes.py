@@ -9,13 +9,14 @@ import pytest
 import torch
 
 from riginv.clips.open import open_clip, open_sequence
-from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.options import FrameOptions
 from riginv.clips.topology import check_topology
 from riginv.errors import InputError
 from riginv.rig.interface import Control, LinearRig, RigBackend
 from rigs.gltf import GltfRig
 from rigs.gltf.clip import GltfClip
 from tests.support.avatars import AvatarWriter, add_cube, cube
+from tests.support.clips import reading_options
 
 TIMES = np.arange(10) / 30
 WEIGHTS = np.random.default_rng(6).uniform(0.05, 0.95, (10, 2))
@@ -72,7 +73,7 @@ def expected(rig: GltfRig) -> np.ndarray:
 
 
 def fits(path: str, rig: RigBackend, meshes: np.ndarray, **options) -> GltfClip:
-    clip, notes = open_clip(path, rig, ReadingOptions(**options), FrameOptions())
+    clip, notes = open_clip(path, rig, reading_options(**options), FrameOptions())
     assert np.abs(clip.vertices(0, 10).numpy() - meshes).max() < 1e-3
     assert set(clip.sequence.facts.notes) <= set(notes)
     return clip.sequence
@@ -144,7 +145,7 @@ def test_a_rig_of_another_format_finds_its_meshes_by_vertices_and_faces(include,
     path = ready_player_me(tmp_path / "a.glb", all_weights=False)
     avatar = GltfRig(path, include=include)
     rig = Sculpted(avatar, part)
-    shown = fits(path, avatar, GltfClip(path, ReadingOptions(), avatar).read(0, 10) * 1000)
+    shown = fits(path, avatar, GltfClip(path, reading_options(), avatar).read(0, 10) * 1000)
     found = fits(path, rig, shown.read(0, 10)[:, part] * 1000)
     assert not found.facts.other_meshes or any(f"were read, {why}; not read: " in note for note in found.facts.notes)
 
@@ -171,17 +172,17 @@ def test_of_meshes_that_fit_alike_the_one_that_moves_is_read(tmp_path):
     avatar.animation("take", (node - 1, "weights", TIMES, WEIGHTS))
     path = str(avatar.write(tmp_path / "a.glb"))
     rig = Sculpted(GltfRig(path, include=["copy0"]), slice(0, 8))
-    assert open_sequence(path, rig, ReadingOptions()).facts.meshes == ("copy1",)
+    assert open_sequence(path, rig, reading_options()).facts.meshes == ("copy1",)
 
 
 def test_a_mesh_that_is_no_clip_of_the_rig_is_refused_with_the_names(tmp_path):
     path = ready_player_me(tmp_path / "a.glb")
     rig = GltfRig(path, include=["Face"])
     with pytest.raises(InputError, match="16 vertices.*; read were Body, Face, and not Hair, Teeth"):
-        check_topology(open_sequence(path, rig, ReadingOptions(mesh=["Face", "Body"])), rig)
+        check_topology(open_sequence(path, rig, reading_options(mesh=["Face", "Body"])), rig)
     for asked in ("Nose", ["Face", "No*"]):
         with pytest.raises(InputError, match=r"reading.mesh names 'No.*its meshes are: Body, Face, Hair, Teeth"):
-            open_sequence(path, rig, ReadingOptions(mesh=asked))
+            open_sequence(path, rig, reading_options(mesh=asked))
     with pytest.raises(InputError, match=r"rig.include names 'Nose'"):
         GltfRig(path, include=["Nose"])
 
@@ -200,7 +201,7 @@ def test_names_with_brackets_mean_themselves(tmp_path):
 @pytest.mark.parametrize("make", [ready_player_me, cubes_around, without_names])
 def test_without_a_rig_the_meshes_of_the_rig_of_the_file_are_read(make, tmp_path):
     path = make(tmp_path / "a.glb")
-    facts = GltfClip(path, ReadingOptions()).facts
+    facts = GltfClip(path, reading_options()).facts
     assert facts.meshes == tuple(name.shown for name in GltfRig(path).meshes) and facts.format == "glTF"
 
 

@@ -53,7 +53,7 @@ def test_samples_around_each_frame_make_one_frame_each(around):
         (np.arange(1, 25, 2), {}, 24, 23, 1),  # animated on twos
         (np.arange(0, 48, 2), {"rate": 48.0, "frames_per_second": 24.0}, 24, 24, 0),
         (FRAMES, {"frames_per_second": 30.0}, 24, 24, 1001),  # the samples decide
-        (np.arange(0, 24, 0.5), {"asked": 48.0}, 48, 48, 0),
+        (np.arange(0, 24, 0.5), {"requested": 48.0}, 48, 48, 0),
         (np.arange(0, 24, 0.5), {}, 24, 24, 0),
         (np.arange(0.5, 20), {}, 24, 20, 0),
         (np.arange(-10, 11), {}, 24, 21, -10),
@@ -105,7 +105,7 @@ def test_a_still_is_said(samples):
 def test_times_that_cannot_be_meant_are_refused(samples, clock, said):
     with pytest.raises(UnusableStageError, match=said):
         grid(samples, **clock)
-    assert grid(FRAMES, 0.0, asked=25.0).numbers.tolist() == FRAMES.tolist()
+    assert grid(FRAMES, 0.0, requested=25.0).numbers.tolist() == FRAMES.tolist()
 
 
 def test_points_are_those_at_the_frame_and_interpolated_as_usd_does(tmp_path):

@@ -9,13 +9,12 @@ import pytest
 from riginv.animation.usd import write
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
 from riginv.clips.topology import check_topology
-from riginv.clips.units import meaning_of
+from riginv.clips.units import resolve_units
 from tests.conftest import ROOT
 from tests.support.animations import NUMBERS, meshes_of, moving
 from tests.support.blends import blender
-from tests.support.clips import performance, write_npz
+from tests.support.clips import performance, reading_options, write_npz
 from tests.support.toys import ToyRig
 from tests.support.usd_stages import baked, opened
 
@@ -147,8 +146,8 @@ def test_a_clip_of_the_rig_is_opened_by_its_name_in_a_process_of_its_own(tmp_pat
     rig = ToyRig()
     animation = moving(rig)
     write(tmp_path / "animation.usdc", animation)
-    sequence = open_sequence(str(tmp_path / "animation.usdc"), rig, ReadingOptions())
+    sequence = open_sequence(str(tmp_path / "animation.usdc"), rig, reading_options())
     assert not check_topology(sequence, rig)
-    clip = Clip(sequence, meaning_of(sequence, rig, "auto", 1.0, "auto", None))
+    clip = Clip(sequence, resolve_units(sequence, rig, reading_options()))
     held = np.isin(clip.frame_numbers.numpy(), NUMBERS.numpy())
     assert np.abs(clip.vertices(0, 15).numpy()[held] - meshes_of(animation)).max() < 2e-2

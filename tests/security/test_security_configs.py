@@ -17,7 +17,7 @@ FOLDERS = {
     "a callback": ("rig/x.yaml", "# @package _global_\nhydra: {callbacks: {x: {_target_: os.system, command: C}}}"),
     "a callback of ours": (
         "rig/x.yaml",
-        "# @package _global_\nhydra:\n  callbacks:\n    x: {_target_: rigs.blender.process.WorkerProcess, command: [C]}",
+        "# @package _global_\nhydra:\n  callbacks:\n    x: {_target_: riginv.runs.worker_process.WorkerProcess, command: [C]}",
     ),
     "a package": ("rig/x.yaml", "# @package hydra.callbacks.x\n_target_: subprocess.Popen\nargs: [C]"),
     "a launcher": ("hydra/launcher/x.yaml", "_target_: subprocess.Popen\nargs: [C]"),
@@ -43,7 +43,7 @@ def test_a_folder_of_configs_cannot_have_hydra_run_things(run, tmp_path, mark, w
         refused(run("check", *arguments, small=False), "x.yaml")
 
 
-@pytest.mark.parametrize("target", ["os.system", "subprocess.Popen", "rigs.blender.process.WorkerProcess"])
+@pytest.mark.parametrize("target", ["os.system", "subprocess.Popen", "riginv.runs.worker_process.WorkerProcess"])
 def test_a_config_that_a_user_names_builds_rigs_and_nothing_else(run, tmp_path, mark, target):
     (tmp_path / "theirs/rig").mkdir(parents=True)
     program = {"_target_": target, "args": ["touch", str(mark)]}

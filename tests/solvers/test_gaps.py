@@ -11,10 +11,10 @@ from riginv.solvers.band import LONGEST_GAP, second_difference_bands, second_dif
 from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.objective import Objective
-from riginv.tracking.alternation import bridged
+from riginv.tracking.alternation import interpolate_controls
 from tests.solvers.test_solvers import moving
+from tests.support.inverting import inverted
 from tests.support.toys import ToyRig
-from tests.tracking.test_inversion import inverted
 
 FAR = 200  # frames, of a gap that is too long to be smooth across
 
@@ -96,8 +96,8 @@ def test_roughness_counts_no_gap():
 
 def test_a_bridge_goes_by_time():
     known, values = torch.tensor([True, False, True]), torch.tensor([[0.0], [9.0], [10.0]])
-    assert float(bridged(values, known, torch.tensor([0, 9, 10]))[1]) == pytest.approx(9)
-    assert float(bridged(values, known, torch.arange(3))[1]) == pytest.approx(5)
+    assert float(interpolate_controls(values, known, torch.tensor([0, 9, 10]))[1]) == pytest.approx(9)
+    assert float(interpolate_controls(values, known, torch.arange(3))[1]) == pytest.approx(5)
 
 
 def test_invert_solves_both_sides_of_a_gap_for_themselves():

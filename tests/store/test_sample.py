@@ -16,11 +16,11 @@ import zarr
 
 from riginv.store.checking import examine
 from riginv.store.filling import fill
-from riginv.store.place import Place
+from riginv.store.location import StoreLocation
 from riginv.store.store import PoseStore
-from riginv.store.workers import ChunkWorkers
+from riginv.store.worker import ChunkWorkers
 from tests.conftest import ROOT
-from tests.store.test_store import PLAN, arrays, flip, plan, same
+from tests.store.support import PLAN, arrays, flip, plan, same
 from tests.training.test_resume import heed_interrupts, kill_after, same_weights, saved_step
 from tests.training.test_resume import start as start_training
 
@@ -102,10 +102,10 @@ def test_a_worker_that_dies_is_replaced(tmp_path):
     with ChunkWorkers(config["out"], plan(config).rig, plan(config).sampler, 1) as workers:
         chunks = workers.make(range(12))
         assert next(chunks) == 0
-        first = workers.processes[0]
-        first.kill()
-        assert list(chunks) == list(range(1, 12)) and workers.processes[0] is not first
-    assert examine(PoseStore.find(Place(config["out"]))).whole
+        (first,) = workers.pool.process_ids()
+        os.kill(first, signal.SIGKILL)
+        assert list(chunks) == list(range(1, 12)) and workers.pool.process_ids() != [first]
+    assert examine(PoseStore.find(StoreLocation(config["out"]))).complete
 
 
 def test_verify_names_what_is_missing_and_damaged(tmp_path, run):

@@ -1,4 +1,4 @@
-"""Stores of poses: what a stranger reads there, what is missing or damaged, and the order in which training reads."""
+"""Stores of poses: what a stranger reads there, and what is missing or damaged."""
 
 import json
 import os
@@ -13,39 +13,15 @@ import torch
 import zarr
 from filelock import FileLock
 
-from riginv.config.typed import to_typed
 from riginv.errors import InputError
-from riginv.rig.interface import LinearRig
-from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.sampling.controls import PlausibleControls, SparseControls
-from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
 from riginv.store.checking import examine
-from riginv.store.filling import SampleConfig, Shard, fill
-from riginv.store.layout import Layout
-from riginv.store.place import Place
+from riginv.store.filling import Shard, fill
+from riginv.store.location import StoreLocation
 from riginv.store.store import PoseStore
 from riginv.store.summary import finish
-from riginv.store.training import StoreSampler, finished_store
-from riginv.store.windows import WindowOrder, WindowReader
+from riginv.store.training import finished_store
+from tests.store.support import PLAN, SPARSE, arrays, filled, flip, plan, same
 from tests.support.toys import BlackBox, ToyRig
-
-SPARSE = {
-    "_target_": "riginv.sampling.meshes.RigPoses",
-    "controls": {"_target_": "riginv.sampling.controls.SparseControls", "max_active": None},
-}
-PLAN = {
-    "rig": {"_target_": "tests.support.toys.ToyRig"},
-    "sampler": SPARSE,
-    "samples": 250,
-    "seed": 3,
-    "shard": "0/1",
-    "dtype": "float32",
-    "vertices": False,
-    "chunk": 20,
-    "jobs": 1,
-    "recheck": True,
-    "mesh_space": {"samples": 40, "residual_mm": 0.01},
-}
 
 
 class NotANumber(ToyRig):
@@ -54,36 +30,6 @@ class NotANumber(ToyRig):
     def coefficients(self, controls):
         found = super().coefficients(controls)
         return torch.where(controls[:, :1] > 0.5, torch.nan, found) if len(controls) > 1 else found
-
-
-def plan(values: dict) -> SampleConfig:
-    return to_typed(values, SampleConfig)
-
-
-def filled(out: Path | str, **changes) -> PoseStore:
-    return fill(plan({**PLAN, "out": str(out), **changes})).store
-
-
-def arrays(path: Path) -> dict[str, np.ndarray]:
-    group = zarr.open_group(path, mode="r")
-    return {name: group[name][:] for name in group.array_keys()}
-
-
-def same(one: Path, other: Path) -> bool:
-    a, b = arrays(one), arrays(other)
-    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("store") / "whole.zarr"
-    finish(filled(path))
-    return path
-
-
-@pytest.fixture
-def copy(whole: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(whole, tmp_path / "copy.zarr"))
 
 
 def test_a_stranger_reads_what_the_rig_says(whole):
@@ -126,12 +72,6 @@ def break_off(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-9])
 
 
-def flip(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 4
-    path.write_bytes(content)
-
-
 def empty(path: Path) -> None:
     path.write_bytes(b"")
 
@@ -140,23 +80,23 @@ def empty(path: Path) -> None:
 @pytest.mark.parametrize("name", ["controls", "coefficients", "control_range", "errors", "ledger"])
 def test_damage_is_named_and_made_good(whole, copy, damage, name):
     damage(next(path for path in (copy / name / "c/3").rglob("*") if path.is_file()))
-    found = examine(PoseStore.find(Place(str(copy))))
-    assert found.holes == [3]
+    found = examine(PoseStore.find(StoreLocation(str(copy))))
+    assert found.incomplete == [3]
     assert (name, damage) == ("ledger", Path.unlink) or f"chunk 3 of '{name}'" in found.damaged[3]
     assert fill(plan({**PLAN, "out": str(copy)})).made == 20
-    assert same(whole, copy) and examine(PoseStore.find(Place(str(copy)))).whole
+    assert same(whole, copy) and examine(PoseStore.find(StoreLocation(str(copy)))).complete
 
 
 @pytest.mark.parametrize("damage", [flip, Path.unlink])
 def test_damage_in_other_shards_is_named_at_the_end(copy, damage):
     damage(copy / "control_range/c/3/0/0")
     with pytest.raises(InputError, match="'control_range' is .*again, which makes it anew, for all shards"):
-        finish(PoseStore.find(Place(str(copy))))
+        finish(PoseStore.find(StoreLocation(str(copy))))
 
 
 def test_a_chunk_in_the_place_of_another_is_noticed(copy):
     shutil.copy(copy / "coefficients/c/4/0", copy / "coefficients/c/5/0")
-    assert list(examine(PoseStore.find(Place(str(copy)))).damaged) == [5]
+    assert list(examine(PoseStore.find(StoreLocation(str(copy)))).damaged) == [5]
 
 
 def alter(path: Path) -> None:
@@ -292,8 +232,8 @@ def test_urls_are_places_too(whole, tmp_path, form):
     url = form.format(tmp_path)
     filled(url, shard="0/2")
     filled(url, shard="1/2")
-    store = PoseStore.find(Place(url))
-    assert examine(store).whole
+    store = PoseStore.find(StoreLocation(url))
+    assert examine(store).complete
     for name, values in arrays(whole).items():
         np.testing.assert_array_equal(store.arrays[name][:], values)
     with pytest.raises(InputError, match="seed was 3"):
@@ -303,77 +243,3 @@ def test_urls_are_places_too(whole, tmp_path, form):
 def test_an_unknown_url_is_refused():
     with pytest.raises(InputError, match="nowhere://x: cannot be reached"):
         filled("nowhere://x")
-
-
-def test_an_epoch_holds_every_pose_once_and_no_two_are_alike():
-    layout = Layout(1003, 20, "float32", 7, 12)
-    order = WindowOrder(layout, seed=1)
-    order.chunks = 6
-    epochs = []
-    for epoch in range(2):
-        seen = []
-        for position in range(epoch * 1003, (epoch + 1) * 1003):
-            where, place = order.find(position)
-            chunks = order.windows(epoch)[0][where[1]]
-            poses = torch.cat([torch.arange(1003)[layout.rows(chunk)] for chunk in chunks])
-            seen.append(int(poses[order.rows(where, len(poses))[place]]))
-        assert sorted(seen) == list(range(1003)) and where[0] == epoch
-        epochs.append(seen)
-    assert epochs[0] != epochs[1]
-    neighbours = np.abs(np.diff(epochs[0]))
-    assert np.median(neighbours) > 100  # of a sorted list 1, of a perfect shuffle about 290
-
-
-def test_reading_is_the_same_from_any_start(whole):
-    store = finished_store(str(whole))
-
-    def reader() -> WindowReader:
-        made = WindowReader(store, seed=0)
-        made.order.chunks = 4
-        return made
-
-    straight, jumping = reader(), reader()
-    batches = [straight.poses(step * 32, 32)["controls"] for step in range(30)]
-    for step in (29, 3, 17, 16, 0):
-        assert torch.equal(jumping.poses(step * 32, 32)["controls"], batches[step])
-    assert len(straight._window["controls"]) <= 80  # four chunks of twenty
-
-
-def test_reading_names_damage(copy):
-    flip(copy / "coefficients/c/7/0")
-    sampler = WindowReader(finished_store(str(copy)), seed=0)
-    with pytest.raises(InputError, match="chunk 7 of 'coefficients' is damaged"):
-        for start in range(0, 250, 25):
-            sampler.poses(start, 25)
-
-
-def test_stored_poses_are_those_of_the_rig(whole, tmp_path, toy):
-    batch = StoreSampler(toy, str(whole), seed=0).sample(64, torch.Generator())
-    torch.testing.assert_close(batch["coordinates"], toy(batch["controls"]))
-    filled(tmp_path / "half.zarr", dtype="float16")
-    halved = StoreSampler(toy, str(tmp_path / "half.zarr"), seed=0).sample(64, torch.Generator())
-    assert halved["coefficients"].dtype == torch.float32 and torch.equal(halved["controls"], batch["controls"])
-    torch.testing.assert_close(halved["coordinates"], batch["coordinates"], atol=0.05, rtol=0)
-
-
-def test_stored_poses_take_the_share_of_those_that_ask_the_rig(whole, toy):
-    parts = {"drawn": RandomCombinations(toy), "sparse": RigPoses(toy, SparseControls(toy))}
-    parts["plausible"] = RigPoses(toy, PlausibleControls(toy))
-    stored = StoreSampler(toy, str(whole), seed=0)
-    mixed = Mixture(toy, parts, {"drawn": 2, "sparse": 1, "plausible": 1}).reading(stored)
-    assert mixed.fractions == {"drawn": 0.5, "stored": 0.5}
-    mixed.at_step(3)
-    batch = mixed.sample(64, torch.Generator())
-    expected = stored.reader.poses(3 * 32, 32)
-    torch.testing.assert_close(batch["coordinates"][32:], toy.coordinates_of(expected["coefficients"]))
-
-
-def test_training_refuses_other_and_unfinished_stores(whole, tmp_path, toy):
-    rig: LinearRig = ToyRig(last_name="other")
-    with pytest.raises(InputError, match="holds poses of rig 'toy'"):
-        StoreSampler(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), str(whole), 0)
-    filled(tmp_path / "s.zarr", shard="0/2")
-    with pytest.raises(InputError, match="not finished: 6 of its 13 chunks are absent"):
-        StoreSampler(toy, str(tmp_path / "s.zarr"), 0)
-    with pytest.raises(InputError, match="no store of poses"):
-        StoreSampler(toy, str(tmp_path / "none.zarr"), 0)

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from riginv.errors import InputError
-from riginv.runs.run_folder import CONFIG_SUM
+from riginv.runs.checksums import TEXT_MARK
 
 
 class Mark:
@@ -68,7 +68,7 @@ def yaml_run(mark: Path) -> str:
 
 def script_of(mark: Path) -> dict:
     """A class of ours that starts a program, as a config would name it."""
-    return {"_target_": "rigs.blender.process.WorkerProcess", "command": ["touch", str(mark)]}
+    return {"_target_": "riginv.runs.worker_process.WorkerProcess", "command": ["touch", str(mark)]}
 
 
 def sentence(read: Callable[[], Any], says: str = ".") -> None:
@@ -79,4 +79,4 @@ def sentence(read: Callable[[], Any], says: str = ".") -> None:
 
 def signed(config: str) -> str:
     """A run's config.yaml with the checksum that belongs to it, as who means harm would write it."""
-    return f"{config}{CONFIG_SUM}{hashlib.sha256(config.encode()).hexdigest()}\n"
+    return f"{config}{TEXT_MARK}{hashlib.sha256(config.encode()).hexdigest()}\n"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from riginv.clips.options import ReadingOptions
+from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.in_blender.worker import RefusedError
-from rigs.blender.process import WorkerRefusedError
 from rigs.usd.clip import UsdClip
 
 pytest.importorskip("pxr", reason="usd-core is not installed")

@@ -23,11 +23,11 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.objective import PRIOR, Objective
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.capture import content_key, open_capture
+from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
 from riginv.tracking.rigid import apply_motion
 from riginv.tracking.rigid_check import RigidCheck, check_rigid
-from riginv.tracking.solving import BySolver
-from riginv.tracking.stillness import stillness
+from riginv.tracking.stability import stability_weights
 from tests.conftest import ROOT
 from tests.support.clips import obj_sequence, performance, write_npz
 from tests.support.toys import ToyRig
@@ -68,7 +68,7 @@ def test_rigid_motion_is_taken_out_and_said(rig, meshes, tmp_path):
     found = captured(written(tmp_path / "a.npz", world, rig), rig)
     assert (found.vertices(0, FRAMES) - meshes).norm(dim=2).mean() < 0.05
     assert (found.vertices(5, 8) - found.vertices(0, FRAMES)[5:8]).abs().max() == 0
-    assert any("rigid motion was taken out" in note for note in found.notes)
+    assert any("rigid motion was removed" in note for note in found.notes)
 
 
 @pytest.mark.usefixtures("own_cache")
@@ -121,7 +121,7 @@ def test_commands_judge_on_any_clip(command, run, rig, meshes, tmp_path):
         ]
         outcome = run(command, *given, folder=f"{command}{clip == npz}")
         assert outcome.code == 0, outcome.text
-        assert "rigid motion was taken out" in outcome.text and "note:" in outcome.text
+        assert "rigid motion was removed" in outcome.text and "note:" in outcome.text
         if command == "train":
             errors = [value for key, value in outcome.metrics.items() if key.startswith("capture/") and "error" in key]
             assert len(errors) >= 4 and all(np.isfinite(errors)) and outcome.metrics["capture/roughness"] >= 0
@@ -138,7 +138,7 @@ def test_a_reproduction_takes_any_clip(rig, meshes, tmp_path):
     world[3, 10:60], world[7] = torch.nan, torch.nan
     places = {"capture": str(written(tmp_path / "a.npz", world, rig)), "reading": {"unit": "mm"}, "frames": {"last": 20}}
     key, captured = check_capture(places, rig)
-    assert len(key) == 64 and any("rigid motion was taken out" in note for note in captured.notes)
+    assert len(key) == 64 and any("rigid motion was removed" in note for note in captured.notes)
     sets = the_sets({"meshes": 6, "frames": 5}, places, None, rig)
     clip, spread = sets["clip"], sets["captured"]
     assert (len(clip), clip.fps, len(spread), spread.fps) == (5, 24, 6, None)
@@ -154,9 +154,9 @@ def test_advice_about_captures_is_right_for_any_rig(run):
     assert "TAKE.csv" not in outcome.text and "mm from neutral" in outcome.text
 
 
-def solver(rig: LinearRig, space: RigInMeshSpace) -> BySolver:
+def solver(rig: LinearRig, space: RigInMeshSpace) -> SolverEstimator:
     held = FixedControlsRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
-    return BySolver(Objective(RigInMeshSpace(held, space.space), PRIOR), None, 30, 1, 0)
+    return SolverEstimator(Objective(RigInMeshSpace(held, space.space), PRIOR), None, 30, 1, 0)
 
 
 class Frames:
@@ -184,7 +184,7 @@ def slight(count: int, mm: float, degrees: float) -> torch.Tensor:
 
 
 def check(rig: LinearRig, space: RigInMeshSpace, meshes: torch.Tensor) -> RigidCheck:
-    return check_rigid(Frames(meshes), rig, solver(rig, space), Anchors(rig, stillness(rig)), None, 12)
+    return check_rigid(Frames(meshes), rig, solver(rig, space), Anchors(rig, stability_weights(rig)), None, 12)
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 0.1, 0.5])
@@ -239,7 +239,7 @@ def test_invert_says_what_neutral_and_the_best_would_be(run, rig, meshes, tmp_pa
     written(tmp_path / "take.npz", meshes, rig)
     outcome = run("invert", *TOY, "look.sheet=false", "clip=take.npz", "out=o", "motion=keep")
     assert outcome.code == 0, outcome.text
-    assert "neutral in its place" in outcome.text and "Least possible, from many starts, on 8 frames" in outcome.text
+    assert "neutral pose" in outcome.text and "Lowest possible mean error on 8 frames" in outcome.text
     rows = list(csv.DictReader((tmp_path / "o/frames.csv").open()))
     neutral = (rig.rest_vertices - meshes).norm(dim=2).mean(dim=1)
     np.testing.assert_allclose([float(row["neutral_error_mm"]) for row in rows], neutral, rtol=1e-4)
@@ -264,4 +264,4 @@ def test_a_rig_that_no_gradient_passes_has_no_least_error(run, rig, meshes, tmp_
     )
     outcome = run("invert", *options, "clip=take.npz", "out=o", "method=levenberg_marquardt")
     assert outcome.code == 0, outcome.text
-    assert "neutral in its place" in outcome.text and "Least possible" not in outcome.text
+    assert "neutral pose" in outcome.text and "Lowest possible" not in outcome.text

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from riginv.clips.open import open_sequence
-from riginv.clips.options import ReadingOptions
 from tests.conftest import ROOT
-from tests.support.clips import obj_sequence, performance, write_npz
+from tests.support.clips import obj_sequence, performance, reading_options, write_npz
 from tests.support.toys import ToyRig
 
 TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
@@ -46,7 +45,7 @@ def test_a_clip_becomes_curves_and_judged_frames(run, clip, tmp_path):
     for said in (
         "20 frames at 24 a second",
         "units of mm guessed",
-        "Judged by the true rig, toy",
+        "Evaluated by the true rig, toy",
         "Worst frames",
         "curves.anim",
     ):
@@ -65,7 +64,7 @@ def test_what_is_written_as_an_avatar_is_the_clip_again(run, rig, tmp_path):
     outcome = run("invert", *TOY, *PLAIN, f"clip={clip}", "out=o", "formats=[glb]", "method=levenberg_marquardt")
     assert outcome.code == 0, outcome.text
     assert "Rigid motion was removed: up to " in outcome.text
-    again = open_sequence(str(tmp_path / "o/animation.glb"), rig, ReadingOptions())
+    again = open_sequence(str(tmp_path / "o/animation.glb"), rig, reading_options())
     assert len(again) == 20 and np.linalg.norm(1000 * again.read(0, 20) - world, axis=2).mean() < 0.1
 
 
@@ -102,7 +101,7 @@ def test_a_trained_network_inverts_alone_and_refined(run, rig, clip, tmp_path):
     [
         (["out=o"], "clip must be given"),
         (["clip=none.npz", "out=o"], "none.npz: no such file"),
-        (["clip={clip}", "out=o", "method=magic"], "method is 'magic', expected one of"),
+        (["clip={clip}", "out=o", "method=magic"], "method is 'magic', expected network or refined or"),
         (["clip={clip}", "out=o", "method=network"], "needs a trained network: give bundle=DIR"),
         (["clip={clip}", "out=o", "refine=3", "method=levenberg_marquardt"], "refine=3 is for"),
         (["clip={clip}", "out=o", "formats=[gif]"], "formats: 'gif' is not known"),
@@ -156,4 +155,4 @@ def test_a_rig_without_gradients_goes_through_its_surrogate_and_judges_itself(ru
     assert trained.code == 0, trained.text
     outcome = run("invert", f"bundle={tmp_path / 'run'}", "rig=black_box", TOY[1], f"clip={clip}", "out=o", *PLAIN, "refine=5")
     assert outcome.code == 0, outcome.text
-    assert "Judged by the true rig, black box" in outcome.text and len(rows(tmp_path / "o/frames.csv")) == 20
+    assert "Evaluated by the true rig, black box" in outcome.text and len(rows(tmp_path / "o/frames.csv")) == 20

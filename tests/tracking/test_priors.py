@@ -12,7 +12,7 @@ from riginv.solvers.objective import GaussianPrior, Objective
 from riginv.tracking.priors.files import FACTS, NUMBERS, load_prior, save_prior
 from riginv.tracking.priors.performances import PoseLibrary, default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
-from riginv.tracking.priors.takes import controls_of
+from riginv.tracking.priors.takes import read_take
 from tests.support.toys import ToyRig
 
 
@@ -128,7 +128,7 @@ def test_curves_are_takes(rig, tmp_path):
     rows = np.round(draws(rig, 5).numpy(), 4)
     header = ",".join(["frame", "seconds", *rig.control_names])
     path.write_text("\n".join([header, *(f"{n},0,{','.join(map(str, row))}" for n, row in enumerate(rows))]))
-    np.testing.assert_allclose(controls_of(path, rig, 1, 3), rows[1:4], atol=1e-6)
-    path.write_text(header.replace("bump2", "lump2"))
+    np.testing.assert_allclose(read_take(path, rig, 1, 3).controls, rows[1:4], atol=1e-6)
+    path.write_text(path.read_text().replace("bump2", "lump2"))
     with pytest.raises(InputError, match="bump2"):
-        controls_of(path, rig)
+        read_take(path, rig)

@@ -9,8 +9,9 @@ import torch
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import Polygons
 from riginv.errors import InputError
-from riginv.tracking.surfaces.meaning import meaning_of_scans
-from riginv.tracking.surfaces.scans import FileScans, RaggedArrays, Scan, triangulated
+from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, triangulated
+from riginv.tracking.surfaces.scans import Scan
+from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.conftest import ROOT
 from tests.support.scans import posed_mesh, resampled, write_ply, write_ragged
 from tests.support.toys import ToyRig
@@ -92,14 +93,14 @@ def test_a_scan_is_cleaned_of_what_cannot_be_used():
 def test_the_unit_is_told_by_the_size(tmp_path, factor, mm):
     rig = ToyRig()
     write_ragged(tmp_path / "take.npz", [(factor * points, faces) for points, faces in scans_of(rig)])
-    assert meaning_of_scans(RaggedArrays(tmp_path / "take.npz"), rig, ReadingOptions()).mm == mm
+    assert resolve_scan_units(RaggedArrays(tmp_path / "take.npz"), rig, ReadingOptions()).mm == mm
 
 
 def test_scans_of_another_size_altogether_are_refused(tmp_path):
     rig = ToyRig()
     write_ragged(tmp_path / "take.npz", [(1e5 * points, faces) for points, faces in scans_of(rig)])
     with pytest.raises(InputError, match="reading.unit"):
-        meaning_of_scans(RaggedArrays(tmp_path / "take.npz"), rig, ReadingOptions())
+        resolve_scan_units(RaggedArrays(tmp_path / "take.npz"), rig, ReadingOptions())
 
 
 @pytest.mark.parametrize("clouds", [False, True])
@@ -137,7 +138,7 @@ def test_the_rigs_own_mesh_is_taken_by_its_vertices(run, tmp_path):
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["correspondence=nearest"], "expected one of auto, vertices, surface"),
+        (["correspondence=nearest"], "expected auto or vertices or surface"),
         (["correspondence=surface", "method=network", "bundle=null"], "method=network"),
         (["prior=nowhere"], "nowhere"),
         (["controls.freeze=[bump0]"], "controls.freeze is not for correspondence=surface"),

@@ -9,8 +9,8 @@ from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import independent_measurements
 from riginv.tracking.surfaces.alignment import Aligner
-from riginv.tracking.surfaces.clip import ScanSmoothness, eliminated, smooth_scans
-from riginv.tracking.surfaces.fitting import TURN, Linearised, State, SurfaceFit
+from riginv.tracking.surfaces.clip import ScanSmoothness, eliminate_motion, smooth_scans
+from riginv.tracking.surfaces.fitting import ROTATION, Linearised, State, SurfaceFit
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.rig_surface import RigSurface, farthest_points
@@ -35,7 +35,9 @@ def fit(rig) -> SurfaceFit:
 
 def near(fit: SurfaceFit, seed: int = 0) -> Linearised:
     target = Target.of(resampled(fit.surface.rig, CONTROLS), 400)
-    state = State(torch.full((7,), 0.45, dtype=torch.float64), Motion.none().after(np.full(3, 0.01), np.ones(3), np.zeros(3)))
+    state = State(
+        torch.full((7,), 0.45, dtype=torch.float64), Motion.identity().after(np.full(3, 0.01), np.ones(3), np.zeros(3))
+    )
     posed = fit.surface.posed(fit.coefficients(state.units))
     return Linearised(fit, state, match(fit.surface, posed, target, state.motion, 10.0, 60.0))
 
@@ -79,8 +81,8 @@ def test_gradients_are_those_of_finite_differences(fit):
 def test_rigid_motion_moves_pairs_as_their_rows_say(fit):
     linear = near(fit)
     turn = torch.zeros(len(linear.normal.gradient), dtype=torch.float64)
-    turn[7] = 1e-3 / TURN
-    moved = linear.moved(turn)
+    turn[7] = 1e-3 / ROTATION
+    moved = linear.after(turn)
     centre = fit.surface.centre
     point = centre + np.array([0.0, 10.0, 0.0])
     at = linear.state.motion.undo(moved.motion.apply(point[None]))[0]
@@ -94,7 +96,7 @@ def test_eliminating_motion_gives_the_step_of_the_dense_system(fit):
     hessian[:count, :count] += fit.prior.precision
     gradient[:count] += fit.prior.gradient(linear.state.units[None])[0]
     dense = torch.linalg.solve(hessian, -gradient)
-    reduced = eliminated(fit, linear)
+    reduced = eliminate_motion(fit, linear)
     step = torch.linalg.solve(reduced.hessian, -reduced.gradient)
     follow = reduced.follow[:, 0] + reduced.follow[:, 1:] @ step
     torch.testing.assert_close(torch.cat([step, follow]), dense, rtol=1e-3, atol=1e-6)
@@ -125,8 +127,8 @@ def test_other_vertices_of_the_same_surface_give_the_same_answer(rig):
 def test_a_scan_that_was_turned_and_moved_is_found(face):
     surface = RigSurface(face, 800)
     mesh = surface.pose(face.neutral_controls).mesh
-    aligner = Aligner(mesh, np.flatnonzero(surface.outer), surface.sampled, surface.stillness)
-    motion = Motion.none().after(np.radians([12.0, -12, 10]), np.array([30.0, -30, 26]), surface.centre)
+    aligner = Aligner(mesh, np.flatnonzero(surface.outer), surface.sampled, surface.stability)
+    motion = Motion.identity().after(np.radians([12.0, -12, 10]), np.array([30.0, -30, 26]), surface.centre)
     scan = TriangleMesh(motion.apply(mesh.points), mesh.faces)
     found = aligner.align(Target.of(scan, 800)).motion
     away = np.linalg.norm(found.apply(mesh.points) - scan.points, axis=1)

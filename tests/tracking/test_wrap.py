@@ -19,7 +19,7 @@ def somebody(rig: ToyRig) -> TriangleMesh:
     points = rig.rest_vertices.double().numpy() * [1.0, 1.12, 0.95]
     points[:, 0] += 2 * np.sin(points[:, 1] / 15)
     finer, faces = trimesh.remesh.subdivide_loop(points, rig.faces.numpy(), 1)
-    motion = Motion.none().after(np.radians([8.0, -6, 5]), np.array([20.0, -10, 15]), np.zeros(3))
+    motion = Motion.identity().after(np.radians([8.0, -6, 5]), np.array([20.0, -10, 15]), np.zeros(3))
     return TriangleMesh(motion.apply(1.1 * finer), faces)
 
 

@@ -8,17 +8,15 @@ import time
 from pathlib import Path
 
 import pytest
-import torch
 from hydra import compose, initialize_config_dir
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from riginv.config.validation import validate
+from riginv.config.typed import to_typed
 from riginv.errors import InputError
-from riginv.networks.base import use_bfloat16
-from riginv.networks.inverse import StagedInverse
 from riginv.runs.run_folder import plain_config
-from riginv.training.devices import this_process
+from riginv.training.config import TrainConfig
+from riginv.training.devices import Process, this_process
 from tests.config.test_bad_input import refused
 from tests.conftest import ROOT, SMALL
 from tests.training.test_resume import heed_interrupts, same_weights, saved_step
@@ -40,6 +38,11 @@ def on_its_own(monkeypatch):
 def composed(*arguments: str) -> dict:
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         return plain_config(compose("train", list(arguments)))
+
+
+def process_of(config: dict) -> Process:
+    settings = to_typed(config, TrainConfig)
+    return this_process(settings.trainer, settings.data.batch_size)
 
 
 def curves(folder: Path) -> dict[str, list[float]]:
@@ -107,14 +110,14 @@ def test_the_trainers_compose_to_what_they_say(monkeypatch):
     assert (gpu["accelerator"], gpu["devices"], gpu["max_steps"], gpu["starts_processes"]) == ("gpu", 1, 40000, True)
     ddp = composed("trainer=ddp", "trainer.devices=4")
     assert (ddp["trainer"]["accelerator"], ddp["trainer"]["max_steps"]) == ("auto", ddp["model"]["cpu_steps"])
-    assert this_process(ddp).count == 4 and this_process(ddp).must_start_others
+    assert process_of(ddp).count == 4 and process_of(ddp).must_start_others
     monkeypatch.setenv("SLURM_NTASKS_PER_NODE", "4")
     monkeypatch.setenv("SLURM_NNODES", "2")
     slurm = composed("trainer=slurm")["trainer"]
     assert (slurm["accelerator"], slurm["devices"], slurm["num_nodes"], slurm["starts_processes"]) == ("gpu", 4, 2, False)
     for name in ("auto", "cpu", "gpu", "ddp", "slurm"):
         config = composed(f"trainer={name}")
-        validate(config)
+        to_typed(config, TrainConfig)
         assert config["trainer"].keys() == gpu.keys()
 
 
@@ -122,68 +125,20 @@ def test_processes_that_srun_has_started_know_each_other(monkeypatch):
     job = {"NTASKS": 8, "NTASKS_PER_NODE": 4, "NNODES": 2, "PROCID": 5, "LOCALID": 1, "NODEID": 1, "JOB_ID": 77}
     for name, value in job.items():
         monkeypatch.setenv(f"SLURM_{name}", str(value))
-    process = this_process(composed("trainer=slurm"))
+    process = process_of(composed("trainer=slurm"))
     assert (process.rank, process.count, process.must_start_others, process.shows) == (5, 8, False, False)
     assert process.environment.local_rank() == 1 and not process.environment.auto_requeue
     with pytest.raises(InputError, match="8 processes were started, trainer.devices=3 x trainer.num_nodes=2 asks for 6"):
-        this_process(composed("trainer=slurm", "trainer.devices=3"))
+        process_of(composed("trainer=slurm", "trainer.devices=3"))
     monkeypatch.delenv("SLURM_NTASKS_PER_NODE")
     with pytest.raises(InputError, match="ntasks-per-node"):
-        this_process(composed("trainer=slurm"))
+        process_of(composed("trainer=slurm"))
 
 
 def test_processes_started_apart_need_a_folder_that_all_name(run, monkeypatch):
     for name, value in {"TORCHELASTIC_RUN_ID": "none", "RANK": "1", "LOCAL_RANK": "1", "WORLD_SIZE": "2"}.items():
         monkeypatch.setenv(name, value)
     refused(run("train", *TWO, "hydra.sweep.dir=x"), "name it with hydra.run.dir=DIR")
-
-
-def test_a_process_ends_with_the_one_that_watches_it():
-    code = "from riginv.launch.watched import end_with_watcher; import time; end_with_watcher(); time.sleep(60)"
-    gone = subprocess.Popen([sys.executable, "-c", "pass"])
-    gone.wait()
-    orphan = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "RIGINV_WATCHER": str(gone.pid)})
-    assert orphan.wait(timeout=30) == 1
-
-
-def test_bfloat16_stays_out_of_the_rig(face_in_space):
-    torch.manual_seed(0)
-    network = StagedInverse(face_in_space, hidden=(32,), corrections=1, width=16, gate=16)
-    coordinates = 10 * torch.randn(4, face_in_space.space.size)
-    network.calibrate(coordinates)
-    with torch.no_grad():
-        for part in network.learned_parts():
-            for weight in part.parameters():
-                weight.mul_(3)
-    exact = network.answers(coordinates)
-    use_bfloat16(network)
-    rounded = network.answers(coordinates)
-    for full, half in zip(exact, rounded):
-        assert 1e-6 < (full.controls - half.controls).abs().max() < 0.1  # bfloat16 it is
-        assert half.controls.dtype == half.coordinates.dtype == torch.float32
-        assert torch.equal(half.coordinates, face_in_space(half.controls))
-    assert torch.equal(network(torch.zeros(1, face_in_space.space.size)), face_in_space.rig.neutral_controls[None])
-    with torch.autocast("cpu", torch.bfloat16):
-        wrong = face_in_space(half.controls).float()
-    off = (face_in_space.space.decode(wrong) - face_in_space.space.decode(half.coordinates)).norm(dim=2)
-    assert off.max() > 0.01  # mm: what a rig in bfloat16 would be off by
-
-
-def test_training_as_on_a_gpu_in_bfloat16_ends_in_a_bundle_of_float32(run):
-    outcome = run("train", "trainer=gpu", "trainer.accelerator=cpu", "trainer.precision=bf16-mixed")
-    assert outcome.code == 0, outcome.text
-    weights = load_file(outcome.folder / "bundle/weights.safetensors")
-    assert {value.dtype for value in weights.values()} == {torch.float32}
-
-
-@pytest.mark.slow
-def test_compiled_training_leaves_the_same_bundle(run):
-    plain = run("train", "model.network.corrections=1", folder="plain")
-    compiled = run("train", "model.network.corrections=1", "trainer.compile=true", folder="compiled")
-    assert plain.code == compiled.code == 0, compiled.text
-    assert apart(plain.folder, compiled.folder) < 1e-3
-    resumed = run("train", "model.network.corrections=1", "trainer.compile=true", "resume=true", folder="compiled")
-    assert resumed.code == 0 and resumed.metrics == compiled.metrics
 
 
 @pytest.mark.slow

@@ -8,8 +8,9 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
 from riginv.config.messages import CONFIGS
-from riginv.config.validation import validate
+from riginv.config.typed import to_typed
 from riginv.runs.run_folder import register_folder_resolvers
+from riginv.training.config import TrainConfig
 
 EXPERIMENTS = sorted(
     path.relative_to(CONFIGS / "experiment").with_suffix("").as_posix() for path in (CONFIGS / "experiment").rglob("*.yaml")
@@ -45,7 +46,7 @@ def test_there_is_one_for_everything_that_the_paper_trains():
 @pytest.mark.parametrize("name", ["paper/inverse", "paper/holden", "paper/inverse_through_surrogate"])
 def test_an_inverse_of_the_paper_has_the_papers_numbers(name):
     config = composed(f"experiment={name}", *(["rig.bundle=x"] if "through" in name else []))
-    validate(config)
+    to_typed(config, TrainConfig)
     network = config["model"]["network"]
     assert network["hidden"] == [2048, 1024, 512, 256] and network["activation"] == "leaky_relu"
     assert network["control_map"] == "range_tanh"
@@ -62,7 +63,7 @@ def test_an_inverse_of_the_paper_has_the_papers_numbers(name):
 
 def test_the_surrogate_of_the_paper_has_the_papers_numbers():
     config = composed("experiment=paper/forward")
-    validate(config)
+    to_typed(config, TrainConfig)
     assert config["model"]["network"]["hidden"] == [1024, 1024]
     assert config["model"]["loss"]["_target_"].endswith("SquaredVertexLoss")
     assert config["data"]["stored_poses"] == 90_000 and config["judging"]["test_poses"] == 10_000

@@ -1,5 +1,6 @@
 """The train command: what a run leaves behind."""
 
+import re
 import shutil
 
 import pytest
@@ -7,6 +8,8 @@ import torch
 import yaml
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.custom_scalar import layout_pb2
+from tensorboard.plugins.hparams import plugin_data_pb2
 
 from riginv.rig.contract import check_rig
 from rigs.surrogate import SurrogateRig
@@ -92,6 +95,34 @@ def test_tensorboard_shows_losses_errors_rates_pictures_and_hparams(run):
     result = events.Scalars("result/rig_poses/mean_vertex_error_mm")[-1].value
     assert result == pytest.approx(made.metrics["rig_poses/mean_vertex_error_mm"], rel=1e-5)
     assert "_hparams_/session_start_info" in events.summary_metadata
+
+
+def test_tensorboards_dashboard_shows_errors_beside_neutral_and_the_optimum(run):
+    made = run("train", "data.steps_per_epoch=4")
+    events = EventAccumulator(str(made.folder), size_guidance={"tensors": 0, "scalars": 0})
+    events.Reload()
+    held = events.Tensors("custom_scalars__config__")[0].tensor_proto.string_val[0]
+    shown = layout_pb2.Layout.FromString(held)
+    validation, training = shown.category
+    assert [chart.title for chart in validation.chart] == [
+        "random combinations: mean error, mm",
+        "rig poses: mean error, mm",
+        "simulated performance: mean error, mm",
+    ]
+    assert [chart.title for chart in training.chart] == ["loss", "root mean square error, mm", "learning rate"]
+    tags = events.Tags()["scalars"]
+    for chart in (*validation.chart, *training.chart):
+        for pattern in chart.multiline.tag:
+            assert [tag for tag in tags if re.search(pattern, tag)], f"{chart.title}: no tag is like {pattern}"
+    neutral = events.Scalars("val/rig_poses/neutral_mean_vertex_error_mm")
+    assert [point.step for point in neutral] == [0, 4, 8, 12]
+    assert neutral[0].value == pytest.approx(made.metrics["rig_poses/neutral_mean_vertex_error_mm"], rel=0.7)  # of other poses
+    optimum = events.Scalars("val/simulated_performance/optimum_mean_vertex_error_mm")
+    assert {point.step for point in optimum} == {0, 12}
+    assert optimum[0].value == pytest.approx(made.metrics["simulated_performance/optimum_mean_vertex_error_mm"], rel=1e-5)
+    content = events.summary_metadata["_hparams_/session_start_info"].plugin_data.content
+    columns = set(plugin_data_pb2.HParamsPluginData.FromString(content).session_start_info.hparams)
+    assert {"seed", "model.optimizer.lr", "data.steps_per_epoch"} <= columns and len(columns) < 20
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_does_not(run):

@@ -1,8 +1,11 @@
 """Holden et al.: a network trained on the controls of random poses."""
 
+from collections.abc import Iterable
+from functools import partial
+
 import lightning as L
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from riginv.config.values import PositiveFloat, PositiveInt, Widths
 from riginv.errors import InputError
@@ -66,14 +69,14 @@ class HoldenNetwork(Method):
                     f"holden_network: {bundle} holds another network: give one of model=holden, or use methods=[network]"
                 )
         self.sampler, self.steps, self.batch_size, self.lr = sampler, steps, batch_size, lr
-        self.shape = {"hidden": hidden, "activation": activation, "control_map": control_map}
+        self.make_network = partial(DirectInverse, hidden=hidden, activation=activation, control_map=control_map)
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)
         if self.loaded:
             return
         torch.manual_seed(seed)
-        self.network = DirectInverse(self.rig, **self.shape).to(self.rig.rig.dtype)
+        self.network = self.make_network(self.rig).to(self.rig.rig.dtype)
         sample = self.sampler.sample(CALIBRATION_MESHES, generator_at(seed, "calibration"))
         self.network.calibrate(sample["coordinates"])
         module = HoldenModule(self.rig, self.network, self._optimizer, self._schedule)
@@ -101,7 +104,7 @@ class HoldenNetwork(Method):
     def _solve(self, coordinates: Tensor) -> Tensor:
         return self.network(coordinates).clamp(self.rig.rig.lower, self.rig.rig.upper)
 
-    def _optimizer(self, weights: list[Tensor]) -> torch.optim.Optimizer:
+    def _optimizer(self, weights: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
         return torch.optim.Adam(weights, lr=self.lr, fused=True)
 
     def _schedule(self, optimizer: torch.optim.Optimizer) -> torch.optim.lr_scheduler.LRScheduler:

@@ -92,12 +92,12 @@ def _candidates(sides: Sides, kept: dict[tuple[int, ...], float], order: int) ->
     partners: dict[tuple[int, ...], list[int]] = {}
     for subset in kept:
         partners.setdefault(subset[:-1], []).append(subset[-1])
-    found = {}
+    strengths: dict[tuple[int, ...], float] = {}
     for start, ends in partners.items():
         for pair in combinations(sorted(ends), 2):
             candidate = (*start, *pair)
             parts = list(combinations(candidate, order - 1))
             if all(part in kept for part in parts):
-                found[candidate] = sum(kept[part] for part in parts)
-    strongest = sorted(found, key=lambda candidate: -found[candidate])[:MOST_CANDIDATES]
+                strengths[candidate] = sum(kept[part] for part in parts)
+    strongest = sorted(strengths, key=lambda candidate: -strengths[candidate])[:MOST_CANDIDATES]
     return torch.tensor(strongest, dtype=torch.long).reshape(-1, order)

@@ -80,7 +80,8 @@ class ProductModel:
         ]
         jacobian = weights.new_zeros(len(weights), len(self.sides), self.deltas.shape[1])
         for side, terms in enumerate(self.terms_of_side):
-            by_side = sum(rise[:, terms] * (self.in_slot[terms, slot] == side) for slot, rise in enumerate(rises))
+            parts = (rise[:, terms] * (self.in_slot[terms, slot] == side) for slot, rise in enumerate(rises))
+            by_side = sum(parts, weights.new_zeros(()))
             jacobian[:, side] = by_side @ self.deltas[terms]
         return factors.prod(dim=2) @ self.deltas, jacobian
 

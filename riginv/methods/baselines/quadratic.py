@@ -1,5 +1,7 @@
 """Rackovic et al.: a second-order approximation of the rig, inverted by Levenberg-Marquardt."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -52,6 +54,7 @@ class QuadraticLevenbergMarquardt(Method):
 
     @torch.no_grad()
     def _solve(self, coordinates: Tensor) -> Tensor:
+        objective: Any = self.objective  # it has what the solver uses of an Objective
         start = self.objective.neutral.expand(len(coordinates), -1)
-        found = levenberg_marquardt(self.objective, coordinates.double(), start, self.steps)
+        found = levenberg_marquardt(objective, coordinates.double(), start, self.steps)
         return self.objective.model.sides.controls(found.units)

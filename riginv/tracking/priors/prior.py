@@ -12,8 +12,8 @@ from riginv.rig.interface import RigBackend
 from riginv.solvers.objective import GaussianPrior
 
 RIDGE = 1e-4  # added to every variance: a control that never moved may still move by a hundredth of its range
-RADIUS_MM = 6.0  # within which measurements share their errors
-MOST_POINTS = 4000  # that are counted; of more every so-manieth tells as much
+RADIUS_MM = 6.0  # within which errors of measurements are shared
+MAX_POINTS = 4000  # that are counted; more are subsampled
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class ControlPrior:
         names: of the controls, in the rig's order.
         mean: `(control,)`, float64.
         covariance: `(control, control)`, float64, positive definite.
-        source: what it was learned from, for people to read.
+        source: what it was learned from, as text.
     """
 
     names: tuple[str, ...]
@@ -43,7 +43,7 @@ class ControlPrior:
         return self.covariance.diagonal().sqrt()
 
     def weighed(self, noise_mm: float, measurements: float) -> "GaussianPrior":
-        """The prior as it counts against the mean squared distance of some measurements.
+        """The prior as a cost beside the mean squared distance of some measurements.
 
         With independent errors of standard deviation `noise_mm` the most likely controls minimise
         `0.5 mean(distance^2) + 0.5 noise_mm^2 / measurements (u - m)' C^-1 (u - m)`.
@@ -54,19 +54,18 @@ class ControlPrior:
         """
         return GaussianPrior(self.mean, noise_mm**2 / max(measurements, 1.0) * self.precision)
 
-    def of(self, controls: Tensor) -> "ControlPrior":
-        """The prior of some controls given by number, `(some,)`: the others are left open."""
-        numbers = controls.tolist()
-        names = tuple(self.names[number] for number in numbers)
+    def subset(self, controls: Tensor) -> "ControlPrior":
+        """The marginal prior of some controls, by their indices `(some,)`."""
+        names = tuple(self.names[index] for index in controls.tolist())
         return ControlPrior(names, self.mean[controls], self.covariance[controls][:, controls], self.source)
 
 
 def learn_prior(rig: RigBackend, controls: Tensor, source: str = "", ridge: float = RIDGE) -> ControlPrior:
-    """The prior of controls that were found or recorded before.
+    """The prior of controls of earlier takes.
 
     Args:
         controls: `(frame, control)`, in the rig's own units.
-        source: what they come from.
+        source: where they come from.
         ridge: added to every variance.
 
     Raises:
@@ -87,17 +86,17 @@ def learn_prior(rig: RigBackend, controls: Tensor, source: str = "", ridge: floa
 
 
 def blended(take: ControlPrior, default: ControlPrior, fraction: float = 0.9, least: float = 0.5) -> ControlPrior:
-    """What a take says, and for what it does not show, what holds without it.
+    """A mixture of the prior of a take and a default prior, for what the take does not show.
 
-    Mean and covariance are those of a mixture; a control that hardly moved in the take keeps some freedom of its own.
+    Mean and covariance are those of the mixture; a control that hardly moved in the take keeps some variance.
 
     Args:
         fraction: of the take in the mixture.
-        least: the standard deviation of each control, at least, relative to that without the take.
+        least: lower bound of each standard deviation, relative to the default prior.
     """
     rest = 1 - fraction
-    apart = take.mean - default.mean
-    covariance = fraction * take.covariance + rest * default.covariance + fraction * rest * torch.outer(apart, apart)
+    difference = take.mean - default.mean
+    covariance = fraction * take.covariance + rest * default.covariance + fraction * rest * torch.outer(difference, difference)
     missing = (least * default.deviation).square() - covariance.diagonal()
     covariance = covariance + torch.diag(missing.clamp_min(0))
     source = "; ".join(filter(None, (take.source, default.source)))
@@ -105,13 +104,13 @@ def blended(take: ControlPrior, default: ControlPrior, fraction: float = 0.9, le
 
 
 def independent_measurements(points: Tensor, radius_mm: float = RADIUS_MM) -> float:
-    """How many of some measured points `(point, 3)`, mm, have errors of their own: neighbours share theirs.
+    """The number of independent errors of measured points `(point, 3)`, mm: neighbours share theirs.
 
-    Points that lie apart count as 1 each; on a surface the number is its area over that of a disc, however densely it is
-    sampled, so that a prior means the same for a mesh, for a scan of it, and for markers.
+    Distant points count as 1 each. On a surface the number is its area divided by that of a disc, however densely it is
+    sampled, so that a prior has the same effect for a mesh, for a scan of it, and for markers.
     """
     if not len(points):
         return 0.0
     known = points.double().cpu().numpy()
-    known = known[:: -(-len(known) // MOST_POINTS)]
+    known = known[:: -(-len(known) // MAX_POINTS)]
     return float((1 / cKDTree(known).query_ball_point(known, radius_mm, return_length=True)).sum())

@@ -1,4 +1,4 @@
-"""All scans of a clip at once: smooth curves on the frames' normal equations, rigid motion eliminated from each."""
+"""Smooth curves for all scans of a clip, from the normal equations of the frames, with rigid motion eliminated."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,41 +10,41 @@ from torch import Tensor
 
 from riginv.solvers.band import second_difference_bands, second_differences
 from riginv.solvers.band_step import band_box_step
-from riginv.tracking.surfaces.fitting import SHIFT_MM, TURN, Linearised, State, SurfaceFit
+from riginv.tracking.surfaces.fitting import ROTATION, SHIFT_MM, Linearised, State, SurfaceFit
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.quality import quality
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
 
-Load = Callable[[int], Target | None]  # the scan of a frame, prepared; None where there is none
+Load = Callable[[int], Target | None]  # the scan of a frame; None where there is none
 DAMPING = 1e-3  # relative to the diagonal
-BROAD = 5.0  # times the mean distance of a scan from the rig: the scale of Geman and McClure's weights
-WINDOW, LOOKAHEAD = 160, 32  # frames that are kept of a window, and those solved beyond them
+SCALE = 5.0  # scale of Geman and McClure's weights, in mean distances of a scan from the rig
+WINDOW, LOOKAHEAD = 160, 32  # frames of a window, and frames after it that are solved with it
 
 
 @dataclass(frozen=True)
 class ScanSmoothness:
-    """How smooth the curves of a clip of scans are.
+    """Smoothness of the curves of a clip of scans.
 
     Attributes:
-        smoothness: mm^2 of mean squared distance, for one control with a second difference of its whole range.
-        rounds: of matching and solving.
-        reach: of a control's range, at most in one round.
-        break_mm: mean second difference of the skin between three frames, above which they are not taken for neighbours in
-            time: a clip of single poses is not smoothed.
+        smoothness: mm^2 of mean squared distance for a second difference of a control's whole range.
+        rounds: iterations of matching and solving.
+        max_step: of a control in one iteration, as a fraction of its range.
+        break_mm: mean second difference of the skin over three frames above which they are no neighbours in time: a clip of
+            single poses is not smoothed.
     """
 
     smoothness: float = 0.3
     rounds: int = 2
-    reach: float = 0.1
+    max_step: float = 0.1
     break_mm: float = 1.0
 
 
 class Reduced(NamedTuple):
-    """The normal equations of one frame's controls, prior included, and how its rigid motion follows them.
+    """The normal equations of a frame's controls, prior included, with rigid motion eliminated.
 
     Attributes:
         hessian, gradient: `(control, control)` and `(control,)`.
-        follow: rigid motion for the gradient alone, and its derivative by the controls, `(motion, 1 + control)`.
+        follow: the eliminated rigid motion: its offset and its derivative by the controls, `(motion, 1 + control)`.
     """
 
     hessian: Tensor
@@ -56,44 +56,44 @@ def smooth_scans(
     solver: ScanSolver,
     load: Load,
     found: Sequence[SolvedScan | None],
-    how: ScanSmoothness,
+    options: ScanSmoothness,
     advance: Callable[[int], None] = lambda frames: None,
 ) -> list[SolvedScan]:
     """Minimise the robust distance of all scans, the prior, and the squared second differences of the controls.
 
     Args:
-        load: asked for each frame once a round.
-        found: each frame's own answer; None where it has no scan: it follows its neighbours.
-        advance: told how many frames are done.
+        load: called once per frame and iteration.
+        found: the solution of each frame; None where it has no scan: it follows its neighbours.
+        advance: reports progress.
     """
-    result = _filled(found)
+    result = nearest_known(found)
     for first in range(0, len(result), WINDOW):
         stop = min(first + WINDOW + LOOKAHEAD, len(result))
         stop = len(result) if len(result) - stop <= LOOKAHEAD else stop
-        _Window(solver, load, result, first, stop, how).solve(advance)
+        _Window(solver, load, result, first, stop, options).solve(advance)
         if stop == len(result):
             break
     return result
 
 
 class _Window:
-    """The frames `first` to `stop` of a clip, after up to two that are settled."""
+    """The frames `first` to `stop` of a clip, after up to two frames that are fixed."""
 
     def __init__(
-        self, solver: ScanSolver, load: Load, result: list[SolvedScan], first: int, stop: int, how: ScanSmoothness
+        self, solver: ScanSolver, load: Load, result: list[SolvedScan], first: int, stop: int, options: ScanSmoothness
     ) -> None:
-        self.solver, self.load, self.result, self.how = solver, load, result, how
+        self.solver, self.load, self.result, self.options = solver, load, result, options
         self.before = min(2, first)
         self.frames = range(first, stop)
         every = range(first - self.before, stop)
         skin = np.stack([_skin(solver, result[frame].state) for frame in every])
         second = np.linalg.norm(skin[2:] - 2 * skin[1:-1] + skin[:-2], axis=2).mean(axis=1)
-        self.weights = torch.from_numpy(how.smoothness * (second < how.break_mm))
+        self.weights = torch.from_numpy(options.smoothness * (second < options.break_mm))
         differences = second_differences(torch.ones(len(every) - 1, dtype=torch.float64))
         self.bands = second_difference_bands(len(self.frames), self.before, self.weights.sqrt()[:, None] * differences)
 
     def solve(self, advance: Callable[[int], None]) -> None:
-        for number in range(self.how.rounds):
+        for number in range(self.options.rounds):
             reduced = []
             for frame in self.frames:
                 reduced.append(self._reduce(frame))
@@ -111,10 +111,10 @@ class _Window:
             return self._prior_alone(found)
         fit = self.solver.fit(target)
         schedule = self.solver.settings.from_near
-        scale = max(schedule.last_scale_mm, BROAD * float(np.nan_to_num(found.quality.scan_mm)))
+        scale = max(schedule.last_scale_mm, SCALE * float(np.nan_to_num(found.quality.scan_mm)))
         posed = fit.surface.posed(fit.coefficients(found.state.units))
         pairs = match(fit.surface, posed, target, found.state.motion, scale, schedule.degrees)
-        return eliminated(fit, Linearised(fit, found.state, pairs))
+        return eliminate_motion(fit, Linearised(fit, found.state, pairs))
 
     def _prior_alone(self, found: SolvedScan) -> Reduced:
         fit = self.solver.fit_of(1.0)
@@ -129,21 +129,21 @@ class _Window:
         before = [self.result[frame].state.units for frame in range(self.frames[0] - self.before, self.frames[0])]
         curve = torch.cat([torch.stack(before), units]) if before else units
         second = self.weights[:, None] * (curve[2:] - 2 * curve[1:-1] + curve[:-2])
-        pull = torch.zeros_like(curve)
-        pull[2:] += second
-        pull[1:-1] -= 2 * second
-        pull[:-2] += second
+        force = torch.zeros_like(curve)
+        force[2:] += second
+        force[1:-1] -= 2 * second
+        force[:-2] += second
         blocks = torch.stack([each.hessian for each in reduced])
         diagonal = blocks.diagonal(dim1=1, dim2=2)
         added = DAMPING * diagonal + main[:, None]
-        gradient = torch.stack([each.gradient for each in reduced]) + pull[self.before :]
-        step = band_box_step(blocks, added, near, far, gradient, units).clamp(-self.how.reach, self.how.reach)
+        gradient = torch.stack([each.gradient for each in reduced]) + force[self.before :]
+        step = band_box_step(blocks, added, near, far, gradient, units).clamp(-self.options.max_step, self.options.max_step)
         for frame, change, each in zip(self.frames, step, reduced):
-            self.result[frame] = replace(self.result[frame], state=_moved(self.solver, self.result[frame].state, change, each))
+            self.result[frame] = replace(self.result[frame], state=_apply(self.solver, self.result[frame].state, change, each))
 
 
-def eliminated(fit: SurfaceFit, near: Linearised) -> Reduced:
-    """The normal equations of the controls once rigid motion follows them as well as it can."""
+def eliminate_motion(fit: SurfaceFit, near: Linearised) -> Reduced:
+    """Eliminate rigid motion from the normal equations: it takes its optimum for any controls."""
     count, (_, gradient, hessian) = len(near.state.units), near.normal
     motion = hessian[count:, count:]
     motion = motion + 1e-9 * motion.diagonal().mean() * torch.eye(len(motion), dtype=torch.float64)
@@ -153,18 +153,19 @@ def eliminated(fit: SurfaceFit, near: Linearised) -> Reduced:
     return Reduced(ours + across.T @ follow[:, 1:], pull + across.T @ follow[:, 0], follow)
 
 
-def _moved(solver: ScanSolver, state: State, change: Tensor, reduced: Reduced) -> State:
+def _apply(solver: ScanSolver, state: State, change: Tensor, reduced: Reduced) -> State:
     motion = state.motion
     if len(reduced.follow):
-        turn, shift = (reduced.follow[:, 0] + reduced.follow[:, 1:] @ change).numpy().reshape(2, 3)
-        motion = motion.after(turn * TURN, shift * SHIFT_MM, solver.surface.centre)
+        rotation, shift = (reduced.follow[:, 0] + reduced.follow[:, 1:] @ change).numpy().reshape(2, 3)
+        motion = motion.after(rotation * ROTATION, shift * SHIFT_MM, solver.surface.centre)
     return State((state.units + change).clamp(0, 1), motion)
 
 
-def _filled(found: Sequence[SolvedScan | None]) -> list[SolvedScan]:
-    """Frames without an answer start from that of the nearest frame that has one."""
-    known = np.array([number for number, each in enumerate(found) if each is not None])
-    return [found[known[np.abs(known - number).argmin()]] for number in range(len(found))]
+def nearest_known(found: Sequence[SolvedScan | None]) -> list[SolvedScan]:
+    """The solution of each frame, or of the nearest frame that has one."""
+    known = {row: each for row, each in enumerate(found) if each is not None}
+    rows = np.array(list(known))
+    return [known[int(rows[np.abs(rows - row).argmin()])] for row in range(len(found))]
 
 
 def _skin(solver: ScanSolver, state: State) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""One scan: controls and rigid motion together, by Levenberg-Marquardt on pairs that are found anew at every step."""
+"""The fit of a rig to one scan: controls and rigid motion by Levenberg-Marquardt, with new correspondences at every step."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,48 +13,48 @@ from riginv.tracking.surfaces.matching import Pairs, Target, as_tensor, match
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.rig_surface import RigSurface
 
-START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 1e3
-TRIES = 3  # of more and more damping on one linearisation
-TURN, SHIFT_MM = 2.0, 200.0  # the extent of the box in which rigid motion steps: never met
-NOISE = 4.0  # times the typical distance of good pairs: the scale does not fall below
-OFF_KINK = 0.02  # of a control's range, either way from neutral
+START_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-6, 1e3
+TRIES = 3  # of increasing damping per linearisation
+ROTATION, SHIFT_MM = 2.0, 200.0  # units of rigid motion: radians, mm; so large that their box is never left
+NOISE = 4.0  # lower bound of the scale, in typical distances of good pairs
+KINK_OFFSET = 0.02  # of a control's range, either way from neutral
 SIDES_MM = 3.0  # the scale at which sides are chosen
-MIDDLE = 0.5  # of that box
+MIDDLE = 0.5  # of the box of rigid motion
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How the steps of one fit go.
+    """The steps of a fit.
 
     Attributes:
         steps: at most.
-        first_scale_mm, last_scale_mm: of Geman and McClure's weights; the last is wider where a scan is noisy.
-        factor: by which the scale falls at every step.
-        reach: of a control's range, at most in one step.
-        settled: a fit is done once the scale has come down and no control moves by more, of its range.
-        degrees: between two normals, beyond which a pair counts nothing.
-        sides_at: the steps before which controls at a kink are put on the side that descends.
+        first_scale_mm, last_scale_mm: scale of Geman and McClure's weights; the last is wider for noisy scans.
+        factor: of the scale from step to step.
+        max_step: of a control in one step, as a fraction of its range.
+        converged: a fit ends at the last scale when no control moves by more, as a fraction of its range.
+        degrees: angle between normals beyond which a pair has weight 0.
+        sides_at: steps before which controls at a kink are moved to the side that descends.
     """
 
     steps: int = 22
     first_scale_mm: float = 20.0
     last_scale_mm: float = 0.5
     factor: float = 0.8
-    reach: float = 0.15
-    settled: float = 0.002
+    max_step: float = 0.15
+    converged: float = 0.002
     degrees: float = 60.0
     sides_at: tuple[int, ...] = ()
 
 
 FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
-FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, settled=0.01)
+FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, converged=0.01)
 
 
 class State(NamedTuple):
-    """Where a fit stands.
+    """The state of a fit.
 
     Attributes:
-        units: controls `(control,)` in fractions of their ranges.
+        units: controls `(control,)` as fractions of their ranges.
         motion: from the rig's frame to the scan's.
     """
 
@@ -63,9 +63,9 @@ class State(NamedTuple):
 
 
 class Normal(NamedTuple):
-    """The data term of one frame near a state: `0.5 sum(weight residual^2)`, mm^2, with gradient and Gauss-Newton Hessian.
+    """The data term near a state: `0.5 sum(weight residual^2)`, mm^2, with gradient and Gauss-Newton Hessian.
 
-    The first columns are the controls, the last six, where the scan may move, rotation and shift in units of their box.
+    The first parameters are the controls, the last six, if there is rigid motion, rotation and shift in their units.
     """
 
     cost: float
@@ -78,9 +78,9 @@ class SurfaceFit:
 
     Args:
         rig: its surface.
-        prior: how likely controls are; the base that decides between controls that do the same is added to it.
-        moves: whether rigid motion is to be found.
-        base: mm^2 for a control that leaves neutral by its whole range.
+        prior: on the controls; `base` is added to it.
+        moves: whether rigid motion is estimated.
+        base: ridge, mm^2 for a control that leaves neutral by its whole range.
     """
 
     def __init__(self, rig: RigSurface, prior: GaussianPrior | None, moves: bool = True, base: float = 1e-6) -> None:
@@ -106,41 +106,41 @@ class SurfaceFit:
         state, damping, typical = start, START_DAMPING, 0.0
         for step in range(schedule.steps):
             if step in schedule.sides_at:
-                state = self.take_sides(target, state, schedule)
+                state = self.choose_sides(target, state, schedule)
             last = max(schedule.last_scale_mm, NOISE * typical)
             scale = max(last, schedule.first_scale_mm * schedule.factor**step)
             state, moved, damping, typical = self.step(target, state, scale, schedule, damping)
-            if moved < schedule.settled and scale <= last:
+            if moved < schedule.converged and scale <= last:
                 break
         return state
 
     def step(
         self, target: Target, state: State, scale_mm: float, schedule: Schedule, damping: float
     ) -> tuple[State, float, float, float]:
-        """One step: the new state, how far the controls went at most, the damping to go on with, and the typical distance."""
+        """One step: the new state, the largest change of a control, the next damping, and the typical distance."""
         posed = self.surface.posed(self.coefficients(state.units))
         pairs = match(self.surface, posed, target, state.motion, scale_mm, schedule.degrees)
         near = Linearised(self, state, pairs)
         before = near.normal.cost + float(self.prior.cost(state.units[None]))
         for _ in range(TRIES):
-            change = near.step(damping, schedule.reach)
+            change = near.step(damping, schedule.max_step)
             after = near.cost(change)
             if after <= before:
                 break
-            damping = min(damping * 8, MOST_DAMPING)
+            damping = min(damping * 8, MAX_DAMPING)
         else:
             return state, 0.0, damping, pairs.typical_mm
         moved = float(change[: len(state.units)].abs().max())
-        return near.moved(change), moved, max(damping / 3, LEAST_DAMPING), pairs.typical_mm
+        return near.after(change), moved, max(damping / 3, MIN_DAMPING), pairs.typical_mm
 
-    def take_sides(self, target: Target, state: State, schedule: Schedule) -> State:
-        """A state whose two-sided controls near neutral, where many have a kink, stand on the side that helps more."""
-        kinks = (self.neutral > 0) & (self.neutral < 1) & ((state.units - self.neutral).abs() < OFF_KINK)
+    def choose_sides(self, target: Target, state: State, schedule: Schedule) -> State:
+        """A state whose two-sided controls near neutral, where many have a kink, are on the side with the steeper descent."""
+        kinks = (self.neutral > 0) & (self.neutral < 1) & ((state.units - self.neutral).abs() < KINK_OFFSET)
         if not bool(kinks.any()):
             return state
         posed = self.surface.posed(self.coefficients(state.units))
         pairs = match(self.surface, posed, target, state.motion, max(SIDES_MM, schedule.last_scale_mm), schedule.degrees)
-        sides = [torch.where(kinks, self.neutral + way, state.units) for way in (OFF_KINK, -OFF_KINK)]
+        sides = [torch.where(kinks, self.neutral + offset, state.units) for offset in (KINK_OFFSET, -KINK_OFFSET)]
         rise, fall = (Linearised(self, State(units, state.motion), pairs).normal.gradient[: len(kinks)] for units in sides)
         up, down = -rise, fall
         units = torch.where(kinks & (up > 0) & (up >= down), sides[0], state.units)
@@ -153,7 +153,7 @@ class SurfaceFit:
 
 
 class Linearised:
-    """The pairs of a fit near a state: residuals linear in the rig's coefficients and in rigid motion."""
+    """Residuals of pairs near a state, linear in the rig's coefficients and in rigid motion."""
 
     def __init__(self, fit: SurfaceFit, state: State, pairs: Pairs) -> None:
         self.fit, self.state = fit, state
@@ -162,25 +162,25 @@ class Linearised:
         self.coefficients, jacobian = fit.surface.linearise(fit.controls(state.units))
         columns = jacobian.times(self.rows) * fit.span.float()
         if fit.moves:
-            box = np.array([TURN] * 3 + [SHIFT_MM] * 3)
+            box = np.array([ROTATION] * 3 + [SHIFT_MM] * 3)
             self.motion_rows = as_tensor(pairs.motion_rows(fit.surface.centre) * box)
             columns = torch.cat([columns, self.motion_rows], dim=1)
-        weighed = self.weights[:, None] * columns
+        weighted = self.weights[:, None] * columns
         cost = 0.5 * float(self.weights @ self.residual.square())
-        self.normal = Normal(cost, (weighed.T @ self.residual).double(), (weighed.T @ columns).double())
+        self.normal = Normal(cost, (weighted.T @ self.residual).double(), (weighted.T @ columns).double())
 
-    def step(self, damping: float, reach: float) -> Tensor:
-        """The change `(control + motion,)` that the model asks for, within the limits of the controls."""
+    def step(self, damping: float, max_step: float) -> Tensor:
+        """The step `(control + motion,)` of the quadratic model, within the limits of the controls."""
         prior, count = self.fit.prior, len(self.state.units)
         hessian, gradient = self.normal.hessian.clone(), self.normal.gradient.clone()
         hessian[:count, :count] += prior.precision
         gradient[:count] += prior.gradient(self.state.units[None])[0]
         at = torch.cat([self.state.units, torch.full((len(gradient) - count,), MIDDLE, dtype=torch.float64)])
         added = damping_diagonal(hessian[None], torch.tensor([damping], dtype=torch.float64))
-        return box_step(hessian[None], gradient[None], at[None], added)[0].clamp(-reach, reach)
+        return box_step(hessian[None], gradient[None], at[None], added)[0].clamp(-max_step, max_step)
 
     def cost(self, change: Tensor) -> float:
-        """The objective after a change, with the same pairs: exact in the controls, linear in rigid motion."""
+        """The objective after a step, with the same pairs: exact in the controls, linear in rigid motion."""
         count = len(self.state.units)
         units = self.state.units + change[:count]
         residual = self.residual + self.rows @ (self.fit.coefficients(units) - self.coefficients)
@@ -188,11 +188,11 @@ class Linearised:
             residual = residual + self.motion_rows @ change[count:].float()
         return 0.5 * float(self.weights @ residual.square()) + float(self.fit.prior.cost(units[None]))
 
-    def moved(self, change: Tensor) -> State:
-        """The state after a change."""
+    def after(self, change: Tensor) -> State:
+        """The state after a step."""
         count = len(self.state.units)
         motion = self.state.motion
         if self.fit.moves:
-            turn, shift = change[count : count + 3].numpy() * TURN, change[count + 3 :].numpy() * SHIFT_MM
-            motion = motion.after(turn, shift, self.fit.surface.centre)
+            rotation, shift = change[count : count + 3].numpy() * ROTATION, change[count + 3 :].numpy() * SHIFT_MM
+            motion = motion.after(rotation, shift, self.fit.surface.centre)
         return State((self.state.units + change[:count]).clamp(0, 1), motion)

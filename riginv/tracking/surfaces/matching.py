@@ -1,4 +1,4 @@
-"""Pairs of points of a rig and of a scan, both ways, with the weights that tell good pairs from bad ones."""
+"""Correspondences between a rig and a scan: closest points in both directions, with robust weights."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,23 +11,24 @@ from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.rig_surface import Posed, RigSurface
 from riginv.tracking.surfaces.triangles import Hits, Surface
 
-FROM_RIG = 0.15  # of the weight of all pairs, for those from the rig to the scan: closest points of a noisy scan are biased
+FROM_RIG = 0.15  # fraction of the weight for pairs from the rig to the scan: closest points of a noisy scan are biased
 
 
 class Pairs(NamedTuple):
-    """Pairs of points, in the rig's frame (before rigid motion).
+    """Pairs of points in the rig's frame, i.e. without rigid motion.
 
     Attributes:
-        corners, barycentric: the point of the rig, `(pair, 3)`.
+        from_rig: number of pairs, the first ones, from samples of the rig to the scan.
+        corners, barycentric: points of the rig as vertex indices and weights, `(pair, 3)`.
         points: of the rig, `(pair, 3)`, mm.
-        normals: along which the distance counts, `(pair, 3)`.
+        normals: along which distances are measured, `(pair, 3)`.
         residual: signed distance along the normal, `(pair,)`, mm.
         distance: of the two points, `(pair,)`, mm.
-        weights: `(pair,)`; those of all pairs, good or bad, would sum up to 1 if all were good.
+        weights: `(pair,)`; they would sum to 1 if all pairs were good.
         on_border: whether the closest point lies on a border, `(pair,)`.
-        from_rig: how many of them, counted from the first, are closest points of the scan to samples of the rig.
     """
 
+    from_rig: int
     corners: np.ndarray
     barycentric: np.ndarray
     points: np.ndarray
@@ -36,30 +37,29 @@ class Pairs(NamedTuple):
     distance: np.ndarray
     weights: np.ndarray
     on_border: np.ndarray
-    from_rig: int
 
     def rows(self, rig: RigSurface) -> Tensor:
-        """How far each coefficient moves the rig's points along the normals, `(pair, coefficient)`."""
+        """Derivatives of the rig's points along the normals by the coefficients, `(pair, coefficient)`."""
         return rig.rows(self.corners, self.barycentric, self.normals)
 
     @property
     def typical_mm(self) -> float:
-        """Standard deviation of the good pairs' distances along the normals, robustly."""
+        """Robust standard deviation of the distances of good pairs along the normals."""
         good = self.weights > 0
         return 1.4826 * float(np.median(np.abs(self.residual[good]))) if good.any() else 0.0
 
     def motion_rows(self, centre: np.ndarray) -> np.ndarray:
-        """The same of the six parameters of a rigid motion, `(pair, 6)`: radians about `centre`, then mm."""
+        """The same derivatives by a rigid motion, `(pair, 6)`: rotation about `centre`, radians, then translation, mm."""
         return np.concatenate([np.cross(self.points - centre, self.normals), self.normals], axis=1)
 
 
 @dataclass(frozen=True)
 class Target:
-    """A scan that is to be met, prepared once.
+    """A scan with samples, as the target of a fit.
 
     Attributes:
         surface: the scan.
-        points, normals: samples of it `(sample, 3)`.
+        points, normals: of the samples, `(sample, 3)`.
     """
 
     surface: Surface
@@ -72,14 +72,14 @@ class Target:
 
 
 def match(rig: RigSurface, posed: Posed, target: Target, motion: Motion, scale_mm: float, degrees: float) -> Pairs:
-    """Closest points both ways.
+    """Closest points in both directions.
 
-    Pairs whose normals differ by more than `degrees`, or whose closest point lies on a border, count nothing; the others by
-    the weights of Geman and McClure at a scale.
+    Pairs whose normals differ by more than `degrees`, or whose closest point is on a border, have weight 0; the others have
+    the weights of Geman and McClure.
 
     Args:
         motion: from the rig's frame to the scan's.
-        scale_mm: the distance at which a pair counts a quarter.
+        scale_mm: the distance at which the weight is a quarter.
     """
     mesh, sampled = posed.mesh, rig.sampled
     start, normals = mesh.points[sampled], mesh.normals[sampled]
@@ -92,10 +92,9 @@ def match(rig: RigSurface, posed: Posed, target: Target, motion: Motion, scale_m
     points, towards = motion.undo(target.points), motion.undo_direction(target.normals)
     here = mesh.closest(points)
     from_scan = _pairs(here.points, here.normals, points, towards, here, scale_mm, degrees, here.corners, here.barycentric)
-    joined = [np.concatenate(both) for both in zip(from_rig, from_scan)]
-    shares = np.repeat([FROM_RIG, 1 - FROM_RIG], [len(sampled), len(target.points)])
-    joined[6] = joined[6] * shares / shares.sum()
-    return Pairs(*joined, from_rig=len(sampled))
+    fractions = np.repeat([FROM_RIG, 1 - FROM_RIG], [len(sampled), len(target.points)])
+    joined = Pairs(len(sampled), *(np.concatenate(both) for both in zip(from_rig, from_scan)))
+    return joined._replace(weights=joined.weights * fractions / fractions.sum())
 
 
 def _pairs(
@@ -108,12 +107,14 @@ def _pairs(
     degrees: float,
     corners: np.ndarray,
     weights: np.ndarray,
-) -> tuple[np.ndarray, ...]:
-    alike = (our_normals * their_normals).sum(axis=1)
-    good = (alike > np.cos(np.radians(degrees))) & ~hits.on_border
-    residual = ((ours - theirs) * our_normals).sum(axis=1)  # those of a scan carry its noise
+) -> list[np.ndarray]:
+    """The arrays of `Pairs`."""
+    cosine = (our_normals * their_normals).sum(axis=1)
+    good = (cosine > np.cos(np.radians(degrees))) & ~hits.on_border
+    residual = ((ours - theirs) * our_normals).sum(axis=1)  # the normals of a scan are noisy
     robust = 1 / (1 + (hits.distance / scale_mm) ** 2) ** 2
-    return corners, weights, ours, our_normals, residual, hits.distance, np.where(good, robust, 0.0), hits.on_border
+    robust = np.where(good, robust, 0.0)
+    return [corners, weights, ours, our_normals, residual, hits.distance, robust, hits.on_border]
 
 
 def as_tensor(values: np.ndarray) -> Tensor:

@@ -1,4 +1,4 @@
-"""Rigid motion of one frame, in NumPy."""
+"""Rigid motion of a frame, in NumPy."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class Motion:
     shift: np.ndarray
 
     @classmethod
-    def none(cls) -> "Motion":
+    def identity(cls) -> "Motion":
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
@@ -43,23 +43,23 @@ class Motion:
     def undo_direction(self, directions: np.ndarray) -> np.ndarray:
         return directions @ self.rotation
 
-    def after(self, turn: np.ndarray, shift: np.ndarray, centre: np.ndarray) -> "Motion":
+    def after(self, rotation: np.ndarray, shift: np.ndarray, centre: np.ndarray) -> "Motion":
         """This motion after a small one in the rig's frame.
 
         Args:
-            turn: rotation vector, radians, about `centre`.
+            rotation: rotation vector, radians, about `centre`.
             shift: mm.
         """
-        small = Rotation.from_rotvec(turn).as_matrix()
+        small = Rotation.from_rotvec(rotation).as_matrix()
         moved = centre + shift - small @ centre
         return Motion(self.rotation @ small, self.rotation @ moved + self.shift)
 
 
 def fit_motion(source: np.ndarray, target: np.ndarray, weights: np.ndarray) -> Motion:
-    """The rigid motion that brings points `(point, 3)` onto others, weighted least squares."""
+    """The rigid motion from source to target points `(point, 3)`, by weighted least squares."""
     total = max(weights.sum(), 1e-12)
-    here, there = weights @ source / total, weights @ target / total
-    left, _, right = np.linalg.svd((target - there).T @ (weights[:, None] * (source - here)))
+    source_mean, target_mean = weights @ source / total, weights @ target / total
+    left, _, right = np.linalg.svd((target - target_mean).T @ (weights[:, None] * (source - source_mean)))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0])
     rotation = left @ flip @ right
-    return Motion(rotation, there - rotation @ here)
+    return Motion(rotation, target_mean - rotation @ source_mean)

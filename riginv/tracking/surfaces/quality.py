@@ -1,4 +1,4 @@
-"""How well a state explains a scan: distances both ways, what was seen, what was not explained."""
+"""How well a state explains a scan: distances in both directions, coverage, unexplained points."""
 
 from typing import NamedTuple
 
@@ -7,9 +7,9 @@ import numpy as np
 from riginv.tracking.surfaces.fitting import State, SurfaceFit
 from riginv.tracking.surfaces.matching import Pairs, Target, match
 
-SCALE_MM = 3.0  # at which a distance is cut off, softly, where states are compared
-EXPLAINED_MM = 2.0  # up to which a point of the scan counts as explained
-SEEN_MM = 5.0  # up to which the scan has seen a point of the rig
+SCALE_MM = 3.0  # at which distances saturate in the objective
+EXPLAINED_MM = 2.0  # distance of explained points of the scan from the rig
+SEEN_MM = 5.0  # distance of covered points of the rig from the scan
 DEGREES = 60.0
 
 
@@ -17,12 +17,12 @@ class Quality(NamedTuple):
     """How well a state explains a scan.
 
     Attributes:
-        objective: robust mean squared distance of both ways and the prior's cost, mm^2: what states are compared by.
+        objective: robust mean squared distance in both directions plus the prior's cost, mm^2, to compare states.
         scan_mm: mean distance of the scan's explained points from the rig.
-        rig_mm: mean distance of the rig's seen samples from the scan.
-        seen: the fraction of the rig's outer samples that the scan has seen.
-        explained: the fraction of the scan's points that the rig explains, those beyond the rig's border left out.
-        unexplained: which of the target's points it does not explain, `(sample,)`.
+        rig_mm: mean distance of the rig's covered samples from the scan.
+        seen: the fraction of the rig's outer samples that the scan covers.
+        explained: the fraction of the scan's points that the rig explains, without points beyond the rig's border.
+        unexplained: whether each of the target's points is unexplained, `(sample,)`.
     """
 
     objective: float
@@ -37,11 +37,11 @@ def quality(fit: SurfaceFit, target: Target, state: State) -> Quality:
     """How well a state explains a scan."""
     posed = fit.surface.posed(fit.coefficients(state.units))
     pairs = match(fit.surface, posed, target, state.motion, SCALE_MM, DEGREES)
-    return judged(fit, pairs, state)
+    return quality_of_pairs(fit, pairs, state)
 
 
-def judged(fit: SurfaceFit, pairs: Pairs, state: State) -> Quality:
-    """The same, of pairs that were matched at `SCALE_MM` and `DEGREES`."""
+def quality_of_pairs(fit: SurfaceFit, pairs: Pairs, state: State) -> Quality:
+    """The same for pairs that were matched with `SCALE_MM` and `DEGREES`."""
     count, distance, good = pairs.from_rig, pairs.distance, pairs.weights > 0
     soft = distance**2 / (1 + (distance / SCALE_MM) ** 2)
     of_rig, of_scan = slice(0, count), slice(count, None)

@@ -1,4 +1,4 @@
-"""Other starts for a scan that is not explained: poses judged by the scan's points, without any fit."""
+"""Further starts for a scan that is not explained: poses ranked by distance from the scan's points, without a fit."""
 
 import numpy as np
 import torch
@@ -10,17 +10,17 @@ from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.quality import Quality
 
-POINTS = 200  # of the scan, unexplained ones and others, at most each
-HIDDEN = 0.8  # of the squared movement that a control makes, for it to count as one of hidden parts
-CUT_MM = 8.0  # at which a distance is cut off
+POINTS = 200  # of the scan, at most, of unexplained and of other points each
+HIDDEN = 0.8  # fraction of a control's squared displacements that is at hidden vertices
+MAX_MM = 8.0  # distances are clipped
 
 
 @torch.no_grad()
-def promising(fit: SurfaceFit, target: Target, motion: Motion, found: Quality, poses: Tensor, count: int) -> list[int]:
-    """The numbers of the `count` poses `(pose, control)` that come nearest to a scan's unexplained points and as many others.
+def promising_starts(fit: SurfaceFit, target: Target, motion: Motion, found: Quality, poses: Tensor, count: int) -> list[int]:
+    """Indices of the `count` poses `(pose, control)` nearest to a scan's unexplained points and as many others.
 
     Args:
-        found: what a first fit left unexplained.
+        found: quality of a first fit.
     """
     points = motion.undo(_points(target, found))
     controls = torch.cat([fit.controls(units)[None] for units in poses])
@@ -31,9 +31,9 @@ def promising(fit: SurfaceFit, target: Target, motion: Motion, found: Quality, p
 
 @torch.no_grad()
 def hidden_controls(fit: SurfaceFit) -> list[int]:
-    """The numbers of the controls that mostly move what is hidden at rest, such as a tongue.
+    """Indices of the controls that mostly move parts that are hidden at rest, such as a tongue.
 
-    No derivative leads to them: what they bring out has no closest points on a scan before it is out.
+    Gradients do not find them: hidden parts have no closest points on a scan.
     """
     surface, found = fit.surface, []
     rest = surface.vertices(fit.coefficients(fit.neutral))
@@ -54,4 +54,4 @@ def _points(target: Target, found: Quality) -> np.ndarray:
 
 def _misfit(fit: SurfaceFit, coefficients: Tensor, points: np.ndarray) -> float:
     tree = cKDTree(fit.surface.vertices(coefficients), compact_nodes=False, balanced_tree=False)
-    return float((np.minimum(tree.query(points, distance_upper_bound=CUT_MM)[0], CUT_MM) ** 2).mean())
+    return float((np.minimum(tree.query(points, distance_upper_bound=MAX_MM)[0], MAX_MM) ** 2).mean())

@@ -1,4 +1,4 @@
-"""A rig's mesh as a surface: posed, sampled, and differentiated along normals at any of its points."""
+"""A rig's mesh as a surface: poses, samples, and derivatives of its points along normals."""
 
 from typing import NamedTuple
 
@@ -11,13 +11,13 @@ from riginv.rig.interface import LinearRig
 from riginv.rig.jacobian import Jacobian
 from riginv.tracking.surfaces.triangles import TriangleMesh, border_edges, unit
 
-DIRECTIONS = 64  # rays from each vertex that tell how exposed it is
-EXPOSED = 0.15  # the fraction of the rays of its hemisphere that leave an outer vertex without a hit
-LIFT_MM = 0.05  # of rays above the surface, so that they do not hit where they start
+DIRECTIONS = 64  # rays from each vertex
+EXPOSED = 0.15  # fraction of unoccluded rays of an outer vertex
+LIFT_MM = 0.05  # of the start of rays above the surface
 
 
 class Posed(NamedTuple):
-    """A pose of a rig, one frame.
+    """One pose of a rig.
 
     Attributes:
         coefficients: `(coefficient,)`.
@@ -33,18 +33,18 @@ class RigSurface:
 
     Args:
         rig: the rig.
-        samples: how many of its outer vertices stand for the skin, spread evenly.
-        stillness: how much each vertex counts when rigid motion is looked for, `(vertex,)`; None: all alike.
+        samples: number of evenly spread outer vertices that sample the skin.
+        stability: weight of each vertex in rigid registration, `(vertex,)`; None: equal.
 
     Attributes:
-        outer: whether each vertex can be seen from outside, `(vertex,)`.
-        sampled: the vertices that stand for the skin, `(sample,)`.
-        centre: of the rest mesh, `(3,)`, mm: what rigid motion turns about.
+        outer: whether each vertex is visible from outside, `(vertex,)`.
+        sampled: indices of the vertices that sample the skin, `(sample,)`.
+        centre: of the rest mesh, `(3,)`, mm: the pivot of rigid motion.
     """
 
-    def __init__(self, rig: LinearRig, samples: int = 1500, stillness: np.ndarray | None = None) -> None:
+    def __init__(self, rig: LinearRig, samples: int = 1500, stability: np.ndarray | None = None) -> None:
         self.rig = rig
-        self.stillness = np.ones(len(rig.rest_vertices)) if stillness is None else stillness
+        self.stability = np.ones(len(rig.rest_vertices)) if stability is None else stability
         self.faces = np.ascontiguousarray(rig.faces.cpu().numpy(), np.int64)
         self.border = border_edges(self.faces)
         rest = rig.rest_vertices.cpu().numpy().astype(np.float64)
@@ -83,7 +83,7 @@ class RigSurface:
         return coefficients[0].float(), jacobian
 
     def rows(self, corners: np.ndarray, barycentric: np.ndarray, normals: np.ndarray) -> Tensor:
-        """How far each coefficient moves points of the surface along normals, `(point, coefficient)`, mm per unit.
+        """Derivatives of surface points along normals by the coefficients, `(point, coefficient)`, mm per unit.
 
         Args:
             corners, barycentric: of the points, `(point, corner)`.
@@ -100,7 +100,7 @@ class RigSurface:
 
 
 def exposure(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The fraction of the directions of each vertex's hemisphere in which nothing of the mesh is in the way, `(vertex,)`."""
+    """The fraction of unoccluded directions in each vertex's hemisphere, `(vertex,)`."""
     mesh = trimesh.Trimesh(points, faces, process=False)
     normals = TriangleMesh(points, faces).normals
     directions = _sphere(DIRECTIONS)
@@ -113,7 +113,7 @@ def exposure(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
-    """The numbers `(count,)` of points that lie as far from one another as they can, greedily."""
+    """Indices `(count,)` of points by greedy farthest point sampling."""
     if count >= len(points):
         return np.arange(len(points))
     points = points.astype(np.float32)
@@ -127,7 +127,7 @@ def farthest_points(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def _sphere(count: int) -> np.ndarray:
-    """Directions `(count, 3)` spread evenly over the sphere (Fibonacci)."""
+    """Evenly spread directions `(count, 3)` (Fibonacci sphere)."""
     number = np.arange(count) + 0.5
     z = 1 - 2 * number / count
     angle = np.pi * (1 + 5**0.5) * number

@@ -1,4 +1,4 @@
-"""Scans to controls, frame after frame: where each starts, when it is tried anew, and what it is worth."""
+"""The solver of single scans: starts, restarts, and flags."""
 
 from dataclasses import dataclass, field, replace
 
@@ -14,29 +14,28 @@ from riginv.tracking.surfaces.fitting import FROM_NEAR, FROM_SCRATCH, Schedule, 
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.quality import Quality, quality
-from riginv.tracking.surfaces.restarts import hidden_controls, promising
+from riginv.tracking.surfaces.restarts import hidden_controls, promising_starts
 from riginv.tracking.surfaces.rig_surface import RigSurface
 from riginv.tracking.surfaces.triangles import Surface
 
-OFF_KINKS = 0.02  # of a control's range, that a start keeps away from its limits
+MARGIN = 0.02  # of a control's range between a start and its limits
 
 
 @dataclass(frozen=True)
 class ScanSettings:
-    """How scans are solved.
+    """Settings of the solver.
 
     Attributes:
-        samples: of the rig's skin, and of the scan.
-        noise_mm: standard deviation of the distance that remains between the scan and the best mesh of the rig: what the
-            prior is weighed by.
+        samples: number of samples of the rig's skin, and of the scan.
+        noise_mm: standard deviation of the residual between the scan and the rig's best mesh, which weights the prior.
         base: mm^2 for a control that leaves neutral by its whole range, beside the prior.
         from_scratch, from_near: the steps of a fit.
-        explained: the fraction of a scan's points that a fit should explain, or other starts are tried.
-        starts: how many of these, at most.
+        explained: fraction of explained points below which further starts are tried.
+        starts: number of these, at most.
         seen: the fraction of the rig's skin below which a frame is flagged as `little_seen`.
         lost_mm: mean distance of a scan from the rig above which a frame is flagged as `lost`.
         unexplained: the fraction of a scan's points, explained, below which a frame is flagged as `unexplained`.
-        ambiguous_mm: standard deviation of the skin's vertices that scan and prior leave, above which it is `ambiguous`.
+        ambiguous_mm: posterior standard deviation of the skin's vertices above which it is flagged as `ambiguous`.
     """
 
     samples: int = 1500
@@ -54,13 +53,13 @@ class ScanSettings:
 
 @dataclass(frozen=True)
 class SolvedScan:
-    """What was found for one scan.
+    """The solution of one scan.
 
     Attributes:
         state: controls and rigid motion.
         quality: how well they explain it.
-        restarted: whether other starts were tried.
-        turned: whether the scan had to be turned by right angles to be found at all.
+        restarted: whether further starts were tried.
+        turned: whether it was aligned only after a rotation by right angles.
     """
 
     state: State
@@ -74,58 +73,59 @@ class ScanSolver:
     """Solves scans of one rig.
 
     Attributes:
-        rig: what is solved through.
-        prior: how likely its controls are.
-        settings: how.
-        moves: whether rigid motion is to be found.
-        stillness: how much each vertex counts when the scan is first looked for, `(vertex,)`; None: all alike.
+        rig: the rig.
+        prior: on its controls.
+        settings: of the solver.
+        moves: whether rigid motion is estimated.
+        stability: weight of each vertex in the alignment, `(vertex,)`; None: equal.
     """
 
     rig: LinearRig
     prior: ControlPrior
     settings: ScanSettings = field(default_factory=ScanSettings)
     moves: bool = True
-    stillness: np.ndarray | None = None
+    stability: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        self.surface = RigSurface(self.rig, self.settings.samples, self.stillness)
-        self.start = self.prior.mean.clamp(OFF_KINKS, 1 - OFF_KINKS)
+        self.surface = RigSurface(self.rig, self.settings.samples, self.stability)
+        self.start = self.prior.mean.clamp(MARGIN, 1 - MARGIN)
         first = self.fit_of(1.0)
         mesh, outer = self.surface.posed(first.coefficients(self.start)).mesh, np.flatnonzero(self.surface.outer)
-        self.aligner = Aligner(mesh, outer, self.surface.sampled, self.surface.stillness)
+        self.aligner = Aligner(mesh, outer, self.surface.sampled, self.surface.stability)
         self.library = PoseLibrary.of(self.rig)
         self.hidden, self.fit_neutral = hidden_controls(first), first.neutral
 
     def target(self, surface: Surface) -> Target:
-        """A scan, prepared."""
+        """The target of a scan."""
         return Target.of(surface, self.settings.samples)
 
     def fit(self, target: Target) -> SurfaceFit:
-        """The fit of a scan, with the prior as it counts beside so many measurements."""
+        """The fit of a scan, with the prior weighted for its measurements."""
         return self.fit_of(independent_measurements(torch.from_numpy(target.points)))
 
     def variance_per_measurement(self, target: Target) -> float:
-        """Of a scan, mm^2: what a prior in fractions of the ranges is weighed by."""
+        """The weight of the prior for a scan, mm^2."""
         return self.settings.noise_mm**2 / max(independent_measurements(torch.from_numpy(target.points)), 1)
 
     def fit_of(self, measurements: float) -> SurfaceFit:
-        """The fit of a scan that holds so many independent measurements."""
+        """The fit of a scan with a number of independent measurements."""
         weighed: GaussianPrior = self.prior.weighed(self.settings.noise_mm, measurements)
         return SurfaceFit(self.surface, weighed, self.moves, self.settings.base)
 
     def solve(self, target: Target, before: SolvedScan | None = None) -> SolvedScan:
-        """Solve a scan, from the frame before where that helps.
+        """Solve a scan, from the frame before if there is one.
 
-        Where the answer does not explain the scan, it is solved from scratch; and where that does not either, from the most
-        promising of some poses. The best by the robust distance and the prior is kept.
+        If the solution does not explain the scan, it is solved from scratch, and then from the most promising of some poses.
+        The best solution by robust distance and prior is kept.
         """
-        fit, best = self.fit(target), None
+        fit = self.fit(target)
+        best: SolvedScan | None = None
         if before is not None:
             best = self._try(fit, target, before.state, self.settings.from_near)
             expected = min(self.settings.explained, before.quality.explained - 0.01)
             if best.quality.explained >= expected:
                 return best
-        motion, turned = Motion.none(), False
+        motion, turned = Motion.identity(), False
         if self.moves:
             aligned = self.aligner.align(target)
             motion, turned = aligned.motion, aligned.turned
@@ -141,7 +141,7 @@ class ScanSolver:
         for number in self.hidden:
             starts.append(self.start.clone())
             starts[-1][number] = STRONG if self.fit_neutral[number] < 1 else 1 - STRONG
-        starts += [fresh[number] for number in promising(fit, target, motion, best.quality, near, self.settings.starts)]
+        starts += [fresh[number] for number in promising_starts(fit, target, motion, best.quality, near, self.settings.starts)]
         for units in starts:
             best = self._better(best, self._try(fit, target, State(units, motion), self.settings.from_scratch))
         return replace(best, restarted=True)
@@ -155,7 +155,7 @@ class ScanSolver:
         return other if one is None or other.quality.objective < one.quality.objective else one
 
     def flags(self, found: SolvedScan) -> list[str]:
-        """Why a frame is worth a look: `lost`, `unexplained`, `little_seen`."""
+        """The flags of a frame: `lost`, `unexplained`, `little_seen`."""
         named = {
             "lost": not found.quality.scan_mm < self.settings.lost_mm or found.quality.explained < 0.5,
             "unexplained": found.quality.explained < self.settings.unexplained,

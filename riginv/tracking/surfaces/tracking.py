@@ -1,4 +1,4 @@
-"""A clip of scans from end to end: each frame from the one before, then all at once; one scan is in memory at a time."""
+"""Inversion of a clip of scans: each frame from the one before, then all together; one scan is in memory at a time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,32 +7,32 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.clips.units import Meaning
+from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
-from riginv.tracking.surfaces.clip import ScanSmoothness, smooth_scans
+from riginv.tracking.surfaces.clip import ScanSmoothness, nearest_known, smooth_scans
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
 from riginv.tracking.surfaces.uncertainty import Uncertainty, open_controls, uncertainty
 
 AMBIGUOUS, NO_SCAN = "ambiguous", "no_scan"
-LOOKED_AT = 24  # frames, spread over the clip, that tell which controls scans leave open
+SAMPLED_FRAMES = 24  # that tell which controls the scans do not determine
 
 
 @dataclass(frozen=True)
 class ScanTrack:
-    """What came of a clip of scans.
+    """The inversion of a clip of scans.
 
     Attributes:
         controls: `(frame, control)`, within the rig's limits.
         motion: from the rig's mesh to the scans, mm, y up, `(frame, 4, 4)`.
         scan_mm, rig_mm: mean distance of each scan's explained points from the rig, and of the rig's seen skin from the scan,
             `(frame,)`; NaN where there is no scan.
-        seen: the fraction of the rig's skin that each scan has seen, `(frame,)`.
+        seen: the fraction of the rig's skin that each scan covers, `(frame,)`.
         explained: the fraction of each scan's points that the rig explains, `(frame,)`.
-        flags: why each frame is worth a look: `lost`, `unexplained`, `little_seen`, `ambiguous`, `no_scan`.
+        flags: of each frame: `lost`, `unexplained`, `little_seen`, `ambiguous`, `no_scan`.
         open_controls: the names of controls that the scans do not determine: they stay where the prior has them.
-        notes: whole sentences for the user.
+        notes: sentences for the user.
     """
 
     controls: Tensor
@@ -49,7 +49,7 @@ class ScanTrack:
 def track_scans(
     solver: ScanSolver,
     scans: ScanSequence,
-    meaning: Meaning,
+    units: ClipUnits,
     frames: Sequence[int],
     smoothness: ScanSmoothness | None = None,
     advance: Callable[[str, int], None] = lambda what, frames: None,
@@ -57,10 +57,10 @@ def track_scans(
     """Controls and rigid motion of some frames of a clip.
 
     Args:
-        meaning: of the scans' numbers.
-        frames: the numbers of the frames to solve, in order, counted from 0; -1 for one that is left out.
-        smoothness: of the curves; None: each frame for itself.
-        advance: told what is done, and how many frames are.
+        units: of the scans.
+        frames: indices of the frames to solve, in order; -1 for an excluded one.
+        smoothness: of the curves; None: each frame on its own.
+        advance: reports progress.
 
     Raises:
         InputError: no frame has a scan, or none can be brought onto the rig.
@@ -69,7 +69,7 @@ def track_scans(
     def load(row: int) -> Target | None:
         scan = scans.scan(frames[row]) if frames[row] >= 0 else None
         cleaned = None if scan is None else scan.cleaned()
-        return None if cleaned is None else solver.target(cleaned.surface(meaning.mm, meaning.axes.double().numpy()))
+        return None if cleaned is None else solver.target(cleaned.surface(units.mm, units.axes.double().numpy()))
 
     found: list[SolvedScan | None] = []
     for row in range(len(frames)):
@@ -79,12 +79,14 @@ def track_scans(
     given = [each is not None for each in found]
     _check(scans, [each for each in found if each is not None], solver)
     if smoothness is not None and len(found) > 2:
-        found = smooth_scans(solver, load, found, smoothness, lambda done: advance("the whole clip", done))
+        solved = smooth_scans(solver, load, found, smoothness, lambda done: advance("the whole clip", done))
     else:
-        found = _nearest(found)
-    looked = [row for row in np.unique(np.linspace(0, len(found) - 1, LOOKED_AT).astype(int)) if given[row]]
-    unsure = {row: uncertainty(solver, load(row), found[row]) for row in looked}
-    return _result(solver, found, given, unsure)
+        solved = nearest_known(found)
+    unsure: dict[int, Uncertainty] = {}
+    for row in np.unique(np.linspace(0, len(solved) - 1, SAMPLED_FRAMES).astype(int)).tolist():
+        if (target := load(row)) is not None:
+            unsure[row] = uncertainty(solver, target, solved[row])
+    return _result(solver, solved, given, unsure)
 
 
 def _check(scans: ScanSequence, found: list[SolvedScan], solver: ScanSolver) -> None:
@@ -99,15 +101,11 @@ def _check(scans: ScanSequence, found: list[SolvedScan], solver: ScanSolver) -> 
         )
 
 
-def _nearest(found: list[SolvedScan | None]) -> list[SolvedScan]:
-    known = np.array([row for row, each in enumerate(found) if each is not None])
-    return [found[known[np.abs(known - row).argmin()]] for row in range(len(found))]
-
-
 def _result(solver: ScanSolver, found: list[SolvedScan], given: list[bool], unsure: dict[int, Uncertainty]) -> ScanTrack:
     fit, settings = solver.fit_of(1.0), solver.settings
     rows = np.array(sorted(unsure))
-    flags, notes = [], []
+    flags: list[list[str]] = []
+    notes: list[str] = []
     for row, (each, there) in enumerate(zip(found, given)):
         near = unsure[int(rows[np.abs(rows - row).argmin()])]
         ambiguous = [AMBIGUOUS] if near.skin_mm > settings.ambiguous_mm else []
@@ -115,11 +113,15 @@ def _result(solver: ScanSolver, found: list[SolvedScan], given: list[bool], unsu
     turned = sum(each.turned for each in found)
     if turned:
         notes.append(f"{turned} scans had to be turned by right angles to be found: reading.up=z may say why")
-    numbers = torch.tensor([each.quality[1:5] if there else [torch.nan] * 4 for each, there in zip(found, given)])
+    values = [each.quality[1:5] if there else [torch.nan] * 4 for each, there in zip(found, given)]
+    scan_mm, rig_mm, seen, explained = torch.tensor(values).float().T
     return ScanTrack(
         torch.stack([fit.controls(each.state.units) for each in found]),
         torch.stack([torch.from_numpy(each.state.motion.matrix).float() for each in found]),
-        *numbers.float().T,
+        scan_mm,
+        rig_mm,
+        seen,
+        explained,
         flags,
         open_controls(solver, list(unsure.values())),
         notes,

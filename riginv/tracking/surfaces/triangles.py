@@ -1,4 +1,4 @@
-"""Closest points on a surface: triangles searched with libigl, or a cloud of points with normals."""
+"""Closest points on surfaces: triangle meshes, searched with libigl, and point clouds with normals."""
 
 from abc import ABC, abstractmethod
 from functools import cached_property
@@ -10,19 +10,19 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 EDGE = 1e-4  # the barycentric coordinate below which a point lies on an edge
-NEIGHBOURS = 16  # of a point, that its normal is estimated from
-SPARSE_GAP = 3.0  # times the typical spacing beyond which a cloud's point is taken to lie at its border
+NEIGHBOURS = 16  # points that a normal is estimated from
+ONE_SIDED = 0.35  # distance of a point from the mean of its neighbours, relative to the farthest, at the border of a cloud
 
 
 class Hits(NamedTuple):
-    """The closest points of a surface to some queries.
+    """Closest points of a surface to query points.
 
     Attributes:
         points: `(query, 3)`, mm.
         normals: `(query, 3)`, of unit length.
         distance: `(query,)`, mm.
         on_border: whether the closest point lies on the border of the surface, `(query,)`.
-        corners: the vertices that each point lies between, `(query, corner)`.
+        corners: indices of the vertices around each point, `(query, corner)`.
         barycentric: its weights on these, `(query, corner)`.
     """
 
@@ -35,17 +35,20 @@ class Hits(NamedTuple):
 
 
 class Surface(ABC):
-    """A surface that can be asked for closest points.
+    """A surface with closest points.
 
     Attributes:
         points: `(point, 3)`, mm.
         normals: of each point, `(point, 3)`, of unit length.
-        border_points: whether each point is at the border of the surface, `(point,)`.
     """
 
     points: np.ndarray
     normals: np.ndarray
-    border_points: np.ndarray
+
+    @property
+    @abstractmethod
+    def border_points(self) -> np.ndarray:
+        """Whether each point is at the border of the surface, `(point,)`."""
 
     @abstractmethod
     def closest(self, queries: np.ndarray) -> Hits:
@@ -57,12 +60,12 @@ class Surface(ABC):
 
 
 class TriangleMesh(Surface):
-    """Triangles.
+    """A triangle mesh.
 
     Args:
         points: `(point, 3)`, mm.
         faces: `(face, 3)`.
-        border: as `border_edges(faces)`, where it is known.
+        border: `border_edges(faces)`, if it is known already.
     """
 
     def __init__(self, points: np.ndarray, faces: np.ndarray, border: np.ndarray | None = None) -> None:
@@ -103,23 +106,23 @@ class TriangleMesh(Surface):
         return Hits(found, normals, np.sqrt(np.maximum(squared.reshape(-1), 0)), on_border, corners, weights)
 
     def samples(self, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        face, weights = self.sampled_places(count, seed)
+        face, weights = self.sample_barycentric(count, seed)
         corners = self.faces[face]
         points = (weights[..., None] * self.points[corners]).sum(axis=1)
         return points, unit((weights[..., None] * self.normals[corners]).sum(axis=1))
 
-    def sampled_places(self, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def sample_barycentric(self, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Triangles `(sample,)` and barycentric coordinates `(sample, 3)`, stratified by area."""
         rng = np.random.default_rng(seed)
         total = np.cumsum(self.areas)
-        wanted = (np.arange(count) + rng.random(count)) / count * total[-1]
-        face = np.minimum(np.searchsorted(total, wanted), len(total) - 1)
+        area = (np.arange(count) + rng.random(count)) / count * total[-1]
+        face = np.minimum(np.searchsorted(total, area), len(total) - 1)
         root, along = np.sqrt(rng.random(count)), rng.random(count)
         return face, np.stack([1 - root, root * (1 - along), root * along], axis=1)
 
 
 class PointCloud(Surface):
-    """Points with normals; where a scanner gave none they are estimated and turned to the side away from the middle.
+    """Points with normals; missing normals are estimated and oriented outwards.
 
     Args:
         points: `(point, 3)`, mm.
@@ -132,22 +135,26 @@ class PointCloud(Surface):
         distance, near = self.tree.query(self.points, k=min(NEIGHBOURS, len(points)))
         self.spacing = float(np.median(distance[:, 1])) if len(points) > 1 else 1.0
         self.normals = self._estimated(near) if normals is None else unit(np.asarray(normals, np.float64))
-        away = np.linalg.norm(self.points[near].mean(axis=1) - self.points, axis=1)
-        self.border_points = away > 0.35 * distance[:, -1]  # all neighbours on one side
+        offset = np.linalg.norm(self.points[near].mean(axis=1) - self.points, axis=1)
+        self._border_points = offset > ONE_SIDED * distance[:, -1]
+
+    @property
+    def border_points(self) -> np.ndarray:
+        return self._border_points
 
     def _estimated(self, near: np.ndarray) -> np.ndarray:
         local = self.points[near] - self.points[near].mean(axis=1, keepdims=True)
         normals = np.linalg.eigh(local.transpose(0, 2, 1) @ local)[1][:, :, 0]
-        away = self.points - self.points.mean(axis=0)
-        return oriented(normals, near, (normals * away).sum(axis=1))
+        outward = self.points - self.points.mean(axis=0)
+        return oriented(normals, near, (normals * outward).sum(axis=1))
 
     def closest(self, queries: np.ndarray) -> Hits:
         _, nearest = self.tree.query(queries)
         normals = self.normals[nearest]
         height = ((queries - self.points[nearest]) * normals).sum(axis=1, keepdims=True)
-        beside = queries - height * normals - self.points[nearest]
-        short = np.minimum(1.0, self.spacing / np.maximum(np.linalg.norm(beside, axis=1, keepdims=True), 1e-12))
-        points = self.points[nearest] + short * beside  # on the tangent plane, no further from the point than its neighbours
+        tangent = queries - height * normals - self.points[nearest]
+        factor = np.minimum(1.0, self.spacing / np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12))
+        points = self.points[nearest] + factor * tangent  # on the tangent plane, at most a typical spacing away
         corners, weights = nearest[:, None], np.ones((len(nearest), 1))
         return Hits(points, normals, np.linalg.norm(queries - points, axis=1), self.border_points[nearest], corners, weights)
 
@@ -159,7 +166,7 @@ class PointCloud(Surface):
 
 
 def oriented(normals: np.ndarray, near: np.ndarray, outward: np.ndarray, rounds: int = 10) -> np.ndarray:
-    """Normals `(point, 3)` turned to one side: that of `outward` `(point,)`, smoothed over neighbours `(point, neighbour)`."""
+    """Normals `(point, 3)` flipped where `outward` `(point,)` is negative, by majority of neighbours `(point, neighbour)`."""
     signs = np.where(outward < 0, -1.0, 1.0)
     agreement = np.einsum("pc,pnc->pn", normals, normals[near])
     for _ in range(rounds):
@@ -168,7 +175,7 @@ def oriented(normals: np.ndarray, near: np.ndarray, outward: np.ndarray, rounds:
 
 
 def border_edges(faces: np.ndarray) -> np.ndarray:
-    """Whether the edge opposite each corner belongs to one triangle alone, `(face, 3)`."""
+    """Whether the edge opposite each corner belongs to one triangle only, `(face, 3)`."""
     edges = np.sort(np.stack([faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]], axis=1).reshape(-1, 2), axis=1)
     key = edges[:, 0] * (int(faces.max(initial=0)) + 1) + edges[:, 1]
     _, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
@@ -181,18 +188,18 @@ def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     inside = points - corners[:, 0]
     a, b, c = ((x * y).sum(axis=1) for x, y in ((first, first), (first, second), (second, second)))
     d, e = (inside * first).sum(axis=1), (inside * second).sum(axis=1)
-    whole = np.maximum(a * c - b * b, 1e-24)
-    v, w = (c * d - b * e) / whole, (a * e - b * d) / whole
+    determinant = np.maximum(a * c - b * b, 1e-24)
+    v, w = (c * d - b * e) / determinant, (a * e - b * d) / determinant
     weights = np.clip(np.stack([1 - v - w, v, w], axis=1), 0, 1)
     return weights / weights.sum(axis=1, keepdims=True)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors `(vector, 3)` of length 1; those of no length stay 0."""
+    """Vectors `(vector, 3)` normalised; zero vectors stay zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def _scatter(faces: np.ndarray, points: int) -> sparse.csr_array:
-    """A matrix `(point, face)` that adds up what belongs to the faces around each point."""
+    """A matrix `(point, face)` that sums values of the faces around each point."""
     rows, columns = faces.reshape(-1), np.repeat(np.arange(len(faces)), 3)
     return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(points, len(faces)))

@@ -1,27 +1,25 @@
-"""What a scan does not determine: controls that it leaves where the prior has them, and how unsure the mesh is."""
+"""What a scan does not determine: controls that stay at the prior, and the posterior deviation of the mesh."""
 
 from typing import NamedTuple
 
 import numpy as np
 import torch
 
-from riginv.tracking.surfaces.clip import eliminated
+from riginv.tracking.surfaces.clip import eliminate_motion
 from riginv.tracking.surfaces.fitting import Linearised
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
 
-LEFT_OPEN = 0.9  # of the prior's standard deviation, that remains of a control which a scan does not determine
-VERTICES = 300  # of the skin, that the deviation of the mesh is taken at
-MATTERS_MM = (
-    0.2  # root mean square over the vertices that a control moves, for one standard deviation; fainter ones are not named
-)
+UNDETERMINED = 0.9  # remaining fraction of the prior's standard deviation of a control that a scan does not determine
+VERTICES = 300  # of the skin, at which the deviation of the mesh is measured
+MATTERS_MM = 0.2  # root mean square displacement by one standard deviation; weaker controls are not reported
 
 
 class Uncertainty(NamedTuple):
-    """What is unsure about one frame, by the Hessian at its answer.
+    """The uncertainty of a frame, from the Hessian at its solution.
 
     Attributes:
-        remaining: of each control's standard deviation before the scan was seen, `(control,)`: 1 where the scan tells nothing.
+        remaining: posterior relative to prior standard deviation of each control, `(control,)`: 1 where the scan adds nothing.
         skin_mm: standard deviation of the skin's vertices, root mean square.
     """
 
@@ -30,13 +28,13 @@ class Uncertainty(NamedTuple):
 
 
 def uncertainty(solver: ScanSolver, target: Target, found: SolvedScan) -> Uncertainty:
-    """The posterior of a frame's controls, as a Gaussian around its answer."""
+    """The uncertainty of a solution: a Gaussian posterior of the controls."""
     fit, schedule = solver.fit(target), solver.settings.from_near
     posed = fit.surface.posed(fit.coefficients(found.state.units))
     scale = max(schedule.last_scale_mm, 5 * found.quality.scan_mm)
     near = Linearised(fit, found.state, match(fit.surface, posed, target, found.state.motion, scale, schedule.degrees))
     each = solver.variance_per_measurement(target)
-    covariance = each * torch.linalg.inv(eliminated(fit, near).hessian)
+    covariance = each * torch.linalg.inv(eliminate_motion(fit, near).hessian)
     before = each * torch.linalg.inv(fit.prior.precision)
     remaining = (covariance.diagonal().clamp_min(0) / before.diagonal()).sqrt().numpy()
     columns = _skin_columns(solver, found)
@@ -45,19 +43,19 @@ def uncertainty(solver: ScanSolver, target: Target, found: SolvedScan) -> Uncert
 
 
 def open_controls(solver: ScanSolver, seen: list[Uncertainty]) -> list[str]:
-    """The names of the controls that scans leave open in most frames, and that would move the mesh."""
+    """The names of controls that most scans do not determine, and that move the mesh."""
     if not seen:
         return []
     remaining = np.median([each.remaining for each in seen], axis=0)
     return [
         name
-        for name, share, matters in zip(solver.rig.control_names, remaining, _matters(solver))
-        if share > LEFT_OPEN and matters
+        for name, fraction, matters in zip(solver.rig.control_names, remaining, _matters(solver))
+        if fraction > UNDETERMINED and matters
     ]
 
 
 def _skin_columns(solver: ScanSolver, found: SolvedScan) -> torch.Tensor:
-    """How controls move vertices of the skin, `(3 vertices, control)`, mm for their whole range."""
+    """Derivatives of skin vertices by the controls, `(3 vertices, control)`, mm for a whole range."""
     surface, fit = solver.surface, solver.fit_of(1.0)
     some = np.repeat(surface.sampled[:: max(1, len(surface.sampled) // VERTICES)], 3)
     axes = np.tile(np.eye(3), (len(some) // 3, 1))

@@ -1,7 +1,7 @@
-"""A mesh wrapped onto a scan of somebody: its topology, the other's shape.
+"""Non-rigid registration of a mesh to a scan.
 
-A similarity first, by closest points; then a displacement of each vertex towards the scan that is smooth at first and follows
-it ever more closely (nonrigid ICP after Amberg, Romdhani and Vetter, 2007, with a Laplacian in place of affine maps).
+First a similarity by closest points, then vertex displacements of decreasing stiffness (nonrigid ICP after Amberg, Romdhani and
+Vetter, 2007, with a Laplacian in place of affine maps).
 """
 
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ from riginv.tracking.surfaces.rig_surface import EXPOSED, exposure, farthest_poi
 from riginv.tracking.surfaces.triangles import Hits, Surface, TriangleMesh, border_edges
 
 SAMPLES = 1500
-FOLLOWED = 12  # vertices of the skin whose displacement a part that hangs free follows, such as an eyeball
-TOO_FAR_MM = 8.0  # robust mean distance beyond which a scan is of something else
-WIDE_MM, SCALE_MM = 20.0, 5.0  # of Geman and McClure's weights, at least, at first and in the end
+FOLLOWED = 12  # skin vertices that a vertex of a loose part, such as an eyeball, follows
+TOO_FAR_MM = 8.0  # robust mean distance beyond which a scan does not match the mesh
+WIDE_MM, SCALE_MM = 20.0, 5.0  # least scale of Geman and McClure's weights, at first and in the end
 
 
 @dataclass(frozen=True)
 class WrapSettings:
-    """How a mesh is wrapped.
+    """Settings of the registration.
 
     Attributes:
-        similarity_rounds: of similarity by closest points.
-        stiffness: of each round's displacement, against the distance of one vertex; falling.
-        normal_fraction: of a displacement that goes along the normal of the scan; the rest is sliding.
-        degrees: between the normals of a vertex and of the scan, beyond which a vertex is not drawn to it.
-        usable_mm: the distance up to which a vertex counts as lying on the scan.
+        similarity_rounds: iterations of the similarity.
+        stiffness: of each iteration of the displacements, relative to the data term of one vertex; decreasing.
+        normal_fraction: weight of displacements along the scan's normal; the rest is sliding.
+        degrees: angle between the normals of a vertex and of the scan, beyond which they do not match.
+        usable_mm: distance up to which a vertex lies on the scan.
     """
 
     similarity_rounds: int = 25
@@ -47,14 +47,13 @@ class WrapSettings:
 
 
 class Wrapped(NamedTuple):
-    """A mesh that was wrapped onto a scan.
+    """A mesh registered to a scan.
 
     Attributes:
-        vertices: where the scan lies, mm, `(vertex, 3)`.
-        local: the same in the frame of the mesh, without similarity: what differs from the rest mesh is the person,
-            `(vertex, 3)`.
-        scale: of the scan against the mesh.
-        motion: from the mesh's frame, scaled, to the scan's.
+        vertices: in the scan's frame, mm, `(vertex, 3)`.
+        local: in the mesh's frame, without the similarity, `(vertex, 3)`.
+        scale: of the scan relative to the mesh.
+        motion: from the scaled mesh's frame to the scan's.
         distance_mm: of each vertex from the scan, `(vertex,)`; NaN where it does not lie on it.
         usable: the fraction of the outer skin's vertices that lie on the scan.
     """
@@ -68,12 +67,12 @@ class Wrapped(NamedTuple):
 
 
 def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSettings | None = None) -> Wrapped:
-    """Fit a mesh to a scan.
+    """Register a mesh to a scan.
 
     Args:
         rest: vertices of the mesh `(vertex, 3)`, mm.
         faces: its triangles `(face, 3)`.
-        scan: in mm; where it lies and how large it is is found.
+        scan: in mm, in any pose and size.
 
     Raises:
         InputError: the scan cannot be brought onto the mesh.
@@ -82,18 +81,17 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
     outer = np.flatnonzero(exposure(rest, faces) > EXPOSED)
     border = border_edges(faces)
     scale, motion = _similarity(rest, faces, outer, scan, settings)
-    inside = lambda points: motion.undo(points) / scale  # noqa: E731
     skin = _skin(rest, faces, outer)
     moving, displacement = np.flatnonzero(skin), np.zeros_like(rest)
-    drawn = np.zeros(len(rest), bool)
-    drawn[outer] = True
+    attracted = np.zeros(len(rest), bool)
+    attracted[outer] = True
     smoothness = _smoothness(faces, skin)
     least = np.geomspace(WIDE_MM, SCALE_MM, len(settings.stiffness))
     for stiffness, least_mm in zip(settings.stiffness, least):
         mesh = TriangleMesh(rest + displacement, faces, border)
-        hits, weights = _draw(mesh, moving, scan, motion, scale, settings, float(least_mm))
-        weights = weights * drawn[moving]
-        towards = inside(hits.points) - mesh.points[moving]
+        hits, weights = _attract(mesh, moving, scan, motion, scale, settings, float(least_mm))
+        weights = weights * attracted[moving]
+        towards = motion.undo(hits.points) / scale - mesh.points[moving]
         normals = motion.undo_direction(hits.normals)
         along = (towards * normals).sum(axis=1, keepdims=True) * normals
         aim = displacement[moving] + along + (1 - settings.normal_fraction) * (towards - along)
@@ -102,13 +100,13 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
         displacement[moving] = factor.solve(weights[:, None] * aim)
         displacement = _with_loose_parts(rest, faces, skin, displacement)
     local = rest + displacement
-    hits, weights = _draw(TriangleMesh(local, faces, border), np.arange(len(rest)), scan, motion, scale, settings)
-    distance = np.where((weights > 0) & (hits.distance < settings.usable_mm) & drawn, hits.distance, np.nan)
-    usable = float(np.isfinite(distance[drawn & skin]).mean())
+    hits, weights = _attract(TriangleMesh(local, faces, border), np.arange(len(rest)), scan, motion, scale, settings)
+    distance = np.where((weights > 0) & (hits.distance < settings.usable_mm) & attracted, hits.distance, np.nan)
+    usable = float(np.isfinite(distance[attracted & skin]).mean())
     return Wrapped(motion.apply(scale * local), local, scale, motion, distance, usable)
 
 
-def _draw(
+def _attract(
     mesh: TriangleMesh,
     some: np.ndarray,
     scan: Surface,
@@ -117,7 +115,7 @@ def _draw(
     settings: WrapSettings,
     least_mm: float = SCALE_MM,
 ) -> tuple[Hits, np.ndarray]:
-    """The closest points of a scan to some vertices, in the scan's frame, and how much each draws."""
+    """Closest points of a scan to some vertices, in the scan's frame, and their weights."""
     hits = scan.closest(motion.apply(scale * mesh.points[some]))
     cosine = (mesh.normals[some] @ motion.rotation.T * hits.normals).sum(axis=1)
     typical = max(3 * float(np.median(hits.distance)), least_mm)
@@ -138,7 +136,7 @@ def _similarity(
         )
     scale, motion, target = 1.0, found.motion, Target.of(scan, SAMPLES)
     for _ in range(settings.similarity_rounds):
-        hits, weights = _draw(mesh, sampled, scan, motion, scale, settings)
+        hits, weights = _attract(mesh, sampled, scan, motion, scale, settings)
         ours, theirs, normals = motion.apply(scale * rest[sampled]), hits.points, hits.normals
         back = mesh.closest(motion.undo(target.points) / scale)
         other = motion.apply(scale * back.points)
@@ -146,8 +144,9 @@ def _similarity(
         good = (cosine > np.cos(np.radians(settings.degrees))) & ~back.on_border
         distance = np.linalg.norm(other - target.points, axis=1)
         further = np.where(good, 1 / (1 + (distance / SCALE_MM) ** 2) ** 2, 0.0)
-        pairs = zip((ours, theirs, normals, weights), (other, target.points, target.normals, further))
-        scale, motion = _similarity_step(*(np.concatenate(both) for both in pairs), scale, motion)
+        pairs = ((ours, other), (theirs, target.points), (normals, target.normals), (weights, further))
+        joined = [np.concatenate(both) for both in pairs]
+        scale, motion = _similarity_step(joined[0], joined[1], joined[2], joined[3], scale, motion)
     return scale, motion
 
 
@@ -156,8 +155,8 @@ def _similarity_step(
 ) -> tuple[float, Motion]:
     """One step of weighted least squares of distances along normals, in rotation, shift and scale."""
     centre = np.average(ours, axis=0, weights=weights + 1e-12)
-    away = ours - centre
-    rows = np.concatenate([np.cross(away, normals), normals, (away * normals).sum(axis=1, keepdims=True)], axis=1)
+    offset = ours - centre
+    rows = np.concatenate([np.cross(offset, normals), normals, (offset * normals).sum(axis=1, keepdims=True)], axis=1)
     square = rows.T @ (weights[:, None] * rows)
     change = np.linalg.solve(
         square + 1e-6 * np.diag(square.diagonal()), rows.T @ (weights * ((theirs - ours) * normals).sum(1))
@@ -167,13 +166,13 @@ def _similarity_step(
 
 
 def _skin(rest: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> np.ndarray:
-    """The vertices of the connected part that most outer vertices belong to, `(vertex,)`."""
+    """Whether each vertex is in the connected component with most outer vertices, `(vertex,)`."""
     _, part = connected_components(_adjacency(faces, len(rest)), directed=False)
     return part == np.bincount(part[outer]).argmax()
 
 
 def _smoothness(faces: np.ndarray, skin: np.ndarray) -> sparse.csc_array:
-    """Half the squared edges and five times the squared Laplacian of a displacement of the skin."""
+    """The smoothness matrix of skin displacements: half the squared edges plus five times the squared Laplacian."""
     adjacency = _adjacency(faces, len(skin))[skin][:, skin]
     degrees = adjacency.sum(axis=1)
     edges = sparse.diags_array(degrees) - adjacency
@@ -190,18 +189,18 @@ def _adjacency(faces: np.ndarray, count: int) -> sparse.csr_array:
 
 
 def _with_loose_parts(rest: np.ndarray, faces: np.ndarray, skin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Parts that hang free, such as eyeballs and teeth, follow the skin near them as rigid pieces."""
+    """Displacements where loose parts, such as eyeballs and teeth, follow the nearby skin rigidly."""
     if skin.all():
         return displacement
     result = displacement.copy()
     count, part = connected_components(_adjacency(faces, len(rest)), directed=False)
-    ours = np.flatnonzero(skin)
-    tree = cKDTree(rest[ours])
+    on_skin = np.flatnonzero(skin)
+    tree = cKDTree(rest[on_skin])
     for number in range(count):
         members = np.flatnonzero(part == number)
         if skin[members[0]]:
             continue
-        near = ours[tree.query(rest[members], k=min(FOLLOWED, len(ours)))[1].reshape(-1)]
+        near = on_skin[tree.query(rest[members], k=min(FOLLOWED, len(on_skin)))[1].reshape(-1)]
         motion = fit_motion(rest[near], rest[near] + displacement[near], np.ones(len(near)))
         result[members] = motion.apply(rest[members]) - rest[members]
     return result

@@ -1,4 +1,4 @@
-"""The times of an Alembic archive's samples, which Blender does not tell: read from its file (standard library and NumPy).
+"""Sample times of Alembic archives, read from the file, since Blender does not expose them (standard library and NumPy).
 
 An Ogawa archive (github.com/alembic/alembic, lib/Alembic/Ogawa and AbcCoreOgawa/ReadUtil.cpp) starts with 8 bytes, the last two
 of them its version, and the position of its root group: a count and as many positions, bit 63 of which marks data, a size and
@@ -23,7 +23,7 @@ COMMON_RATES = (15.0, 24_000 / 1001, 24.0, 25.0, 30_000 / 1001, 30.0, 48.0, 50.0
 
 
 class Sampling(NamedTuple):
-    """When samples were taken.
+    """Times of samples.
 
     Attributes:
         count: of samples.
@@ -37,14 +37,14 @@ class Sampling(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """The frames of a file.
+    """Frames of a file.
 
     Attributes:
-        numbers: `(frame,)`, rising.
+        numbers: `(frame,)`, ascending.
         seconds: of each, `(frame,)`.
-        fps: frames a second; 0: not known.
-        source: where that comes from.
-        notes: whole sentences: what was guessed or passed over.
+        fps: frames per second; 0: not known.
+        source: of the frame rate.
+        notes: sentences about guesses and what was ignored.
     """
 
     numbers: np.ndarray
@@ -55,7 +55,7 @@ class Frames(NamedTuple):
 
 
 def archive_frames(file: str) -> Frames | None:
-    """The frames of an archive; None where it has no such times: an older make, or nothing in it moves."""
+    """Frames of an archive; None where it has no sample times (older format) or nothing moves."""
     try:
         with open(file, "rb") as opened:
             samplings, fps = _read(opened)
@@ -134,8 +134,8 @@ def _read(file: BinaryIO) -> tuple[list[Sampling], float | None]:
     if not SAMPLINGS < count <= MOST_CHILDREN:
         raise ValueError("no root group")
     children = struct.unpack(f"<{count}Q", _bytes(file, root + 8, 8 * count, size))
-    said = re.search(rb"(?:^|;)(?:FramesPerTimeUnit|[^;=]*FPS)=([0-9.]+)", _data(file, children[METADATA], size))
-    fps = float(said[1]) if said else 0.0
+    match = re.search(rb"(?:^|;)(?:FramesPerTimeUnit|[^;=]*FPS)=([0-9.]+)", _data(file, children[METADATA], size))
+    fps = float(match[1]) if match else 0.0
     samplings = _samplings(_data(file, children[SAMPLINGS], size))
     if any(sampling.count > max(HELD_SAMPLES, size // 8) for sampling in samplings):
         raise ValueError("more samples than the file could hold")
@@ -155,15 +155,15 @@ def _samplings(data: bytes) -> list[Sampling]:
 
 
 def _data(file: BinaryIO, child: int, size: int) -> bytes:
-    place = child & ~IS_DATA
-    if not child & IS_DATA or not place:
+    position = child & ~IS_DATA
+    if not child & IS_DATA or not position:
         return b""
-    (length,) = struct.unpack("<Q", _bytes(file, place, 8, size))
-    return _bytes(file, place + 8, length, size)
+    (length,) = struct.unpack("<Q", _bytes(file, position, 8, size))
+    return _bytes(file, position + 8, length, size)
 
 
-def _bytes(file: BinaryIO, place: int, count: int, size: int) -> bytes:
-    if place + count > size:
+def _bytes(file: BinaryIO, position: int, count: int, size: int) -> bytes:
+    if position + count > size:
         raise ValueError("positions beyond the end of the file")
-    file.seek(place)
+    file.seek(position)
     return file.read(count)

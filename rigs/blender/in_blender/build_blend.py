@@ -4,8 +4,8 @@
     blender --background --python build_blend.py -- BLUEPRINT.npz OUT.blend
 
 Controls are custom properties of one object, `NAME controls`; weights of shapes are shape keys with drivers, joints are bones
-with drivers; what lies between (a driver of a shape, a limit) are driven custom properties of a hidden object, `NAME logic`.
-All expressions are of the kind that Blender computes itself, so an animator need not allow scripts.
+with drivers; intermediate values are driven custom properties of a hidden object, `NAME logic`. All expressions are simple
+ones that Blender evaluates without Python, so an animator need not allow scripts.
 """
 
 import json
@@ -51,7 +51,7 @@ def add_object(name: str, data: Any, location: Any = (0.0, 0.0, 0.0)) -> bpy.typ
 def add_mesh(name: str, arrays: dict[str, np.ndarray]) -> bpy.types.Object:
     """The rest mesh as an object, in metres."""
     vertices = upright(arrays["rest_vertices"]) * METRES
-    # Near its origin a mesh of this size has the most digits in float32: errors add up over hundreds of shape keys.
+    # Centred for float32 precision: rounding errors add up over hundreds of shape keys.
     centre = ((vertices.min(axis=0) + vertices.max(axis=0)) / 2).astype(np.float32)
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata((vertices - centre).tolist(), [], arrays["faces"].tolist())
@@ -71,7 +71,7 @@ def add_shape_keys(mesh: bpy.types.Object, names: list[str], arrays: dict[str, n
 
 
 def add_armature(mesh: bpy.types.Object, skeleton: dict, arrays: dict[str, np.ndarray]) -> bpy.types.Object:
-    """The skeleton as an armature at the place of the mesh, which it deforms; all channels are locked."""
+    """The skeleton as an armature that deforms the mesh; all channels are locked."""
     names, origin = skeleton["names"], np.array(mesh.location, np.float64)
     heads = upright(arrays["heads"]) * METRES - origin
     frames = np.stack([upright(arrays["frames"][..., axis]) for axis in range(3)], axis=-1)
@@ -114,9 +114,9 @@ def add_values(facts: dict, mesh: bpy.types.Object, armature: bpy.types.Object |
     logic = add_object(f"{facts['name']} logic", None)
     logic.hide_viewport = logic.hide_render = True
     shapes, channels = set(facts["shapes"]), (facts["skeleton"] or {}).get("channels", {})
-    places = {}  # of each value: datablock, path and index
+    properties = {}  # datablock, path and index of each value
 
-    def place_of(name: str) -> tuple:
+    def property_of(name: str) -> tuple:
         if name in shapes:
             return mesh.data.shape_keys, f'key_blocks["{name}"].value', -1
         if name in channels:
@@ -130,15 +130,15 @@ def add_values(facts: dict, mesh: bpy.types.Object, armature: bpy.types.Object |
         if value["of_controls"]:
             sources = [(controller, f'["{control}"]', -1) for control in inputs]
         else:
-            sources = [places[other] for other in inputs]
+            sources = [properties[other] for other in inputs]
         if channels.get(name, ("", ""))[1] == "location":
             factors = [factor * METRES for factor in factors]
-        while len(sources) > TERMS:  # sum a part by itself
-            part = place_of(f"{name} part {len(sources)}")
+        while len(sources) > TERMS:  # partial sums
+            part = property_of(f"{name} part {len(sources)}")
             add_driver(part, "sum", sources[:TERMS], factors[:TERMS], [])
             sources, factors = [*sources[TERMS:], part], [*factors[TERMS:], 1.0]
-        places[name] = place_of(name)
-        add_driver(places[name], value["operation"], sources, factors, value["curve"])
+        properties[name] = property_of(name)
+        add_driver(properties[name], value["operation"], sources, factors, value["curve"])
 
 
 if __name__ == "__main__":
@@ -146,4 +146,4 @@ if __name__ == "__main__":
     from drivers import TERMS, add_driver
 
     main(*(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]))
-    os._exit(0)  # where Python drivers ran, bpy can hang when it cleans up
+    os._exit(0)  # bpy can hang on exit after Python drivers ran

@@ -1,4 +1,4 @@
-"""Inside Blender: which frames of an imported Alembic or FBX file are read."""
+"""Inside Blender: the frames of an imported Alembic or FBX file."""
 
 import math
 
@@ -10,37 +10,37 @@ from worker import RefusedError
 
 MOST_FRAMES = 10_000_000
 DEFAULT_FPS = 30.0
-SLOWEST, FASTEST = 5.0, 1000.0  # keys a second that are frames
-NEAR = 1e-2  # of a frame that a key may stand beside it
+SLOWEST, FASTEST = 5.0, 1000.0  # plausible frame rates
+NEAR = 1e-2  # tolerance in frames
 
 
 def set_rate(fps: float) -> None:
-    """Let the scene play frames a second, before an import."""
+    """Set the frame rate of the scene, before an import."""
     render = bpy.context.scene.render
     render.fps = max(1, round(fps))
     render.fps_base = render.fps / fps
 
 
-def archive_rate(file: str, asked: float | None) -> float:
-    """Frames a second to import an archive at."""
+def archive_rate(file: str, requested: float | None) -> float:
+    """Frame rate for the import of an archive."""
     archive = archive_frames(file)
-    return asked or (archive.fps if archive else 0.0) or DEFAULT_FPS
+    return requested or (archive.fps if archive else 0.0) or DEFAULT_FPS
 
 
-def alembic_frames(file: str, asked: float | None) -> Frames:
-    """The frames of an archive: its own, or at the rate that the user asked for.
+def alembic_frames(file: str, requested: float | None) -> Frames:
+    """The frames of an archive: its own, or at the rate that the user requested for.
 
     Raises:
         RefusedError: there are too many.
     """
     archive, scene = archive_frames(file), bpy.context.scene
-    if archive and not asked:
+    if archive and not requested:
         return archive
     if archive and not archive.fps:  # its seconds cannot be meant
-        return archive._replace(fps=asked, source="reading.fps")
-    if asked:
-        ends = (archive.seconds[[0, -1]] * asked).round() if archive else (scene.frame_start, scene.frame_end)
-        return _whole_frames(file, int(ends[0]), int(ends[1]), asked, "reading.fps")
+        return archive._replace(fps=requested, source="reading.fps")
+    if requested:
+        ends = (archive.seconds[[0, -1]] * requested).round() if archive else (scene.frame_start, scene.frame_end)
+        return _whole_frames(file, int(ends[0]), int(ends[1]), requested, "reading.fps")
     frames = _whole_frames(file, scene.frame_start, scene.frame_end, DEFAULT_FPS, "")
     if len(frames.numbers) == 1:
         return frames._replace(fps=0.0)
@@ -48,8 +48,8 @@ def alembic_frames(file: str, asked: float | None) -> Frames:
     return frames._replace(fps=0.0, notes=(note,))
 
 
-def fbx_frames(file: str, take: Take | None, asked: float | None) -> Frames:
-    """The frames of a take, at the file's rate or the one that the user asked for.
+def fbx_frames(file: str, take: Take | None, requested: float | None) -> Frames:
+    """The frames of a take, at the file's rate or the one that the user requested for.
 
     Raises:
         RefusedError: there are too many.
@@ -59,10 +59,10 @@ def fbx_frames(file: str, take: Take | None, asked: float | None) -> Frames:
     keys = take.key_times() / render.fps if take else np.zeros(0)
     if not len(keys):
         return Frames(
-            np.zeros(1, np.int64), np.zeros(1), asked or rate, source, ("Nothing has keys: one still frame was read.",)
+            np.zeros(1, np.int64), np.zeros(1), requested or rate, source, ("Nothing has keys: one still frame was read.",)
         )
-    if asked:
-        rate, source = asked, "reading.fps"
+    if requested:
+        rate, source = requested, "reading.fps"
     elif not _is_on(keys, rate):
         finer = 1 / float(np.median(np.diff(keys)))
         if _is_on(keys, finer) and SLOWEST <= finer <= FASTEST:

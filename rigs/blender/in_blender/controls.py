@@ -1,4 +1,4 @@
-"""Inside Blender: what of a .blend an animator moves: custom properties that drive, undriven shape keys, free bones."""
+"""Inside Blender: the controls of a .blend: custom properties that drive, undriven shape keys, free bones."""
 
 import math
 import re
@@ -6,11 +6,11 @@ from typing import Any
 
 import bpy
 
-WIDEST = 1000.0  # limits beyond it are none at all: Blender's are 1e4 or 3e38 where nobody set them
-UNLIMITED_DEGREES = 45.0  # each way, of a rotation that nothing limits
-UNLIMITED_LENGTHS = 0.1  # each way, of a bone's own length, for a location that nothing limits
+WIDEST = 1000.0  # limits beyond it are unset: Blender's defaults are 1e4 or 3e38
+UNLIMITED_DEGREES = 45.0  # each way, for rotations without limits
+UNLIMITED_LENGTHS = 0.1  # each way, as a fraction of the bone's length, for locations without limits
 AXES = "xyz"
-# Constraints that overrule what an animator does to a bone.
+# Constraints that override channels of a bone.
 OVERRULE = {
     "COPY_TRANSFORMS": ("location", "rotation", "scale"),
     "ARMATURE": ("location", "rotation", "scale"),
@@ -21,11 +21,11 @@ OVERRULE = {
     "COPY_LOCATION": ("location",),
     "COPY_SCALE": ("scale",),
 }
-Driven = set[tuple[bpy.types.ID, str, int | None]]  # what drivers write: datablock, path, index
+Driven = set[tuple[bpy.types.ID, str, int | None]]  # datablock, path and index of driven properties
 
 
 class Control:
-    """One number that an animator moves: `owner.key`, or `owner[key]` of a custom property, or the element `index` of it."""
+    """A control: `owner.key`, or `owner[key]` of a custom property, or the element `index` of it."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class Control:
 
 
 def discover(mesh: bpy.types.Object, datablocks: list[bpy.types.ID]) -> dict[str, Control]:
-    """The controls of a mesh by name, of all datablocks that it depends on."""
+    """Controls of a mesh by name, from all datablocks that it depends on."""
     curves = [(datablock, curve) for datablock in datablocks for curve in drivers_of(datablock)]
     driven = {(datablock, curve.data_path, curve.array_index) for datablock, curve in curves}
     driven |= {(datablock, path, None) for datablock, path, _ in driven}
@@ -90,7 +90,7 @@ def drivers_of(datablock: bpy.types.ID) -> list[bpy.types.FCurve]:
 
 
 def properties_that_drive(curves: list[tuple[bpy.types.ID, bpy.types.FCurve]], driven: Driven) -> list[Control]:
-    """Custom properties that a driver reads and none writes, in the order of their owners' properties."""
+    """Custom properties that drivers read and none drives, in the order of their owners' properties."""
     found = {}
     targets = [target for _, curve in curves for variable in curve.driver.variables for target in variable.targets]
     for target in targets:
@@ -146,7 +146,7 @@ def shape_keys(mesh: bpy.types.Object, datablocks: list[bpy.types.ID], driven: D
 
 
 def free_channels(armature: bpy.types.Object, bone: bpy.types.PoseBone, driven: Driven) -> list[Control]:
-    """What an animator may do to a bone: channels that are not locked, driven or overruled, of bones that are shown."""
+    """Channels of a visible bone that are not locked, driven or overridden."""
     collections = bone.bone.collections
     if bone.bone.hide or (len(collections) and not any(collection.is_visible_effectively for collection in collections)):
         return []

@@ -1,20 +1,20 @@
-"""Inside Blender: drivers whose expressions Blender computes itself, and driven-key curves on them."""
+"""Inside Blender: drivers with simple expressions, which Blender evaluates without Python, and their curves."""
 
 import bpy
 
-PERCENT = 100.0  # curves get their inputs times this: Blender takes an input within 0.0001 of a key for the key
-TERMS = 8  # of one expression, which may be 255 characters long
+PERCENT = 100.0  # scale of curve inputs: Blender snaps inputs within 0.0001 to a key
+TERMS = 8  # most terms of an expression, which may have 255 characters
 
-Place = tuple[bpy.types.ID, str, int]  # a datablock, a path in it, an index or -1
+Property = tuple[bpy.types.ID, str, int]  # datablock, path, index or -1
 
 
-def add_driver(place: Place, operation: str, sources: list[Place], factors: list[float], curve: list) -> None:
-    """Let one number follow from others."""
-    owner, path, index = place
+def add_driver(target_property: Property, operation: str, sources: list[Property], factors: list[float], curve: list) -> None:
+    """Drive a property by others."""
+    owner, path, index = target_property
     fcurve = owner.driver_add(path, index) if index >= 0 else owner.driver_add(path)
     for modifier in list(fcurve.modifiers):
         fcurve.modifiers.remove(modifier)
-    while fcurve.keyframe_points:  # Blender adds two of its own
+    while fcurve.keyframe_points:  # Blender adds two by default
         fcurve.keyframe_points.remove(fcurve.keyframe_points[0], fast=True)
     driver = fcurve.driver
     driver.type = "SCRIPTED"
@@ -32,7 +32,7 @@ def add_driver(place: Place, operation: str, sources: list[Place], factors: list
 
 
 def expression(operation: str, factors: list[float], count: int) -> str:
-    """An operation on v0, v1... as Blender reads it."""
+    """Blender's expression of an operation on v0, v1..."""
     names = [f"v{number}" for number in range(count)]
     if operation == "sum":
         return "+".join(name if factor == 1 else f"{factor!r}*{name}" for factor, name in zip(factors, names))
@@ -44,7 +44,7 @@ def expression(operation: str, factors: list[float], count: int) -> str:
 
 
 def add_keys(fcurve: bpy.types.FCurve, curve: list) -> None:
-    """The keys of a curve, with their handles; beyond them it keeps its end values."""
+    """Add the keys of a curve with their handles; it is constant beyond them."""
     fcurve.extrapolation = "CONSTANT"
     fcurve.keyframe_points.add(len(curve))
     for point, (x, y, left, right) in zip(fcurve.keyframe_points, curve):

@@ -1,4 +1,4 @@
-"""Which meshes of a scene are read where the user names none: for all workers that read scenes (standard library only)."""
+"""Default selection of the meshes of a scene, for workers that read scenes (standard library only)."""
 
 from typing import Any
 
@@ -28,7 +28,7 @@ def choose_meshes(shown: list[Any], moving: list[Any], vertex_count: int | None,
 
 
 def unclear(meshes: list[Any], moving: list[Any]) -> str:
-    """That the user is to say which meshes are meant, with their names."""
+    """Message that asks the user to name meshes."""
     which = "those that move" if len(moving) > 1 else "its meshes"
     return (
         f"expected one mesh, say which with reading.mesh=NAME or reading.mesh=[NAME,NAME]; {which} are: "
@@ -43,9 +43,9 @@ def listing(names: list[str]) -> str:
 
 
 def _fitting(pool: list[Any], vertex_count: int | None) -> list[Any]:
-    alone = [mesh for mesh in pool if mesh.vertex_count == vertex_count]
-    if len(alone) == 1:
-        return alone
+    single = [mesh for mesh in pool if mesh.vertex_count == vertex_count]
+    if len(single) == 1:
+        return single
     return pool if len(pool) > 1 and sum(mesh.vertex_count for mesh in pool) == vertex_count else []
 
 

@@ -1,4 +1,4 @@
-"""Runs inside Blender's Python: plays an Alembic or FBX file for another process, frame by frame (docs/worker-protocol.md).
+"""Runs inside Blender's Python: a worker that evaluates frames of an Alembic or FBX file (docs/worker-protocol.md).
 
 PYTHON play.py     or     blender --background --factory-startup --python play.py
 """
@@ -76,7 +76,7 @@ class ClipScene:
                 )
             self.take, self.frames = None, alembic_frames(self.file, fps)
             return scene.moving(names, self.frames.seconds * self.clock)
-        takes = self.takes if animation is None else [self.asked_take(animation)]
+        takes = self.takes if animation is None else [self.requested_take(animation)]
         self.take, self.frames = None, fbx_frames(self.file, None, fps)
         for take in takes:
             take.play()
@@ -91,15 +91,15 @@ class ClipScene:
             self.notes.append(f"No animation moves the mesh: '{self.take.name}' was read.")
         return []
 
-    def asked_take(self, asked: str | int) -> Take:
+    def requested_take(self, requested: str | int) -> Take:
         """The take with a name, in full or behind its `|`, or with a number from 1."""
-        fitting = [take for take in self.takes if take.name == str(asked)]
-        fitting = fitting or [take for take in self.takes if take.name.rpartition("|")[2] == str(asked)]
-        if not fitting and str(asked).isdecimal() and 1 <= int(asked) <= len(self.takes):
-            fitting = [self.takes[int(asked) - 1]]
+        fitting = [take for take in self.takes if take.name == str(requested)]
+        fitting = fitting or [take for take in self.takes if take.name.rpartition("|")[2] == str(requested)]
+        if not fitting and str(requested).isdecimal() and 1 <= int(requested) <= len(self.takes):
+            fitting = [self.takes[int(requested) - 1]]
         if len(fitting) != 1:
             listed = listing([f"'{take.name}'" for take in self.takes])
-            raise RefusedError(f"{self.file}: reading.animation={asked} names {len(fitting)} animations; it has {listed}")
+            raise RefusedError(f"{self.file}: reading.animation={requested} names {len(fitting)} animations; it has {listed}")
         return fitting[0]
 
     def describe(self) -> Answer:

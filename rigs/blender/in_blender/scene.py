@@ -1,4 +1,4 @@
-"""Inside Blender: one mesh of a .blend as a function of the controls that move it."""
+"""Inside Blender: a mesh of a .blend as a function of its controls."""
 
 from typing import Any
 
@@ -7,12 +7,12 @@ import numpy as np
 from controls import discover, drivers_of
 from worker import RefusedError
 
-ROOTS = ("Scene", "WindowManager", "WorkSpace", "Screen", "Library")  # they use everything, and no rig hangs on them
+ROOTS = ("Scene", "WindowManager", "WorkSpace", "Screen", "Library")  # datablocks that use everything
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
 
 
 class BlenderScene:
-    """Loads, describes and evaluates, as docs/worker-protocol.md says."""
+    """The scene of a worker (docs/worker-protocol.md)."""
 
     def load(self, file: str, mesh: str | None = None, scripts: bool = False) -> Answer:
         """Open a file and choose its mesh."""
@@ -53,8 +53,8 @@ class BlenderScene:
         if unknown:
             raise RefusedError(f"{self.file}: there is no control '{unknown[0]}'")
         vertices = np.empty((len(controls), *self.rest.shape), np.float32)
-        for place, row in zip(vertices, controls.tolist()):
-            place[:] = self.pose(dict(zip(names, row)))
+        for number, row in enumerate(controls.tolist()):
+            vertices[number] = self.pose(dict(zip(names, row)))
         return {}, {"vertices": vertices}
 
     def pose(self, values: dict[str, float]) -> np.ndarray:
@@ -63,7 +63,7 @@ class BlenderScene:
             control.datablock for name, control in self.controls.items() if control.set(values.get(name, control.neutral))
         }
         for datablock in changed:
-            datablock.update_tag()  # a custom property does not do that by itself
+            datablock.update_tag()  # not automatic for custom properties
         self.graph.update()
         evaluated = self.mesh.evaluated_get(self.graph)
         mesh = evaluated.to_mesh()
@@ -106,7 +106,7 @@ def choose_mesh(file: str, name: str | None) -> bpy.types.Object:
 
 
 def make_visible(thing: bpy.types.Object) -> None:
-    """Blender does not evaluate what no view layer shows."""
+    """Show an object, since Blender evaluates only what a view layer shows."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
     thing.hide_viewport = False
     if thing.name not in layer.objects or not thing.visible_get():
@@ -132,7 +132,7 @@ def reached_from(thing: bpy.types.ID) -> list[bpy.types.ID]:
 
 
 def refuse_broken_drivers(file: str, datablocks: list[bpy.types.ID], scripts: bool) -> None:
-    """Drivers that Blender gave up on stand still: mostly since they need Python, which only a file's owner may allow."""
+    """Raises RefusedError where drivers are invalid, mostly because they need Python, which only the user may allow."""
     drivers = [curve.driver for datablock in datablocks for curve in drivers_of(datablock)]
     broken = [driver for driver in drivers if driver.type == "SCRIPTED" and not driver.is_valid]
     if broken and not scripts:

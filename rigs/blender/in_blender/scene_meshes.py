@@ -1,12 +1,12 @@
-"""Inside Blender: the meshes of an imported scene, in the world, and which of them are read."""
+"""Inside Blender: meshes of an imported scene in world space, and their selection."""
 
 import bpy
 import numpy as np
 from mesh_choice import choose_meshes, listing, unclear
 from worker import RefusedError
 
-LAST_FRAME = 1_048_574  # that Blender can go to
-LOOKS = 24  # at meshes, to see whether they move
+LAST_FRAME = 1_048_574  # Blender's greatest frame number
+LOOKS = 24  # sampled frames to detect motion
 
 
 class SceneMesh:

@@ -1,4 +1,4 @@
-"""FBX in Blender: the takes of a file, which Blender's importer loads as actions of which it uses the first it meets."""
+"""Takes of FBX files, which Blender's importer loads as actions."""
 
 import importlib
 from collections.abc import Callable
@@ -45,7 +45,7 @@ def import_takes(file: str) -> list[Take]:
     """Import a file into the scene.
 
     Returns:
-        Its takes, in its order; all actions as one where the importer does not let itself be watched.
+        Its takes, in its order; all actions as one where the importer cannot be wrapped.
     """
     if not hasattr(bpy.ops.import_scene, "fbx") or "io_scene_fbx" not in bpy.context.preferences.addons:
         bpy.ops.preferences.addon_enable(module="io_scene_fbx")

@@ -2,8 +2,8 @@
 
     PYTHON worker.py     or     blender --background --factory-startup --python worker.py
 
-What stands here knows nothing of Blender: with another scene that has the same three methods it serves Maya or Houdini.
-The files of this folder need only the standard library, NumPy and bpy.
+`serve` is independent of Blender: with another scene that has the same three methods it serves Maya or Houdini. The files of
+this folder need only the standard library, NumPy and bpy.
 """
 
 import ctypes
@@ -21,7 +21,7 @@ COMMANDS = ("load", "describe", "evaluate")
 
 
 class RefusedError(Exception):
-    """What was asked cannot be done; the message tells the user why."""
+    """A request cannot be met; the message tells the user why."""
 
 
 class Channel:
@@ -35,7 +35,7 @@ class Channel:
         self.outgoing.flush()
 
     def receive(self) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
-        """A header and its arrays by name; None and nothing once the other end is gone."""
+        """A header and its arrays by name; None and nothing at the end of the input."""
         length = self.incoming.read(4)
         if len(length) < 4:
             return None, {}
@@ -58,7 +58,7 @@ class Channel:
 
 
 def serve(scene: Any) -> None:
-    """Answer requests until asked to quit, or until the other end is gone."""
+    """Answer requests until a `quit` request or the end of the input."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, SIGKILL: amid an evaluation nobody notices that the parent died
     channel = Channel()

@@ -11,24 +11,24 @@ from rigs.dna.format.ragged import Ragged
 
 
 class Drive(NamedTuple):
-    """How a GUI control drives a weight: linearly, from 0 at one of its values to 1 at another."""
+    """A weight driven linearly by a GUI control, from 0 at one of its values to 1 at another."""
 
     gui: str
     zero: float = 0.0
     one: float = 1.0
 
     def at(self, weight: float) -> float:
-        """The value of the GUI control at a weight."""
+        """Value of the GUI control at a weight."""
         return self.zero + weight * (self.one - self.zero)
 
 
 class Factor(NamedTuple):
-    """What a shape's weight is a product of: a driven weight, or a hat of it.
+    """A factor of a shape's weight: a driven weight, or a hat function of it.
 
     Attributes:
         name: of the raw control that holds it.
         weight: the name of the driven weight.
-        hat: 1 at the middle of these weights, 0 at both ends; None: the weight itself.
+        hat: knots of the hat function, 1 at the middle one; None: the weight itself.
     """
 
     name: str
@@ -57,7 +57,7 @@ def blendshape_draft(
     Args:
         rest: `(vertex, 3)`, mm.
         drives: of each weight, by name.
-        guis: the order of the GUI controls; those of `drives` as they come, without it.
+        guis: order of the GUI controls; default: that of `drives`.
     """
     draft = Draft(name, gui=list(guis) or list(dict.fromkeys(drive.gui for drive in drives.values())))
     index_of: dict[str, int] = {}
@@ -79,7 +79,7 @@ def blendshape_draft(
 
 
 def _factors(drives: dict[str, Drive], shapes: Sequence[Shape]) -> list[Factor]:
-    """Every factor once, the driven weights first."""
+    """Unique factors, the driven weights first."""
     found = {name: Factor(name, name) for name in drives}
     for shape in shapes:
         for factor in shape.factors:
@@ -88,7 +88,7 @@ def _factors(drives: dict[str, Drive], shapes: Sequence[Shape]) -> list[Factor]:
 
 
 def _rows(drive: Drive, factor: Factor) -> list[Row]:
-    """The lines of a factor, each from the lesser value of its GUI control to the greater."""
+    """Table rows of a factor, by ascending values of its GUI control."""
     knots = [(0.0, 0.0), (1.0, 1.0)]
     if factor.hat is not None:
         left, middle, right = factor.hat

@@ -1,4 +1,4 @@
-"""Which rigs can be written as DNA files, and why others cannot."""
+"""Drafts of DNA files from rigs, and the reasons why some rigs have none."""
 
 from collections.abc import Callable
 
@@ -10,8 +10,8 @@ from riginv.rig.interface import LinearRig, RigBackend
 from rigs.body import BodyRig
 from rigs.dna.draft import Draft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
-from rigs.dna.exports.body import draft_of_body
 from rigs.dna.exports.gltf import draft_of_gltf
+from rigs.dna.exports.joints import draft_of_body
 from rigs.dna.exports.shapes import draft_of_shapes
 from rigs.dna.rig import DnaRig
 from rigs.face import FaceRig
@@ -25,13 +25,13 @@ HOLDS = "a DNA file holds lines between values of a control, hats, products, and
 def draft_of(rig: RigBackend) -> Draft:
     """A rig as a draft of a DNA file.
 
-    A rig class of a user may have a method `dna_draft() -> Draft`, which then says what it is made of.
+    User-defined rigs may implement a method `dna_draft() -> Draft`.
 
     Raises:
-        InputError: the format cannot hold its logic; the message names what.
+        InputError: the format cannot represent the rig; the message says why.
     """
     if hasattr(rig, "dna_draft"):
-        return rig.dna_draft()
+        return rig.dna_draft()  # type: ignore[operator]  # any attribute of a module may be a tensor, says torch
     for kind, writer in WRITERS.items():
         if isinstance(rig, kind):
             return writer(rig)
@@ -51,7 +51,7 @@ def draft_of(rig: RigBackend) -> Draft:
 
 
 def _is_plain(rig: LinearRig) -> bool:
-    """Whether each control is the weight of one shape, 0 at rest, and that is all."""
+    """Whether the controls are the weights of the shapes, 0 at rest."""
     if not len(rig.controls) == rig.primary_count == len(rig.basis) or any(c.neutral for c in rig.controls):
         return False
     controls = random_controls(rig, 8, 0)

@@ -1,4 +1,4 @@
-"""Avatars in glTF as drafts of DNA files."""
+"""Drafts of DNA files from glTF avatars."""
 
 import numpy as np
 from scipy import sparse
@@ -9,18 +9,18 @@ from rigs.dna.draft import Draft, MeshDraft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
 from rigs.dna.exports.joints import JointDrive, add_joints
 from rigs.gltf import GltfRig
-from rigs.gltf.motion import ANGLES, AXES_IN_SPACE
+from rigs.gltf.motion import ANGLES, AXES
 
 SEQUENCE = "zyx"  # R = Rx Ry Rz
 SAME_MM = 1e-2
-STATIC = "static"  # the joint that holds what no other joint carries
+STATIC = "static"  # joint for vertices without other joints
 
 
 def draft_of_gltf(rig: GltfRig) -> Draft:
-    """An avatar: its morph targets, and its joints where they are controls.
+    """A draft of an avatar: its morph targets, and its joints where they are controls.
 
     Raises:
-        InputError: it has what the format cannot hold, which is named.
+        InputError: the format cannot represent the rig; the message says why.
     """
     resting = [control.name for control in rig.controls if control.neutral]
     if resting:
@@ -32,14 +32,14 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     basis = rig.basis.double().numpy(force=True)
     rest = rig.rest_vertices.double().numpy(force=True)
     faces, motion = triangles(rig.faces.numpy(force=True)), rig.joint_motion
-    rows = 1 if motion is None else AXES_IN_SPACE
+    rows = 1 if motion is None else AXES
     deltas = basis[: rows * count].reshape(count, rows, *rest.shape).sum(axis=1)
     shapes = [Shape(name, [Factor(name, name)], delta) for name, delta in zip(rig.targets, deltas)]
     draft = blendshape_draft(rig.name, rest, faces, {name: Drive(name) for name in rig.targets}, shapes)
     if motion is None:
         return draft
     draft.sequence = SEQUENCE
-    frames = motion.places.double().numpy(force=True)
+    frames = motion.rest.double().numpy(force=True)
     points = basis[rows * count :][: NUMBERS * len(frames)].reshape(len(frames), 3, 4, *rest.shape)
     weights = points[:, 0, 3, :, 0].T  # (vertex, frame)
     _check_binding(rig, points, weights, frames, rest)
@@ -49,7 +49,7 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
         for number, name in enumerate(names)
         for axis, angle in enumerate(ANGLES)
     ]
-    world = np.concatenate([frames, np.eye(3, 4)[None]])  # the static joint last, so that the numbers of the others stay
+    world = np.concatenate([frames, np.eye(3, 4)[None]])  # the static joint last
     add_joints(draft, rig.controls[count:], drives, [*names, STATIC], [*motion.parents, -1], world)
     mesh = draft.meshes[0]
     remaining = np.clip(1 - weights.sum(axis=1, keepdims=True), 0, None)
@@ -60,7 +60,7 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
 
 
 def _check_binding(rig: GltfRig, points: np.ndarray, weights: np.ndarray, frames: np.ndarray, rest: np.ndarray) -> None:
-    """Raises InputError where joints carry other points than those of the mesh at rest, or stand in a space with scales."""
+    """Raises InputError where the bind pose is not the rest pose, or joints have scaled parents."""
     linear = frames[..., :3]
     if np.abs(linear @ linear.transpose(0, 2, 1) - np.eye(3)).max() > 1e-4:
         raise InputError(
@@ -68,9 +68,9 @@ def _check_binding(rig: GltfRig, points: np.ndarray, weights: np.ndarray, frames
             f"nodes and export it again"
         )
     for number, frame in enumerate(frames):
-        wanted = weights[:, number, None] * (rest - frame[:, 3])
+        expected = weights[:, number, None] * (rest - frame[:, 3])
         found = points[number, 0, :3, :, 0].T
-        if np.abs(found - wanted).max() > SAME_MM:
+        if np.abs(found - expected).max() > SAME_MM:
             raise InputError(
                 f"rig '{rig.name}': its skin was bound in another pose than the one that it rests in, where a DNA file has one "
                 f"pose for both: export it in its bind pose"

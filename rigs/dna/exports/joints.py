@@ -1,4 +1,4 @@
-"""Joints that controls drive, in the terms of the format: two raw controls for each control, one on each side of 0."""
+"""Driven joints in the terms of the format: two raw controls for each control, one on each side of 0."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -6,16 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy import sparse
 
 from riginv.rig.interface import Control
-from rigs.dna.draft import Draft, Group, Joint, Row
-from rigs.dna.logic.rotations import SEQUENCES, matrix_angles
+from rigs.body import BodyRig
+from rigs.body.controls import MOVES
+from rigs.dna.draft import Draft, Group, Joint, MeshDraft, Row
+from rigs.dna.exports.blendshapes import triangles
+from rigs.dna.logic.rotations import SEQUENCES, axes_of, matrix_angles
 
-UP, DOWN = "+", "-"  # endings of the raw controls on either side of 0
+UP, DOWN = "+", "-"  # suffixes of the raw controls on either side of 0
 
 
 class JointDrive(NamedTuple):
-    """What a control adds to an attribute of a joint for each of its units: mm or degrees.
+    """Contribution of a control to an attribute of a joint per unit: mm or degrees.
 
     Attributes:
         attribute: 0 to 2 translation, 3 to 5 rotation by x, y, z.
@@ -53,16 +57,15 @@ def add_joints(
                 draft.raw.append(raw)
                 points = sorted([(0.0, 0.0), (limit, 1.0)])
                 draft.rows.append(Row.between(control.name, raw, *points))
-    sequence = tuple("xyz".index(axis) for axis in draft.sequence)
     assert draft.sequence in SEQUENCES
     first = len(draft.joints)
     for number, (name, parent) in enumerate(zip(names, parents)):
-        linear, where = rest[number, :, :3], rest[number, :, 3]
+        linear, position = rest[number, :, :3], rest[number, :, 3]
         if parent >= 0:
             above = rest[parent, :, :3]
-            linear, where = above.T @ linear, above.T @ (where - rest[parent, :, 3])
-        angles = np.degrees(matrix_angles(torch.tensor(linear), sequence).numpy())
-        draft.joints.append(Joint(name, -1 if parent < 0 else first + parent, where, angles))
+            linear, position = above.T @ linear, above.T @ (position - rest[parent, :, 3])
+        angles = np.degrees(matrix_angles(torch.tensor(linear), axes_of(draft.sequence)).numpy())
+        draft.joints.append(Joint(name, -1 if parent < 0 else first + parent, position.tolist(), angles.tolist()))
     entries: dict[int, dict[tuple[int, int], float]] = defaultdict(lambda: defaultdict(float))
     for drive in drives:
         for ending, limit in ((UP, of_control[drive.control].upper), (DOWN, of_control[drive.control].lower)):
@@ -80,3 +83,26 @@ def _group(values: dict[tuple[int, int], float]) -> Group:
     for (attribute, column), value in values.items():
         matrix[attributes.index(attribute), columns.index(column)] = value
     return Group(columns, attributes, matrix)
+
+
+SEQUENCE = "yzx"  # R = Rx Rz Ry in each joint's frame
+ATTRIBUTE = (3, 5, 4)  # of a joint's first, middle and last axis, which are x, z, y of its frame
+
+
+def draft_of_body(rig: BodyRig) -> Draft:
+    """A draft of the default body: joints in their own frames, and the joint axes that each control drives."""
+    skeleton = rig.skeleton()
+    heads, frames = skeleton.heads.double().numpy(force=True), rig.frames.double().numpy(force=True)
+    rest = np.concatenate([frames, heads[..., None]], axis=2)
+    degrees = rig.angles.rad2deg().double().numpy(force=True)
+    drives = [
+        JointDrive(rig.control_names[control], number // 3, ATTRIBUTE[number % 3], float(degrees[control, number]))
+        for control, number in zip(*degrees.nonzero())
+    ]
+    drives += [JointDrive(name, skeleton.parents.index(-1), axis, 1.0) for axis, name in enumerate(MOVES)]
+    draft = Draft(rig.name, sequence=SEQUENCE)
+    add_joints(draft, rig.controls, drives, skeleton.joint_names, skeleton.parents, rest)
+    weights = sparse.csr_array(skeleton.weights.double().numpy(force=True))
+    faces = triangles(rig.faces.numpy(force=True))
+    draft.meshes = [MeshDraft(rig.name, rig.rest_vertices.double().numpy(force=True), faces, weights, {})]
+    return draft

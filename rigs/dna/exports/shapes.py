@@ -1,4 +1,4 @@
-"""Folders of shapes as drafts of DNA files."""
+"""Drafts of DNA files from folders of shapes."""
 
 from riginv.errors import InputError
 from rigs.dna.draft import Draft
@@ -10,10 +10,10 @@ LISTED = 6  # names in a message, at most
 
 
 def draft_of_shapes(rig: ShapesRig) -> Draft:
-    """A folder of shapes: in-betweens are hats, combinations are products of weights and hats.
+    """A draft of a folder of shapes: in-betweens are hat functions, combinations products of weights and hats.
 
     Raises:
-        InputError: it has what the format cannot hold, which is named.
+        InputError: the format cannot represent the rig; the message says why.
     """
     shapes = rig.shapes
     if shapes.combinations and rig.logic.combine.__name__ != "combination_weights":
@@ -40,7 +40,7 @@ def draft_of_shapes(rig: ShapesRig) -> Draft:
 
 
 def _hats(shapes: Convention) -> dict[str, Factor]:
-    """The hat of each in-between: 0 at its neighbours on the path from 0 to 1."""
+    """Hat function of each in-between: 0 at its neighbours on the path from 0 to 1."""
     hats = {}
     for name, (owner, weight) in shapes.inbetweens.items():
         path = [0.0, *sorted(other for of, other in shapes.inbetweens.values() if of == owner), 1.0]

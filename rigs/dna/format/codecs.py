@@ -1,4 +1,4 @@
-"""How each type of a layer's fields stands in the bytes. A layer is a dataclass; its annotations say which codec reads it."""
+"""Binary codecs of the fields of layers. A layer is a dataclass whose annotations name the codecs."""
 
 import dataclasses
 import struct
@@ -16,7 +16,7 @@ class Codec(ABC):
     """Reads and writes one type.
 
     Attributes:
-        least: how many bytes a value takes at least.
+        least: minimum number of bytes of a value.
     """
 
     least: int
@@ -57,7 +57,7 @@ class Scalar(Codec):
 
 
 class OptionalByte(Codec):
-    """A byte that later versions have at the end of a layer; None where the layer ends before it."""
+    """A byte at the end of a layer of later versions; None where the layer ends before it."""
 
     least = 0
 
@@ -114,7 +114,7 @@ class RaggedRows(Codec):
         return found[0] if len(found) == 1 else tuple(found)
 
     def write(self, writer: Writer, value: Ragged | tuple[Ragged, ...]) -> None:
-        write_ragged(writer, [value] if len(self.dtypes) == 1 else value, self.dtypes)
+        write_ragged(writer, [value] if isinstance(value, Ragged) else value, self.dtypes)
 
 
 class Items(Codec):
@@ -138,7 +138,7 @@ class Record(Codec):
     """A dataclass, field after field.
 
     Args:
-        sized: whether its size stands before it; in version 2.1 the position of its end.
+        sized: whether it is preceded by its size, or in version 2.1 by the position of its end.
     """
 
     def __init__(self, kind: type, sized: bool = False) -> None:
@@ -158,16 +158,16 @@ class Record(Codec):
         return value
 
     def write(self, writer: Writer, value: Any) -> None:
-        room = writer.reserve() if self.sized else None
+        reserved = writer.reserve() if self.sized else None
         begin = writer.position
         for name, codec in self.fields.items():
             codec.write(writer, getattr(value, name))
-        if room is not None:
-            writer.fill(room, writer.position if writer.absolute_sizes else writer.position - begin)
+        if reserved is not None:
+            writer.fill(reserved, writer.position if writer.absolute_sizes else writer.position - begin)
 
 
 def codec_of(hint: Any) -> Codec:
-    """The codec of an annotation: the one that it carries, or that of a dataclass or of a tuple of them."""
+    """Codec of an annotation: its own, or that of a dataclass or a tuple."""
     if get_origin(hint) is Annotated:
         inner, *marks = get_args(hint)
         codec = next((mark for mark in marks if isinstance(mark, Codec)), None)

@@ -1,4 +1,4 @@
-"""DNA files as a whole: an index and layers (from version 2.2 on), or sections at eight offsets (version 2.1)."""
+"""DNA files: an index and layers (from version 2.2 on), or sections at eight offsets (version 2.1)."""
 
 import struct
 from dataclasses import dataclass
@@ -62,8 +62,8 @@ class Layer:
     @classmethod
     def of(cls, content: Any) -> "Layer":
         """The layer that holds a dataclass of `KINDS`."""
-        name, *version = next(key for key, kind in KINDS.items() if kind is type(content))
-        return cls(name, tuple(version), content)
+        name, major, minor = next(key for key, kind in KINDS.items() if kind is type(content))
+        return cls(name, (major, minor), content)
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _parse_sections(data: bytes, where: str) -> DnaFile:
         cursor.part = f"section '{kind.__name__.lower()}'"
         if offset != cursor.position:
             raise cursor.damaged(f"it is at byte {offset:,}, the one before it ends at byte {cursor.position:,}")
-        if kind is not Behavior:  # its offset is that of its first part
+        if kind is not Behavior:  # its offset is that of its first section
             found[kind] = CODECS[kind].read(cursor)
     cursor.part = "the end"
     start = cursor.take(len(FOOTER))
@@ -186,7 +186,7 @@ def _parse_sections(data: bytes, where: str) -> DnaFile:
 
 
 def dna_bytes(file: DnaFile) -> bytes:
-    """The bytes of a file: those that it was read from, apart from bytes that belonged to no layer.
+    """Bytes of a file: equal to those it was read from, except bytes of no layer.
 
     Raises:
         InputError: version 2.1 cannot hold its layers.
@@ -214,8 +214,8 @@ def _section_bytes(file: DnaFile) -> bytes:
     writer = Writer(absolute_sizes=True)
     writer.data += HEADER.pack(MAGIC, GENERATION, UNLAYERED) + bytes(OFFSETS.size)
     behavior = file.need(Behavior)
-    sections = (file.need(Descriptor), file.need(Definition), None, behavior.controls, behavior.joints)
-    sections += (behavior.channels, behavior.maps, file.need(Geometry))
+    sections = [file.need(Descriptor), file.need(Definition), None, behavior.controls, behavior.joints]
+    sections += [behavior.channels, behavior.maps, file.need(Geometry)]
     offsets = []
     for section in sections:
         offsets.append(writer.position)
@@ -226,7 +226,7 @@ def _section_bytes(file: DnaFile) -> bytes:
 
 
 def write_dna(path: str | Path, file: DnaFile) -> None:
-    """Write a file, whole or not at all."""
+    """Write a file atomically."""
     data = dna_bytes(file)
     with atomic_write(Path(path)) as beside:
         beside.write_bytes(data)

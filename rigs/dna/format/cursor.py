@@ -1,4 +1,4 @@
-"""Bytes of a DNA file: read with every count checked against what is there, and written."""
+"""Reading and writing the bytes of a DNA file, with every count checked against the remaining bytes."""
 
 import struct
 
@@ -15,9 +15,9 @@ class Cursor:
     Args:
         where: the file, for messages.
         data: all bytes of the file.
-        start, end: the part that may be read.
+        start, end: readable range.
         part: what is read, such as a layer, for messages.
-        absolute_sizes: whether blocks begin with the position of their end instead of their size, as in version 2.1.
+        absolute_sizes: whether blocks start with the position of their end instead of their size, as in version 2.1.
     """
 
     def __init__(self, where: str, data: bytes, start: int, end: int, part: str, absolute_sizes: bool = False) -> None:
@@ -29,11 +29,11 @@ class Cursor:
         return self.end - self.position
 
     def damaged(self, found: str) -> InputError:
-        """The error for bytes that cannot be meant."""
+        """The error for invalid bytes."""
         return InputError(f"{self.where}: {self.part}: {found}: the file is damaged or truncated; export or copy it again")
 
     def take(self, size: int) -> int:
-        """The position of the next `size` bytes, which are passed over."""
+        """Skip `size` bytes and return their position."""
         if size > self.remaining:
             raise self.damaged(f"{size:,} bytes are needed at byte {self.position:,}, only {self.remaining:,} are left")
         start = self.position
@@ -44,7 +44,7 @@ class Cursor:
         return form.unpack_from(self.data, self.take(form.size))[0]
 
     def count(self, least: int) -> int:
-        """The count in front of a list whose elements take at least `least` bytes each."""
+        """Count of a list whose elements have at least `least` bytes each."""
         count = self.number(U32)
         if count * least > self.remaining:
             raise self.damaged(
@@ -80,12 +80,12 @@ class Writer:
         self.data += np.asarray(values).astype(dtype).tobytes()
 
     def reserve(self) -> int:
-        """Leave room for a u32; its position."""
+        """Reserve a u32 and return its position."""
         self.number(U32, 0)
         return len(self.data) - U32.size
 
     def fill(self, position: int, value: int) -> None:
-        """Write a u32 into room that was left for it."""
+        """Write a reserved u32."""
         U32.pack_into(self.data, position, value)
 
 

@@ -1,4 +1,4 @@
-"""Lists of short lists, such as the corners of faces: two arrays instead of thousands of small ones."""
+"""Ragged arrays, such as the corners of faces."""
 
 import itertools
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ class Ragged(NamedTuple):
     """Rows of different lengths.
 
     Attributes:
-        values: of all rows, one after the other.
-        sizes: how many each row has, `(row,)`.
+        values: of all rows, concatenated.
+        sizes: number of values of each row, `(row,)`.
     """
 
     values: np.ndarray
@@ -30,7 +30,7 @@ class Ragged(NamedTuple):
 
     @property
     def owners(self) -> np.ndarray:
-        """The row of each value."""
+        """Row index of each value."""
         return np.repeat(np.arange(len(self.sizes)), self.sizes)
 
 
@@ -72,7 +72,7 @@ def write_ragged(writer: Writer, columns: Sequence[Ragged], dtypes: Sequence[np.
 
 
 def _positions(sizes: np.ndarray, dtypes: Sequence[np.dtype]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """In words, where the count of each list is `(row, column)`, and for each column where its values are."""
+    """Positions in words of the count of each list `(row, column)`, and of the values of each column."""
     widths = np.array([dtype.itemsize // WORD.itemsize for dtype in dtypes])
     lengths = COUNT_WORDS + sizes * widths
     starts = (np.cumsum(lengths) - lengths.reshape(-1)).reshape(sizes.shape)

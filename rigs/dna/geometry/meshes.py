@@ -1,4 +1,4 @@
-"""The meshes of a file: which make the rig, and their vertices, triangles, skin weights and targets, checked."""
+"""Meshes of a file: selection, vertices, triangles, skin weights and targets."""
 
 import logging
 from collections.abc import Sequence
@@ -16,20 +16,20 @@ from rigs.dna.geometry.space import Space
 from rigs.dna.logic.layout import Layout
 
 LOG = logging.getLogger(__name__)
-SUM_TOLERANCE = 1e-3  # how far skin weights may sum to something else than 1 without a word
+SUM_TOLERANCE = 1e-3  # deviation of the sum of skin weights from 1 that is not reported
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Meshes as one, mm along riginv's axes.
+    """Concatenated meshes, mm along riginv's axes.
 
     Attributes:
         names: of the meshes.
         starts: the first vertex of each mesh, and one past the last of all, `(mesh + 1,)`.
         rest: `(vertex, 3)` float64.
         triangles: `(face, 3)`.
-        weights: skin weights `(vertex, joint + 1)`; the last column is of vertices that no joint carries.
-        deltas: `(3 vertex, channel)`: how far each channel moves each coordinate.
+        weights: skin weights `(vertex, joint + 1)`; the last column is of unskinned vertices.
+        deltas: `(3 vertex, channel)`, per coordinate.
     """
 
     names: tuple[str, ...]
@@ -41,10 +41,10 @@ class Surface:
 
 
 def chosen_meshes(file: DnaFile, layout: Layout, lod: int, globs: Sequence[str]) -> list[int]:
-    """The meshes of a level of detail that globs name; all without globs.
+    """Indices of the meshes of a level of detail that match globs; all without globs.
 
     Raises:
-        InputError: there are none.
+        InputError: no mesh matches.
     """
     definition, geometry = file.need(Definition), file.need(Geometry)
     if len(geometry.meshes) != len(definition.meshes):
@@ -99,7 +99,7 @@ def read_surface(file: DnaFile, layout: Layout, space: Space, numbers: Sequence[
 
 
 def _triangles(layout: Layout, what: str, mesh: Mesh, vertices: int, flip: bool) -> np.ndarray:
-    """Every face as a fan around its first corner, `(triangle, 3)`."""
+    """Faces as triangle fans, `(triangle, 3)`."""
     corners, sizes = mesh.faces
     layout.check(f"a face of {what}", corners, len(mesh.position_of_corner), "corners")
     layout.check(f"a corner of {what}", mesh.position_of_corner, vertices, "vertices")

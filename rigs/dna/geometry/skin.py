@@ -1,4 +1,4 @@
-"""The last step: morph targets, then linear blend skinning, for all vertices or for some."""
+"""Morph targets followed by linear blend skinning (LBS), for all vertices or for some."""
 
 import numpy as np
 import torch
@@ -6,9 +6,9 @@ from scipy import sparse
 from torch import Tensor
 
 from rigs.dna.geometry.sparse import SparseMap
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Stage
 
-POSES, VERTICES = 16, 2048  # at a time: what a processor's cache holds; poses only where no gradient is wanted
+POSES, VERTICES = 16, 2048  # block sizes for CPU caches; poses only without gradients
 
 
 class Skin(Stage):
@@ -16,7 +16,7 @@ class Skin(Stage):
 
     Args:
         rest: `(vertex, 3)`, mm, about the skeleton's origin.
-        weights: `(vertex, joint)`, in the order of the skinning matrices; the last column is of vertices that no joint carries.
+        weights: `(vertex, joint)`, in the order of the skinning matrices; the last column is of unskinned vertices.
         deltas: `(3 vertex, channel)`, mm.
     """
 
@@ -47,12 +47,14 @@ class Skin(Stage):
         return torch.cat([section(channels, columns) for section in self.sections]).permute(2, 0, 1)
 
     def some(self, rows: np.ndarray) -> "Skin":
-        """The same for some of the vertices."""
+        """The skin of a subset of the vertices."""
         return Skin(self.rest[rows], self.weights[rows], self.deltas[coordinates_of(rows)])
 
 
 class Section(Stage):
-    """Some vertices that are posed together; arguments as those of `Skin`."""
+    """A block of vertices; arguments as of `Skin`."""
+
+    points: Tensor
 
     def __init__(self, rest: np.ndarray, weights: sparse.csr_array, deltas: sparse.csr_array) -> None:
         super().__init__()
@@ -72,5 +74,5 @@ class Section(Stage):
 
 
 def coordinates_of(vertices: np.ndarray) -> np.ndarray:
-    """The numbers `(3 vertex,)` of the coordinates of vertices."""
+    """Indices `(3 vertex,)` of the coordinates of vertices."""
     return (3 * vertices[:, None] + np.arange(3)).reshape(-1)

@@ -1,4 +1,4 @@
-"""From the coordinates of a file to riginv's: millimetres, x to the character's left, y up, z to the front."""
+"""Conversion of coordinates to riginv's: millimetres, x to the character's left, y up, z to the front."""
 
 from dataclasses import dataclass
 
@@ -11,20 +11,20 @@ from rigs.dna.format.layers import Descriptor, Geometry
 
 UNITS_MM = {0: 10.0, 1: 1000.0}  # cm, m
 UNIT_NAMES = {0: "centimetres", 1: "metres"}
-DIRECTIONS = {0: (-1, 0, 0), 1: (1, 0, 0), 2: (0, 1, 0), 3: (0, -1, 0), 4: (0, 0, 1), 5: (0, 0, -1)}  # left ... back, as seen
-SMALLEST_MM, LARGEST_MM = 30.0, 10_000.0  # that a character may be where nobody states its unit by hand
+DIRECTIONS = {0: (-1, 0, 0), 1: (1, 0, 0), 2: (0, 1, 0), 3: (0, -1, 0), 4: (0, 0, 1), 5: (0, 0, -1)}  # left ... back
+SMALLEST_MM, LARGEST_MM = 30.0, 10_000.0  # plausible sizes of a character
 FARTHEST_MM = 1e8
 
 
 @dataclass(frozen=True)
 class Space:
-    """How coordinates are converted: p becomes unit_mm * axes p.
+    """The map p -> unit_mm * axes p.
 
     Attributes:
-        unit_mm: millimetres to a unit of length of the file.
+        unit_mm: millimetres per unit of length of the file.
         axes: `(3, 3)`, orthogonal; the columns are the directions of the file's axes.
-        flips_faces: whether the order of the corners of faces changes.
-        stated_unit: what the file says of its unit; None where a user says it.
+        flips_faces: whether the winding of faces is reversed.
+        stated_unit: name of the file's unit; None where the user gives `unit_mm`.
     """
 
     unit_mm: float
@@ -37,7 +37,7 @@ class Space:
         """The space of a file.
 
         Args:
-            unit_mm: millimetres to a unit, in place of what the file states.
+            unit_mm: millimetres per unit; None: as the file states.
 
         Raises:
             InputError: units or axes are not known.
@@ -73,14 +73,14 @@ class Space:
         """Transforms of joints `(..., 3, 4)` as the file has them.
 
         Args:
-            centre: `(3,)`, mm: the point that the translations are counted from.
+            centre: `(3,)`, mm: the origin of the translations.
         """
         linear = self.axes.T @ transforms[..., :3]
         positions = self.points_in_file(transforms[..., 3] + centre)
         return np.concatenate([linear, positions[..., None]], axis=-1)
 
     def check_size(self, file: DnaFile, rest: np.ndarray) -> None:
-        """Raises InputError where a rest mesh `(vertex, 3)`, mm, or all meshes cannot be of the unit that the file states."""
+        """Raises InputError where the size of the meshes is implausible for the unit that the file states."""
         if not np.abs(rest).max(initial=0.0) < FARTHEST_MM:
             raise InputError(f"{file.path}: its vertices lie farther than 100 km from the origin: the file is damaged")
         meshes = [mesh.positions for mesh in file.need(Geometry).meshes]

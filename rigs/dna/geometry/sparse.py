@@ -1,4 +1,4 @@
-"""A sparse matrix times a dense one, differentiable in the dense one in both modes, also under vmap."""
+"""Sparse-dense matrix products, differentiable in the dense factor in both modes, also under vmap."""
 
 import warnings
 from typing import Any
@@ -8,15 +8,15 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Stage
 
-with warnings.catch_warnings():  # PyTorch says of the first sparse matrix of a process that they are new: let it be this one
+with warnings.catch_warnings():  # PyTorch warns once per process that sparse matrices are in beta
     warnings.simplefilter("ignore")
     torch.sparse_csr_tensor(torch.tensor([0, 1]), torch.tensor([0]), torch.ones(1), size=(1, 1), check_invariants=False)
 
 
 class _Product(torch.autograd.Function):
-    """matrix @ x; the transpose of the matrix comes along for the gradient."""
+    """matrix @ x; the transpose is for the gradient."""
 
     @staticmethod
     def forward(matrix: tuple[Tensor, ...], transpose: tuple[Tensor, ...], x: Tensor) -> Tensor:
@@ -47,7 +47,7 @@ class SparseMap(Stage):
     """A sparse matrix `(row, column)`.
 
     Args:
-        matrix: in any of scipy's formats; entries at one place add up.
+        matrix: in any of scipy's formats; duplicate entries are summed.
     """
 
     def __init__(self, matrix: sparse.spmatrix | sparse.sparray) -> None:

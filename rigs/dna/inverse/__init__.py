@@ -1,5 +1,3 @@
-"""From raw controls back to GUI controls: the exact inverse of a file's table within the limits of its GUI controls."""
+"""Exact inverse of a file's GUI table: from raw controls to GUI controls within their limits."""
 
-from rigs.dna.inverse.table import GuiAnswer, TableInverse
-
-__all__ = ["GuiAnswer", "TableInverse"]
+from rigs.dna.inverse.table import TableInverse as TableInverse

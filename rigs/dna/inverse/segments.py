@@ -1,4 +1,4 @@
-"""A GUI control as segments: intervals of its range on which every run of the table is one linear function."""
+"""Segments of a GUI control: intervals of its range on which the table is linear."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,11 @@ class Segments:
     """One GUI control.
 
     Attributes:
-        gui: its number.
-        rest: the value at rest.
-        outputs: the raw controls that it writes, `(output,)`.
-        ends: the lower and the upper end of each segment, `(segment, 2)`.
-        slopes, cuts: what it adds to each output on each segment, slope * x + cut, `(segment, output)`.
+        gui: index of the control.
+        rest: value at rest.
+        outputs: indices of the raw controls that it affects, `(output,)`.
+        ends: lower and upper end of each segment, `(segment, 2)`.
+        slopes, cuts: contribution slope * x + cut to each output on each segment, `(segment, output)`.
     """
 
     gui: int
@@ -29,13 +29,13 @@ class Segments:
 
     @property
     def range(self) -> tuple[np.ndarray, np.ndarray]:
-        """The least and the greatest value that it adds to each output, `(output,)` each."""
+        """Least and greatest contribution to each output, `(output,)` each."""
         values = np.concatenate([self.slopes * self.ends[:, :1] + self.cuts, self.slopes * self.ends[:, 1:] + self.cuts])
         return values.min(axis=0), values.max(axis=0)
 
 
 def segments_of(table: Conditions, gui: int) -> Segments:
-    """The segments of a GUI control that the table uses, in exact numbers of the file."""
+    """Segments of a GUI control that the table uses, with the exact numbers of the file."""
     runs = runs_of(table, len(table.inputs))
     rows = np.flatnonzero(table.inputs == gui)
     lower, upper = np.minimum(table.lower, table.upper).astype(float), np.maximum(table.lower, table.upper).astype(float)
@@ -43,13 +43,13 @@ def segments_of(table: Conditions, gui: int) -> Segments:
     breaks = np.unique(np.concatenate([lower[rows], upper[rows]]))
     rest = float(np.clip(0.0, breaks[0], breaks[-1]))
     between = np.stack([breaks[:-1], breaks[1:]], axis=1)
-    ends = np.concatenate([between, np.stack([breaks, breaks], axis=1)])  # at a break another row may hold than on both sides
+    ends = np.concatenate([between, np.stack([breaks, breaks], axis=1)])  # another row may apply at a break than on both sides
     slopes, cuts = np.zeros((len(ends), len(outputs))), np.zeros((len(ends), len(outputs)))
     for number, (start, end) in enumerate(ends):
         seen = set()
         for row in rows.tolist():
             if runs[row] not in seen and lower[row] <= start and end <= upper[row]:
-                seen.add(runs[row])  # the first row of a run that holds
+                seen.add(runs[row])  # the first applicable row of a run
                 column = int(np.searchsorted(outputs, table.outputs[row]))
                 slopes[number, column] += table.slopes[row]
                 cuts[number, column] += table.cuts[row]
@@ -62,6 +62,6 @@ def segments_of(table: Conditions, gui: int) -> Segments:
 
 
 def _continues(slopes: np.ndarray, cuts: np.ndarray, value: float, point: int, beside: list[int], count: int) -> bool:
-    """Whether the values at a break are those that one of the segments beside it ends in."""
+    """Whether the values at a break continue one of the adjacent segments."""
     values = slopes * value + cuts
     return any(np.allclose(values[point], values[segment], rtol=0, atol=1e-7) for segment in beside if 0 <= segment < count)

@@ -1,4 +1,4 @@
-"""The best values of several GUI controls that share outputs: a small mixed-integer program for each frame, solved exactly."""
+"""Optimal values of several GUI controls with common outputs, by a mixed-integer program for each frame."""
 
 from collections.abc import Sequence
 
@@ -10,10 +10,10 @@ from rigs.dna.inverse.segments import Segments
 
 
 class SharedOutputs:
-    """GUI controls and the outputs that they share.
+    """GUI controls with common outputs.
 
-    A control lies on one of its segments: a binary number for each, and a value that is 0 on the others. An output that the
-    clamp changes is told by two more binary numbers. The sum of the errors of the outputs is minimised (HiGHS).
+    Each control is on one of its segments: a binary variable for each, and a value that is 0 on the others. Two more binary
+    variables mark outputs that are clamped below or above. The sum of the errors of the outputs is minimised (HiGHS).
 
     Args:
         controls: the GUI controls.
@@ -37,11 +37,13 @@ class SharedOutputs:
         self.lowest, self.highest = np.minimum(lowest, 0.0), np.maximum(highest, 1.0)
         self.ends = np.concatenate([control.ends for control in controls])
 
-    def solve(self, wanted: np.ndarray) -> tuple[list[float], list[int]] | None:
-        """The value and the segment of each control for wanted outputs `(output,)`; None where the solver gives up."""
+    def solve(self, target: np.ndarray) -> tuple[list[float], list[int]] | None:
+        """Value and segment of each control for target outputs `(output,)`; None where the solver fails."""
         segments, count = self.segments, self.count
         variables = 2 * segments + 3 * count  # values, segments; error, below, above of each output
-        rows, lows, highs = [], [], []
+        rows: list[dict[int, float]] = []
+        lows: list[float] = []
+        highs: list[float] = []
 
         def add(entries: dict[int, float], low: float, high: float) -> None:
             rows.append(entries)
@@ -58,12 +60,12 @@ class SharedOutputs:
         for output in range(count):
             total = {number: value for number, value in enumerate(self.sums[output]) if value}
             error, below, above = (2 * segments + kind * count + output for kind in range(3))
-            low, high, goal = self.lowest[output], self.highest[output], wanted[output]
-            add({**total, error: 1.0, below: 1.0 - low}, goal, np.inf)  # error >= wanted - sum, but where sum < 0
-            add({error: 1.0, below: -goal}, 0.0, np.inf)  # there it is wanted
+            low, high, goal = self.lowest[output], self.highest[output], target[output]
+            add({**total, error: 1.0, below: 1.0 - low}, goal, np.inf)  # error >= target - sum, except where sum < 0
+            add({error: 1.0, below: -goal}, 0.0, np.inf)  # there it is the target
             add({**total, below: high}, -np.inf, high)  # sum <= 0 where below
-            add({**total, error: -1.0, above: -high}, -np.inf, goal)  # error >= sum - wanted, but where sum > 1
-            add({error: 1.0, above: -(1 - goal)}, 0.0, np.inf)  # there it is 1 - wanted
+            add({**total, error: -1.0, above: -high}, -np.inf, goal)  # error >= sum - target, except where sum > 1
+            add({error: 1.0, above: -(1 - goal)}, 0.0, np.inf)  # there it is 1 - target
             add({**total, above: low - 1.0}, low, np.inf)  # sum >= 1 where above
         matrix = csr_array(
             (

@@ -1,4 +1,4 @@
-"""The inverse of a file's GUI table."""
+"""Inverse of a file's GUI table."""
 
 from typing import NamedTuple
 
@@ -15,17 +15,17 @@ from rigs.dna.inverse.single import SAME, best_value
 from rigs.dna.logic.conditions import ConditionTable, input_ranges
 from rigs.dna.logic.layout import Layout
 
-REACHED = 1e-6  # the error of a component below which nothing better needs to be looked for
+REACHED = 1e-6  # error of a component that needs no further search
 MOST_ROWS = 500  # of the table, for one GUI control
-SWEEPS = 20  # over the controls of a component, before it is solved as a whole
+SWEEPS = 20  # of coordinate descent over the controls of a component
 
 
 class GuiAnswer(NamedTuple):
     """GUI controls for raw controls.
 
     Attributes:
-        gui: `(frame, gui)`, within their limits; at rest where they do not matter.
-        residual: raw controls that the table makes of them less the given ones, clamped to [0, 1], `(frame, raw)`.
+        gui: `(frame, gui)`, within limits; at rest where they have no effect.
+        residual: raw controls of the table minus the given ones, clamped to [0, 1], `(frame, raw)`.
     """
 
     gui: np.ndarray
@@ -33,10 +33,10 @@ class GuiAnswer(NamedTuple):
 
 
 class TableInverse:
-    """For raw controls the GUI controls whose table comes nearest, by the sum of absolute differences.
+    """GUI controls whose raw controls have the least sum of absolute differences from given ones.
 
-    GUI controls that share no output are solved one by one in closed form. Those that share outputs are solved as a whole, by
-    a mixed-integer program where a search from rest does not reach the raw controls exactly.
+    GUI controls without common outputs are solved one by one in closed form; others by coordinate descent from rest, and by a
+    mixed-integer program where that does not reach the raw controls exactly.
 
     Args:
         file: the file.
@@ -59,24 +59,24 @@ class TableInverse:
 
     def __call__(self, raw: np.ndarray) -> GuiAnswer:
         """GUI controls for raw controls `(frame, raw)`."""
-        wanted = np.clip(np.asarray(raw, dtype=np.float64), 0, 1)
-        gui = np.repeat(self.rest[None], len(wanted), axis=0)
+        target = np.clip(np.asarray(raw, dtype=np.float64), 0, 1)
+        gui = np.repeat(self.rest[None], len(target), axis=0)
         inside: list[tuple[Segments, np.ndarray]] = []
         for controls in self.components:
-            values, segments = self._solve(controls, wanted)
+            values, segments = self._solve(controls, target)
             for number, control in enumerate(controls):
                 gui[:, control.gui] = values[:, number]
                 inside.append((control, segments[:, number]))
-        gui = self._off_the_edges(gui, inside, wanted)
-        return GuiAnswer(gui, self._table(gui) - wanted)
+        gui = self._off_the_edges(gui, inside, target)
+        return GuiAnswer(gui, self._table(gui) - target)
 
-    def _solve(self, controls: list[Segments], wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _solve(self, controls: list[Segments], target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values and segments `(frame, control)` of the controls of a component."""
         if len(controls) == 1:
-            value, segment, _ = best_value(controls[0], np.zeros(1), wanted[:, controls[0].outputs])
+            value, segment, _ = best_value(controls[0], np.zeros(1), target[:, controls[0].outputs])
             return value[:, None], segment[:, None]
         outputs = np.unique(np.concatenate([control.outputs for control in controls]))
-        values = np.repeat([[control.rest for control in controls]], len(wanted), axis=0)
+        values = np.repeat([[control.rest for control in controls]], len(target), axis=0)
         segments = np.zeros(values.shape, np.int64)
         for number, control in enumerate(controls):
             segments[:, number] = _segment_at(control, control.rest)
@@ -85,39 +85,39 @@ class TableInverse:
             for number, control in enumerate(controls):
                 others = self._sums(controls, outputs, values, segments, without=number)
                 rows = np.searchsorted(outputs, control.outputs)
-                values[:, number], segments[:, number], _ = best_value(control, others[:, rows], wanted[:, control.outputs])
+                values[:, number], segments[:, number], _ = best_value(control, others[:, rows], target[:, control.outputs])
             if np.abs(values - before).max(initial=0.0) < SAME:
                 break
-        errors = _errors(self._sums(controls, outputs, values, segments), wanted[:, outputs])
+        errors = _errors(self._sums(controls, outputs, values, segments), target[:, outputs])
         program = SharedOutputs(controls, outputs)
         for frame in np.flatnonzero(errors > REACHED).tolist():
-            found = program.solve(wanted[frame, outputs])
+            found = program.solve(target[frame, outputs])
             if found is not None:
-                self._take_better(controls, outputs, wanted[frame : frame + 1, outputs], values, segments, frame, found)
+                self._take_better(controls, outputs, target[frame : frame + 1, outputs], values, segments, frame, found)
         return values, segments
 
     def _take_better(
         self,
         controls: list[Segments],
         outputs: np.ndarray,
-        wanted: np.ndarray,
+        target: np.ndarray,
         values: np.ndarray,
         segments: np.ndarray,
         frame: int,
         found: tuple[list[float], list[int]],
     ) -> None:
-        """Write what the program has found to a frame, to full precision, where it is better than what stands there."""
+        """Polish the solution of the program for a frame and store it where it is better than the present one."""
         value, segment = np.array([found[0]]), np.array([found[1]])
         tried = [(values[frame : frame + 1].copy(), segments[frame : frame + 1].copy()), (value, segment)]
         matrix = np.zeros((len(outputs), len(controls)))
         for number, control in enumerate(controls):
             matrix[np.searchsorted(outputs, control.outputs), number] = control.slopes[segment[0, number]]
-        free = (wanted[0] > 0) & (wanted[0] < 1)
-        remaining = (wanted - self._sums(controls, outputs, value, segment))[0]
+        free = (target[0] > 0) & (target[0] < 1)
+        remaining = (target - self._sums(controls, outputs, value, segment))[0]
         ends = np.array([control.ends[number] for control, number in zip(controls, found[1])])
         better = np.clip(value + np.linalg.lstsq(matrix[free], remaining[free], rcond=None)[0], ends[:, 0], ends[:, 1])
         tried.append((better, segment))
-        errors = [float(_errors(self._sums(controls, outputs, *one), wanted)[0]) for one in tried]
+        errors = [float(_errors(self._sums(controls, outputs, *one), target)[0]) for one in tried]
         values[frame], segments[frame] = (part[0] for part in tried[int(np.argmin(errors))])
 
     def _sums(
@@ -128,7 +128,7 @@ class TableInverse:
         segments: np.ndarray,
         without: int | None = None,
     ) -> np.ndarray:
-        """What the controls add to the outputs, not clamped, `(frame, output)`; `without` one of them."""
+        """Unclamped sum of the contributions of the controls, `(frame, output)`; `without` one of them."""
         total = np.zeros((len(values), len(outputs)))
         for number, control in enumerate(controls):
             if number != without:
@@ -137,8 +137,8 @@ class TableInverse:
                 total[:, np.searchsorted(outputs, control.outputs)] += added
         return total
 
-    def _off_the_edges(self, gui: np.ndarray, inside: list[tuple[Segments, np.ndarray]], wanted: np.ndarray) -> np.ndarray:
-        """Values that stand on the edge of their segment moved into it by one float32, where the table jumps there."""
+    def _off_the_edges(self, gui: np.ndarray, inside: list[tuple[Segments, np.ndarray]], target: np.ndarray) -> np.ndarray:
+        """Move values on the edge of their segment into it by one float32, where the table is discontinuous."""
         for control, segment in inside:
             if len(control.ends) == 1:
                 continue
@@ -146,7 +146,7 @@ class TableInverse:
             value = gui[:, control.gui]
             moved = gui.copy()
             moved[:, control.gui] = np.nextafter(value.astype(np.float32), middle.astype(np.float32))
-            worse, better = (np.abs(self._table(one) - wanted)[:, control.outputs].sum(axis=1) for one in (gui, moved))
+            worse, better = (np.abs(self._table(one) - target)[:, control.outputs].sum(axis=1) for one in (gui, moved))
             gui = np.where((better < worse - REACHED)[:, None], moved, gui)
         return gui
 
@@ -155,8 +155,8 @@ class TableInverse:
             return self.forward(torch.as_tensor(gui, dtype=torch.float64)).numpy()
 
 
-def _errors(sums: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    return np.abs(np.clip(sums, 0, 1) - wanted).sum(axis=1)
+def _errors(sums: np.ndarray, target: np.ndarray) -> np.ndarray:
+    return np.abs(np.clip(sums, 0, 1) - target).sum(axis=1)
 
 
 def _segment_at(control: Segments, value: float) -> int:
@@ -164,7 +164,7 @@ def _segment_at(control: Segments, value: float) -> int:
 
 
 def _components(controls: list[Segments], outputs: int) -> list[list[Segments]]:
-    """GUI controls that share outputs, directly or through others, together."""
+    """Connected components of GUI controls with common outputs."""
     counts = [len(control.outputs) for control in controls]
     columns = np.concatenate([control.outputs for control in controls] or [np.zeros(0)]).astype(np.int64)
     rows = np.repeat(np.arange(len(controls)), counts)

@@ -1,5 +1,3 @@
-"""What a DNA file computes: from GUI controls to raw controls, and on to joints, blendshape channels and animated maps."""
+"""The logic of DNA files: from GUI controls to raw controls, joints, blendshape channels and animated maps."""
 
-from rigs.dna.logic.stages import Logic, Stages
-
-__all__ = ["Logic", "Stages"]
+from rigs.dna.logic.stages import Logic as Logic

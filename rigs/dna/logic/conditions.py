@@ -1,16 +1,15 @@
-"""Piecewise linear tables: how GUI controls make raw controls, and controls make animated maps."""
+"""Piecewise linear tables: from GUI controls to raw controls, and from controls to animated maps."""
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from rigs.dna.format.layers import Conditions
-from rigs.dna.logic.layout import Layout
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Layout, Stage
 
 
 def runs_of(table: Conditions, rows: int) -> np.ndarray:
-    """The run that each of the first rows belongs to: rows of one input and one output that stand next to each other."""
+    """Index of the run of each of the first rows: consecutive rows with the same input and output."""
     inputs, outputs = table.inputs[:rows], table.outputs[:rows]
     starts = np.ones(rows, bool)
     starts[1:] = (np.diff(inputs.astype(np.int64)) != 0) | (np.diff(outputs.astype(np.int64)) != 0)
@@ -41,16 +40,23 @@ def check_table(layout: Layout, what: str, table: Conditions, inputs: int, outpu
 class ConditionTable(Stage):
     """Evaluates the first rows of a table.
 
-    In each run of rows the first one whose range holds its input counts, `slope * input + cut`; runs of one output add up; the
+    In each run the first row whose range contains the input applies, `slope * input + cut`; runs of one output are summed; the
     sum is clamped to [0, 1].
 
     Args:
-        rows: how many rows count.
-        outputs: how many outputs there are; those that no row writes are 0.
+        rows: number of rows that are used.
+        outputs: number of outputs; those without rows are 0.
 
     Raises:
         InputError: the table is damaged.
     """
+
+    run_inputs: Tensor
+    run_outputs: Tensor
+    lower: Tensor
+    upper: Tensor
+    slopes: Tensor
+    cuts: Tensor
 
     def __init__(self, layout: Layout, what: str, table: Conditions, rows: int, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -82,7 +88,7 @@ class ConditionTable(Stage):
 
 
 def input_ranges(table: Conditions, inputs: int) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the greatest value of each input for which some row holds, `(input,)`; NaN where no row uses it."""
+    """Range of each input in which a row applies, `(input,)` each; NaN where no row uses it."""
     lower, upper = np.full(inputs, np.nan), np.full(inputs, np.nan)
     np.fmin.at(lower, table.inputs, np.minimum(table.lower, table.upper))
     np.fmax.at(upper, table.inputs, np.maximum(table.lower, table.upper))

@@ -1,4 +1,4 @@
-"""All that moves joints, in the order of the reference: groups, swings and twists, nets."""
+"""Joint logic in the order of the reference: joint groups, twists and swings, nets."""
 
 import numpy as np
 import torch
@@ -8,24 +8,28 @@ from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import MachineLearningOperations, TwistsAndSwings
 from rigs.dna.format.layers import Definition
 from rigs.dna.logic.joints import JointChanges, JointGroups
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.learned_joints import LearnedJoints
 from rigs.dna.logic.rotations import Angles, matrix_angles, quaternion_matrices
-from rigs.dna.logic.stage import Stage
 from rigs.dna.logic.twists import TwistedJoints
 
 ROTATION = slice(3, 6)  # of a joint's nine attributes
 
 
 class JointStage(Stage):
-    """From controls to the changes of joints.
+    """From controls to changes of joints.
 
     Args:
-        joints: which joints matter, `(joint,)`; results have them in this order.
+        joints: indices of the joints to evaluate, `(joint,)`, in the order of the results.
 
     Raises:
         InputError: the file is damaged.
     """
+
+    quaternion_joints: Tensor
+    of_quaternions: Tensor
+    of_twisted: Tensor
+    of_learned: Tensor
 
     def __init__(self, file: DnaFile, layout: Layout, lod: int, joints: np.ndarray) -> None:
         super().__init__()
@@ -34,8 +38,9 @@ class JointStage(Stage):
         self.groups = JointGroups(file, layout, lod, joints)
         twists, operations = file.find(TwistsAndSwings), file.find(MachineLearningOperations)
         self.twisted = TwistedJoints(layout, twists, joints, count) if twists else None
-        has_learned = operations is not None and len(operations.outputs)
-        self.learned = LearnedJoints(layout, operations, self.angles, joints, count) if has_learned else None
+        self.learned = None
+        if operations is not None and len(operations.outputs):
+            self.learned = LearnedJoints(layout, operations, self.angles, joints, count)
         parts = [part.positions for part in (self.groups.quaternions, self.twisted, self.learned) if part is not None]
         quaternion_joints = torch.cat(parts).unique()
         self.keep(quaternion_joints=quaternion_joints)
@@ -44,7 +49,7 @@ class JointStage(Stage):
                 self.keep(**{f"of_{name}": torch.searchsorted(quaternion_joints, part.positions)})
 
     def forward(self, controls: Tensor) -> JointChanges:
-        """All controls `(batch, control)` to what the joints change by."""
+        """All controls `(batch, control)` to changes of joints."""
         attributes, quaternions, _ = self.groups(controls)
         if not len(self.quaternion_joints):
             return JointChanges(attributes, quaternions, self.quaternion_joints)
@@ -58,7 +63,7 @@ class JointStage(Stage):
         return JointChanges(attributes, rotations, self.quaternion_joints)
 
     def rotations(self, angles: Tensor, changes: JointChanges) -> Tensor:
-        """The rotation `(joint, 3, 3, batch)` of each joint against its neutral pose.
+        """Rotation `(joint, 3, 3, batch)` of each joint relative to its neutral pose.
 
         Args:
             angles: the Euler angles among the changes, `(joint, 3, batch)`.

@@ -1,4 +1,4 @@
-"""Joint groups: from controls to the translation, rotation and scale that each joint adds to its neutral pose."""
+"""Joint groups: from controls to changes of translation, rotation and scale of joints."""
 
 from typing import NamedTuple
 
@@ -9,17 +9,16 @@ from torch import Tensor
 from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import JointRepresentations
 from rigs.dna.format.layers import Behavior, Definition, JointGroup
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.quaternion_joints import ROTATION, QuaternionJoints
 from rigs.dna.logic.rotations import Angles
-from rigs.dna.logic.stage import Stage
 
 ATTRIBUTES = 9
 QUATERNION = 1  # of a joint's representation of rotation
 
 
 class JointChanges(NamedTuple):
-    """What joints add to their neutral pose. The batch comes last, for speed (`rigs.dna.geometry.transforms`).
+    """Changes of joints relative to their neutral pose; the batch is last for speed (`rigs.dna.geometry.skeleton`).
 
     Attributes:
         attributes: `(joint, 9, batch)` in the file's units: translation, Euler angles, scale less 1.
@@ -33,7 +32,7 @@ class JointChanges(NamedTuple):
 
 
 class Block(NamedTuple):
-    """The rows of a group that count, and the columns that are not all zero in them."""
+    """The used rows of a group, and the columns that are non-zero in them."""
 
     inputs: np.ndarray
     outputs: np.ndarray
@@ -44,11 +43,14 @@ class JointGroups(Stage):
     """Evaluates the joint groups of a level of detail.
 
     Args:
-        joints: which joints matter, `(joint,)`; results have them in this order.
+        joints: indices of the joints to evaluate, `(joint,)`, in the order of the results.
 
     Raises:
         InputError: a group is damaged.
     """
+
+    inputs: Tensor
+    rows_of_attributes: Tensor
 
     def __init__(self, file: DnaFile, layout: Layout, lod: int, joints: np.ndarray) -> None:
         super().__init__()
@@ -60,8 +62,10 @@ class JointGroups(Stage):
         index_of[joints] = np.arange(len(joints))
         self.joints = len(joints)
         blocks = [_linear_part(block, is_quaternion, index_of) for block in blocks]
-        blocks = [block for block in _later_stands(blocks) if block.values.size]
-        attributes = np.full(ATTRIBUTES * len(joints), sum(len(block.outputs) for block in blocks))  # behind all rows is a 0
+        blocks = [block for block in _without_overwritten(blocks) if block.values.size]
+        attributes = np.full(
+            ATTRIBUTES * len(joints), sum(len(block.outputs) for block in blocks)
+        )  # a zero row follows the others
         row = 0
         for number, block in enumerate(blocks):
             joint, attribute = np.divmod(block.outputs, ATTRIBUTES)
@@ -73,11 +77,11 @@ class JointGroups(Stage):
         self.keep(inputs=inputs, rows_of_attributes=attributes)
 
     def forward(self, controls: Tensor) -> JointChanges:
-        """All controls `(batch, control)` to what the joints change by."""
+        """All controls `(batch, control)` to changes of joints."""
         parts = controls.T.index_select(0, self.inputs).split(self.widths)
         rows = [self.get_buffer(f"values{number}").to(controls) @ part for number, part in enumerate(parts)]
-        rows = torch.cat([*rows, controls.new_zeros(1, len(controls))])
-        attributes = rows.index_select(0, self.rows_of_attributes).unflatten(0, (self.joints, ATTRIBUTES))
+        padded = torch.cat([*rows, controls.new_zeros(1, len(controls))])
+        attributes = padded.index_select(0, self.rows_of_attributes).unflatten(0, (self.joints, ATTRIBUTES))
         return JointChanges(attributes, self.quaternions(controls), self.quaternions.positions)
 
 
@@ -117,7 +121,7 @@ def used_columns(block: Block) -> np.ndarray:
 
 
 def _linear_part(block: Block, is_quaternion: np.ndarray, index_of: np.ndarray) -> Block:
-    """Of a block the rows of joints that matter, apart from quaternions, and the columns that are not all zero in them."""
+    """Rows of a block for evaluated joints without quaternions, and the columns that are non-zero in them."""
     joint = block.outputs // ATTRIBUTES
     rows = (index_of[joint] >= 0) & ~(is_quaternion[joint] & np.isin(block.outputs % ATTRIBUTES, ROTATION))
     values = block.values[rows]
@@ -125,8 +129,8 @@ def _linear_part(block: Block, is_quaternion: np.ndarray, index_of: np.ndarray) 
     return Block(block.inputs[columns], block.outputs[rows], values[:, columns])
 
 
-def _later_stands(blocks: list[Block]) -> list[Block]:
-    """Blocks without the rows whose attribute a later row writes again."""
+def _without_overwritten(blocks: list[Block]) -> list[Block]:
+    """Blocks without rows whose attribute a later row overwrites."""
     seen: set[int] = set()
     result = []
     for block in reversed(blocks):

@@ -1,17 +1,34 @@
-"""Where each kind of control stands among all of them, and checks that indices and numbers of a file can be used."""
+"""The base class of evaluated modules, and the layout of controls with checks of indices and numbers of a file."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from riginv.errors import InputError
 from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import MachineLearning, RadialBasis, RadialBasisOutputs
 from rigs.dna.format.layers import Behavior, Definition, Descriptor, Lods
 
-MOST_NUMBERS = 50_000_000  # of a table that is filled up: production heads need a hundredth of it
+MOST_NUMBERS = 50_000_000  # of a padded table: production heads need a hundredth of it
+
+
+class Stage(nn.Module):
+    """A module with non-persistent buffers and no parameters."""
+
+    def keep(self, **values: Tensor | np.ndarray) -> None:
+        """Register buffers; indices become int64."""
+        for name, value in values.items():
+            tensor = torch.as_tensor(np.array(value)) if isinstance(value, np.ndarray) else value
+            self.register_buffer(name, tensor if tensor.is_floating_point() else tensor.long(), persistent=False)
+
+
+def put(controls: Tensor, indices: Tensor, values: Tensor) -> Tensor:
+    """Copy of controls `(batch, control)` with values `(batch, index)` at `indices`."""
+    return controls.index_copy(1, indices, values)
 
 
 @dataclass(frozen=True)
@@ -20,8 +37,8 @@ class Layout:
 
     Attributes:
         where: the file, for messages.
-        gui, raw, psd, ml, rbf: how many there are of each kind.
-        lod_count: levels of detail.
+        gui, raw, psd, ml, rbf: number of controls of each kind.
+        lod_count: number of levels of detail.
     """
 
     where: str
@@ -86,8 +103,8 @@ class Layout:
     def check_lengths(self, what: str, **lengths: int) -> None:
         """Raises InputError where lists that belong together have different lengths."""
         if len(set(lengths.values())) > 1:
-            said = ", ".join(f"{count} {name}" for name, count in lengths.items())
-            raise self.wrong(f"{what} has lists of different lengths: {said}")
+            counts = ", ".join(f"{count} {name}" for name, count in lengths.items())
+            raise self.wrong(f"{what} has lists of different lengths: {counts}")
 
     def check_room(self, what: str, *sizes: int) -> None:
         """Raises InputError where a table of such sizes would be far larger than could be meant."""
@@ -96,11 +113,11 @@ class Layout:
             raise self.wrong(f"{what} needs a table of {shape} numbers, more than could be meant")
 
     def wrong(self, found: str) -> InputError:
-        """The error for content that cannot be evaluated."""
+        """The error for invalid content."""
         return InputError(f"{self.where}: {found}: the file is damaged, or was written wrongly; export it again")
 
     def of_lod(self, what: str, counts: np.ndarray, lod: int, most: int) -> int:
-        """How many of `most` rows a level of detail uses; all where the file does not say.
+        """Number of rows, of `most`, that a level of detail uses; all where the file does not say.
 
         Raises:
             InputError: more than there are.

@@ -1,29 +1,31 @@
-"""Joints that nets move: attributes that are added to what the joint groups have made."""
+"""Joints moved by nets, in addition to the joint groups."""
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from rigs.dna.format.later_layers import MachineLearningOperations
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.rotations import Angles, multiply, normalise
-from rigs.dna.logic.stage import Stage
 
 ROTATION_TYPE, QUATERNION = 1, 1
 BASIS = range(3, 10)  # keys of a change of basis
 
 
 class LearnedJoints(Stage):
-    """Adds translations and scales, and rotates joints further, by what controls hold.
+    """Adds translations and scales, and applies rotations, from values of controls.
 
-    Written from notes on the format alone: no file at hand has such joints (docs/dna.md).
+    Written from notes on the format, without a file to test against (docs/dna.md).
 
     Attributes:
-        positions: where the joints that are moved stand among those that matter, `(moved,)`.
+        positions: indices of the moved joints among the evaluated ones, `(moved,)`.
 
     Raises:
         InputError: it is damaged, or has a basis of its own, which is not evaluated here.
     """
+
+    positions: Tensor
+    inputs: Tensor
 
     def __init__(
         self, layout: Layout, entry: MachineLearningOperations, angles: Angles, joints: np.ndarray, count: int

@@ -8,8 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from rigs.dna.format.later_layers import MachineLearning, Net
-from rigs.dna.logic.layout import Layout
-from rigs.dna.logic.stage import Stage, put
+from rigs.dna.logic.layout import Layout, Stage, put
 
 LEAKY, ACTIVATIONS = 2, 5
 
@@ -23,7 +22,9 @@ class NetStage(Stage):
 
     def __init__(self, layout: Layout, what: str, net: Net, inputs: int, outputs: int | None) -> None:
         super().__init__()
-        width, self.activations, self.slopes = inputs, [], []
+        self.activations: list[int] = []
+        self.slopes: list[float] = []
+        width = inputs
         for number, layer in enumerate(net.layers):
             name, size = f"layer {number} of {what}", len(layer.biases)
             if len(layer.weights) != size * width:
@@ -45,15 +46,12 @@ class NetStage(Stage):
         for number, (activation, slope) in enumerate(zip(self.activations, self.slopes)):
             weights, biases = self.get_buffer(f"weights{number}"), self.get_buffer(f"biases{number}")
             values = functional.linear(values, weights.to(values), biases.to(values))
-            if activation == LEAKY:
-                values = functional.leaky_relu(values, slope)
-            else:
-                values = (lambda same: same, torch.relu, None, torch.tanh, torch.sigmoid)[activation](values)
+            values = _activated(values, activation, slope)
         return values
 
 
 class Nets(Stage):
-    """The nets of a level of detail, one after the other: each reads its inputs and writes its outputs.
+    """The nets of a level of detail, evaluated in order.
 
     Raises:
         InputError: a net is damaged, or writes a PSD.
@@ -70,20 +68,27 @@ class Nets(Stage):
             stage = NetStage(layout, what, net, len(net.inputs), len(net.outputs))
             stage.keep(inputs=net.inputs.astype(int), outputs=net.outputs.astype(int))
             self.nets.append(stage)
-        self.alone = _independent([learned.nets[number] for number in chosen])
+        self.independent = _independent([learned.nets[number] for number in chosen])
 
     def forward(self, controls: Tensor) -> Tensor:
-        """All controls `(batch, control)`, with the outputs of the nets among them."""
-        if self.alone and len(self.nets):
-            found = torch.cat([net(controls.index_select(1, net.inputs)) for net in self.nets], dim=1)
-            return put(controls, torch.cat([net.outputs for net in self.nets]), found)
-        for net in self.nets:
-            controls = put(controls, net.outputs, net(controls.index_select(1, net.inputs)))
+        """All controls `(batch, control)`, with the outputs of the nets."""
+        inputs, outputs = ([net.get_buffer(name) for net in self.nets] for name in ("inputs", "outputs"))
+        if self.independent and len(self.nets):
+            found = torch.cat([net(controls.index_select(1, index)) for net, index in zip(self.nets, inputs)], dim=1)
+            return put(controls, torch.cat(outputs), found)
+        for net, index, output in zip(self.nets, inputs, outputs):
+            controls = put(controls, output, net(controls.index_select(1, index)))
         return controls
 
 
+def _activated(values: Tensor, activation: int, slope: float) -> Tensor:
+    if activation == LEAKY:
+        return functional.leaky_relu(values, slope)
+    return {1: torch.relu, 3: torch.tanh, 4: torch.sigmoid}[activation](values) if activation else values
+
+
 def check_outputs(layout: Layout, what: str, outputs: np.ndarray) -> None:
-    """Raises InputError where something writes a control that is not there, or a PSD, which would be overwritten."""
+    """Raises InputError where outputs include missing controls, or PSDs, which would be overwritten."""
     layout.check_controls(f"an output of {what}", outputs)
     inside = (outputs >= layout.psds.start) & (outputs < layout.psds.stop)
     if inside.any():
@@ -94,7 +99,7 @@ def check_outputs(layout: Layout, what: str, outputs: np.ndarray) -> None:
 
 
 def _independent(nets: Sequence[Net]) -> bool:
-    """Whether no net reads or writes again what another one writes."""
+    """Whether no net reads or overwrites outputs of another."""
     written: set[int] = set()
     for net in nets:
         outputs = net.outputs.tolist()

@@ -1,31 +1,39 @@
-"""Networks of operations: gather, net, weighted sum, scatter, in sets that follow one another."""
+"""Networks of operations: gather, net, weighted sum, scatter."""
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from rigs.dna.format.later_layers import MachineLearning, MachineLearningOperations, Operation
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage, put
 from rigs.dna.logic.nets import NetStage, check_outputs
-from rigs.dna.logic.stage import Stage, put
 
 GATHER, SCATTER, NET, SUM = 1, 2, 3, 4
+Key = tuple[int, int, int]  # of an operation: type, set, number
 
 
 class OperationStage(Stage):
-    """One operation; `sources` are the keys of what it depends on."""
+    """An operation.
 
-    def __init__(self, kind: int, sources: list[tuple[int, int]]) -> None:
+    Attributes:
+        sources: keys of the operations that it depends on.
+        size: number of its results.
+    """
+
+    controls: Tensor
+    weights: Tensor
+    net: NetStage
+
+    def __init__(self, kind: int, sources: list[Key]) -> None:
         super().__init__()
-        self.kind, self.sources = kind, sources
-        self.net: NetStage | None = None
+        self.kind, self.sources, self.size = kind, sources, 0
 
 
 class Operations(Stage):
     """All operations of a level of detail.
 
     Raises:
-        InputError: an operation is damaged, or is of a kind that is not evaluated here: nets cut by level of detail.
+        InputError: an operation is damaged or not supported: nets cut by level of detail.
     """
 
     def __init__(
@@ -33,24 +41,25 @@ class Operations(Stage):
     ) -> None:
         super().__init__()
         self.layout, self.learned = layout, learned
-        self.steps = torch.nn.ModuleList()
-        self.positions: list[tuple[int, int, int]] = []
-        sizes: dict[tuple[int, int, int], int] = {}
+        self.keys: list[Key] = []
+        steps: list[OperationStage] = []
+        sizes: dict[Key, int] = {}
         for number, kind in enumerate(operations.types):
             if len(kind.lods) < len(kind.sets):
                 raise layout.wrong(f"{len(kind.sets)} sets of operations have {len(kind.lods)} tables of levels of detail")
-            for position, steps in enumerate(kind.sets):
+            for position, operation_set in enumerate(kind.sets):
                 what = f"set {position} of operations"
-                chosen = layout.rows_of_lod(what, kind.lods[position], lod, len(steps), "operations")
+                chosen = layout.rows_of_lod(what, kind.lods[position], lod, len(operation_set), "operations")
                 for step in chosen.tolist():
                     key = (number, position, step)
-                    stage = self._stage(f"operation {step} of {what}", steps[step], number, sizes)
+                    stage = self._stage(f"operation {step} of {what}", operation_set[step], number, sizes)
                     sizes[key] = stage.size
-                    self.steps.append(stage)
-                    self.positions.append(key)
+                    steps.append(stage)
+                    self.keys.append(key)
+        self.steps = torch.nn.ModuleList(steps)
         del self.layout, self.learned
 
-    def _stage(self, what: str, step: Operation, number: int, sizes: dict[tuple[int, int, int], int]) -> OperationStage:
+    def _stage(self, what: str, step: Operation, number: int, sizes: dict[Key, int]) -> OperationStage:
         layout, parameters = self.layout, step.parameters
         layout.check_lengths(what, sets=len(step.sets), operations=len(step.operations))
         sources = [(number, int(one), int(other)) for one, other in zip(step.sets, step.operations)]
@@ -68,7 +77,6 @@ class Operations(Stage):
             if sum(inputs) != len(parameters):
                 raise layout.wrong(f"{what} writes {len(parameters)} controls with {sum(inputs)} numbers")
             stage.keep(controls=parameters.astype(int))
-            stage.size = 0
         elif step.kind == NET:
             self._add_net(stage, what, step, sum(inputs))
         elif step.kind == SUM:
@@ -94,18 +102,19 @@ class Operations(Stage):
         stage.size = stage.net.size
 
     def forward(self, controls: Tensor) -> Tensor:
-        """All controls `(batch, control)`, with what the operations scatter among them."""
-        results: dict[tuple[int, int, int], Tensor] = {}
-        for position, step in zip(self.positions, self.steps):
+        """All controls `(batch, control)`, with the scattered results."""
+        results: dict[Key, Tensor] = {}
+        for key, step in zip(self.keys, self.steps):
+            assert isinstance(step, OperationStage)
             given = [results[source] for source in step.sources]
             if step.kind == GATHER:
-                results[position] = controls.index_select(1, step.controls)
+                results[key] = controls.index_select(1, step.controls)
             elif step.kind == SCATTER:
                 controls = put(controls, step.controls, torch.cat(given, dim=1))
-                results[position] = controls[:, :0]
+                results[key] = controls[:, :0]
             elif step.kind == NET:
-                results[position] = step.net(torch.cat(given, dim=1))
+                results[key] = step.net(torch.cat(given, dim=1))
             else:
                 weights = step.weights.to(controls)
-                results[position] = torch.einsum("s,sbn->bn", weights, torch.stack(given))
+                results[key] = torch.einsum("s,sbn->bn", weights, torch.stack(given))
         return controls

@@ -1,4 +1,4 @@
-"""Pose-space drivers: products of controls, for what corrects combinations."""
+"""Pose-space drivers: products of controls, for corrective shapes."""
 
 import numpy as np
 import torch
@@ -6,22 +6,24 @@ from torch import Tensor
 
 from riginv.geometry.blendshapes import combination_weights
 from rigs.dna.format.layers import Psds
-from rigs.dna.logic.layout import Layout
-from rigs.dna.logic.stage import Stage
+from rigs.dna.logic.layout import Layout, Stage
 
 
 class PoseSpaceDrivers(Stage):
     """Each is min(1, the product of its factors and of its controls, each clamped to [0, 1]).
 
-    Controls are clamped before any driver is computed, and all drivers are 0 until then: one that another driver depends on
-    counts as 0, as in the first evaluation of the reference.
+    Controls are clamped first, and all drivers are 0 until computed: a driver that another one depends on counts as 0, as in
+    the first evaluation of the reference.
 
     Args:
-        used: which drivers something uses, `(driver,)`; the others stay 0.
+        used: mask of the drivers that are used, `(driver,)`; the others are 0.
 
     Raises:
         InputError: a row lies outside the drivers, or a column outside the controls.
     """
+
+    members: Tensor
+    factors: Tensor
 
     def __init__(self, layout: Layout, psds: Psds, used: np.ndarray) -> None:
         super().__init__()

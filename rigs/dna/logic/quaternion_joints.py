@@ -1,7 +1,6 @@
-"""Joints whose rotations are quaternions: every column of their group rotates them a bit further.
+"""Joints whose rotations are quaternions: a product of the rotations of the columns of their group.
 
-The order of the columns matters, and it is that of the reference, which brings columns that a level of detail does not use to
-the end.
+The order of the columns is that of the reference, which moves columns that a level of detail does not use to the end.
 """
 
 from collections.abc import Sequence
@@ -12,9 +11,8 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format.layers import JointGroup
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.rotations import Angles, multiply, normalise
-from rigs.dna.logic.stage import Stage
 
 ROTATION = (3, 4, 5)  # of a joint's nine attributes
 
@@ -23,16 +21,20 @@ class QuaternionJoints(Stage):
     """The rotations of quaternion joints.
 
     Attributes:
-        positions: where the joints stand among those that matter, `(quaternion joint,)`.
+        positions: indices of the joints among the evaluated ones, `(quaternion joint,)`.
 
     Args:
-        blocks: of each group, what the level of detail uses.
-        is_quaternion: whether each joint is one, `(joint,)`.
-        joints: those that matter, `(joint,)`.
+        blocks: used rows of each group.
+        is_quaternion: whether each joint's rotation is a quaternion, `(joint,)`.
+        joints: indices of the evaluated joints, `(joint,)`.
 
     Raises:
         InputError: the rotation of a joint is in two groups.
     """
+
+    positions: Tensor
+    inputs: Tensor
+    rotations: Tensor
 
     def __init__(
         self,
@@ -64,9 +66,9 @@ class QuaternionJoints(Stage):
         most = max((len(found) for found in columns.values()), default=0)
         layout.check_room("the quaternion joints", len(index_of), most, 4)
         inputs, eulers = np.full((len(index_of), most), layout.total), np.zeros((len(index_of), most, 3))
-        for row, joint in enumerate(index_of):
-            for slot, (control, euler) in enumerate(columns.get(joint, [])):
-                inputs[row, slot], eulers[row, slot] = control, euler
+        for index, joint in enumerate(index_of):
+            for slot, (source, euler) in enumerate(columns.get(joint, [])):
+                inputs[index, slot], eulers[index, slot] = source, euler
         self.keep(inputs=inputs, rotations=angles.quaternions(torch.tensor(eulers)))
 
     def forward(self, controls: Tensor) -> Tensor:
@@ -80,7 +82,7 @@ class QuaternionJoints(Stage):
         rotations = self.rotations.to(controls)
         sign = torch.where(rotations[..., 3:] < 0, -1.0, 1.0)
         factors = normalise(w * rotations + sign * (1 - w) * identity)
-        while factors.shape[2] > 1:  # acc = b acc, column after column; products of neighbours first
+        while factors.shape[2] > 1:  # product of all columns by pairwise reduction
             even = factors[:, :, : factors.shape[2] // 2 * 2].unflatten(2, (-1, 2))
             product = multiply(even[:, :, :, 1], even[:, :, :, 0])
             factors = torch.cat([product, factors[:, :, even.shape[2] * 2 :]], dim=2)
@@ -93,10 +95,10 @@ def _is_rotation(outputs: np.ndarray, is_quaternion: np.ndarray) -> np.ndarray:
 
 
 def column_order(group: JointGroup, rotations: np.ndarray) -> np.ndarray:
-    """The order in which the reference multiplies the columns of a group, those that are all zero left out.
+    """Order in which the reference multiplies the non-zero columns of a group.
 
     Args:
-        rotations: which rows are angles of quaternion joints.
+        rotations: mask of the rows that are angles of quaternion joints.
     """
     values = group.values.reshape(len(group.outputs), len(group.inputs)) != 0
     values &= rotations[:, None]

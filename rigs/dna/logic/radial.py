@@ -1,8 +1,7 @@
-"""Radial basis functions: poses of some controls, each with a weight that falls with the distance from it.
+"""Radial basis functions: poses of some controls, each with a weight that decreases with the distance from it.
 
-Computed in float64 throughout, but for one step. The reference takes arcs between quaternions in float32, where those between
-nearly equal ones keep four digits; for float32 controls the same rounding is made, so that meshes agree with engines that
-compute so, while derivatives are those of the function without it. For float64 controls nothing is rounded.
+Computed in float64, except that for float32 controls arcs between quaternions are rounded as in the reference, which computes
+them in float32 (four digits for nearly equal quaternions). Derivatives ignore the rounding.
 """
 
 from collections.abc import Sequence
@@ -12,10 +11,9 @@ import torch
 from torch import Tensor
 
 from rigs.dna.format.later_layers import PoseOutput, RadialBasis, RadialBasisOutputs, Solver
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage, put
 from rigs.dna.logic.nets import check_outputs
 from rigs.dna.logic.rotations import conjugate, multiply, twist_of
-from rigs.dna.logic.stage import Stage, put
 
 INTERPOLATIVE, GIVEN_RADIUS, ALWAYS = 1, 1, 1
 EUCLIDEAN, SWING, TWIST = 0, 2, 3
@@ -24,11 +22,20 @@ LIMITS = {"kind": 2, "automatic_radius": 2, "distance": 4, "normalise": 2, "func
 
 
 class RadialSolver(Stage):
-    """One solver: from all controls to all controls, with what its poses write.
+    """A solver: from all controls to all controls, with the outputs of its poses.
 
     Raises:
-        InputError: it is damaged, or its poses cannot be told apart.
+        InputError: it is damaged, or its poses are indistinguishable.
     """
+
+    controls: Tensor
+    values: Tensor
+    scales: Tensor
+    written: Tensor
+    matrix: Tensor
+    factors: Tensor
+    inverse: Tensor
+    rounded_inverse: Tensor
 
     def __init__(self, layout: Layout, what: str, solver: Solver, scales: np.ndarray, outputs: Sequence[PoseOutput]) -> None:
         super().__init__()
@@ -57,7 +64,7 @@ class RadialSolver(Stage):
             self.keep(inverse=torch.linalg.inv(kernels[0]), rounded_inverse=torch.linalg.inv(kernels[1]))
 
     def _radius(self, rounds: bool) -> float:
-        """What distances are measured by; where the file gives none, the mean distance between two poses."""
+        """Radius of the kernel: the file's, or the mean distance between two poses."""
         if self.solver.automatic_radius == GIVEN_RADIUS:
             return float(np.deg2rad(self.solver.radius))
         poses = len(self.values)
@@ -65,23 +72,23 @@ class RadialSolver(Stage):
         return float(self._distances(self.values, rounds)[pairs].mean()) if poses > 1 else 0.0
 
     def _keep_outputs(self, layout: Layout, what: str, outputs: Sequence[PoseOutput]) -> None:
-        """Which controls multiply each pose's weight, and the matrix from poses to the controls that are written."""
+        """Register the controls that multiply each pose's weight, and the matrix from poses to outputs."""
         written = np.unique(np.concatenate([one.outputs for one in outputs] or [np.zeros(0)]).astype(np.int64))
         check_outputs(layout, what, written)
         most = max((len(one.inputs) for one in outputs), default=0)
         layout.check_room(what, len(outputs), most + len(written))
-        factors = np.full((len(outputs), most), layout.total)  # behind the last control stands a 1
+        factors = np.full((len(outputs), most), layout.total)  # index of a 1 after the last control
         matrix = np.zeros((len(outputs), len(written)))
         for row, one in enumerate(outputs):
             layout.check_lengths(f"pose {row} of {what}", outputs=len(one.outputs), weights=len(one.weights))
             layout.check_controls(f"pose {row} of {what}", one.inputs)
             layout.check_finite(f"pose {row} of {what}", one.weights)
-            np.add.at(matrix, (row, np.searchsorted(written, one.outputs)), one.weights)
+            np.add.at(matrix[row], np.searchsorted(written, one.outputs), one.weights)
             factors[row, : len(one.inputs)] = one.inputs
         self.keep(written=written, matrix=matrix, factors=factors)
 
     def forward(self, controls: Tensor) -> Tensor:
-        """All controls `(batch, control)`, with what the poses write in place of what stood there."""
+        """All controls `(batch, control)`, with the outputs of the poses replaced."""
         controls = controls.index_fill(1, self.written, 0.0)
         precise = controls.double()
         rounds = self.rounds or controls.dtype == torch.float32
@@ -92,7 +99,7 @@ class RadialSolver(Stage):
         return put(controls, self.written, (weights @ self.matrix.double()).to(controls))
 
     def _weights(self, inputs: Tensor, rounds: bool) -> Tensor:
-        """Of each pose, `(batch, pose)`."""
+        """Weights of the poses, `(batch, pose)`."""
         weights = self._kernel(self._distances(inputs, rounds), rounds)
         if self.solver.kind == INTERPOLATIVE:
             inverse = self.rounded_inverse if rounds else self.inverse
@@ -103,7 +110,7 @@ class RadialSolver(Stage):
         return torch.where(weights > float(self.solver.threshold), weights, 0.0)
 
     def _distances(self, inputs: Tensor, rounds: bool) -> Tensor:
-        """From inputs `(batch, control)` to each pose, `(batch, pose)`; `rounds`: arcs as the reference rounds them."""
+        """Distances from inputs `(batch, control)` to each pose, `(batch, pose)`; `rounds`: arcs in float32."""
         values = self.values.double()
         if self.solver.distance == EUCLIDEAN:
             return _root((inputs[:, None] - values).square().sum(dim=2))
@@ -114,7 +121,7 @@ class RadialSolver(Stage):
         return _root(arcs.sum(dim=2))
 
     def _part(self, quaternions: Tensor) -> Tensor:
-        """What of quaternions `(batch, group, 4)` is compared: all, the swing or the twist."""
+        """The compared part of quaternions `(batch, group, 4)`: all, the swing or the twist."""
         if self.solver.distance not in (SWING, TWIST):
             return quaternions
         twist = twist_of(quaternions, self.solver.axis)
@@ -140,21 +147,22 @@ def _squared_arcs(cosines: Tensor) -> Tensor:
 
 @torch.no_grad()
 def _rounded_arcs(one: Tensor, other: Tensor) -> Tensor:
-    """What float32 makes of the squared arcs `(batch, pose, group)` of quaternions, step by step as the reference does."""
+    """Squared arcs `(batch, pose, group)` of quaternions in float32, in the order of operations of the reference."""
     one, other = one.float()[:, None], other.float()
-    cosines = sum(one[..., part] * other[..., part] for part in range(4))
+    products = [one[..., part] * other[..., part] for part in range(4)]
+    cosines = products[0] + products[1] + products[2] + products[3]
     squares = cosines.square()
     return torch.where(squares > 1, 0.0, torch.arccos(2 * squares - 1).square()).double()
 
 
 def _root(squares: Tensor) -> Tensor:
-    """The square root, with a gradient of 0 at 0."""
-    there = squares > 0
-    return torch.where(there, torch.where(there, squares, 1.0).sqrt(), 0.0)
+    """Square root with gradient 0 at 0."""
+    positive = squares > 0
+    return torch.where(positive, torch.where(positive, squares, 1.0).sqrt(), 0.0)
 
 
 class RadialSolvers(Stage):
-    """The solvers of a level of detail, one after the other.
+    """The solvers of a level of detail, evaluated in order.
 
     Raises:
         InputError: a solver is damaged.
@@ -177,15 +185,15 @@ class RadialSolvers(Stage):
     def round_as_reference(self) -> None:
         """Round arcs for float64 controls, too."""
         for solver in self.solvers:
-            solver.rounds = True
+            solver.rounds = True  # type: ignore[assignment]  # an attribute of RadialSolver, which ModuleList does not tell
 
     def forward(self, controls: Tensor) -> Tensor:
-        """All controls `(batch, control)`, with what all solvers write."""
+        """All controls `(batch, control)`, with the outputs of all solvers."""
         for solver in self.solvers:
             controls = solver(controls)
         return controls
 
 
 def _own(layout: Layout, pose: int) -> PoseOutput:
-    """What a pose writes in files before version 2.5: the RBF control of its own number."""
+    """Output of a pose in files before version 2.5: the RBF control of the same index."""
     return PoseOutput(np.zeros(0, np.uint16), np.array([layout.rbfs.start + pose]), np.ones(1, np.float32))

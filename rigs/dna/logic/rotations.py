@@ -1,6 +1,6 @@
-"""Rotations as DNA files state them: Euler angles of any sequence, and quaternions x y z w.
+"""Rotations of DNA files: Euler angles of any sequence, and quaternions x y z w.
 
-A sequence such as `xyz` says which axis rotates first: for column vectors R = Rz Ry Rx.
+A sequence such as `xyz` gives the order of application: for column vectors R = Rz Ry Rx.
 """
 
 from dataclasses import dataclass
@@ -20,24 +20,27 @@ RADIANS = 1  # the descriptor's number for them; 0 is degrees
 EPSILON = 1e-12
 
 
+Sequence3 = tuple[int, int, int]
+
+
 @dataclass(frozen=True)
 class Angles:
-    """What the numbers of a rotation mean.
+    """Conventions of Euler angles.
 
     Attributes:
-        sequence: indices of the axes, the one that rotates first before the others.
-        factors: radians to a unit of the angle about x, y, z, with its sign.
+        sequence: indices of the axes in order of application.
+        factors: radians per unit of the angle about x, y, z, with sign.
     """
 
-    sequence: tuple[int, int, int]
+    sequence: Sequence3
     factors: tuple[float, float, float]
 
     @classmethod
     def of(cls, file: DnaFile, layout: Layout) -> "Angles":
-        """The conventions of a file; xyz, all signs positive, where it has no layer that says otherwise.
+        """Conventions of a file; xyz and positive signs by default.
 
         Raises:
-            InputError: they are not known.
+            InputError: they are invalid.
         """
         unit, conventions = file.need(Descriptor).rotation_unit, file.find(Conventions)
         sequence = conventions.sequence if conventions else 0
@@ -46,7 +49,8 @@ class Angles:
         if unit > RADIANS or sequence >= len(SEQUENCES) or any(number not in SIGNS for number in numbers):
             raise layout.wrong(f"rotations are of unit {unit}, sequence {sequence} and signs {numbers}, which are not known")
         factor = 1.0 if unit == RADIANS else np.pi / 180
-        return cls(tuple("xyz".index(axis) for axis in SEQUENCES[sequence]), tuple(SIGNS[n] * factor for n in numbers))
+        x, y, z = (SIGNS[number] * factor for number in numbers)
+        return cls(axes_of(SEQUENCES[sequence]), (x, y, z))
 
     def radians(self, values: Tensor) -> Tensor:
         """Angles `(..., 3)` as the file has them, in radians, counter-clockwise."""
@@ -68,7 +72,13 @@ class Angles:
         return euler_quaternions(self.radians(values), self.sequence)
 
 
-def euler_matrices(radians: Tensor, sequence: tuple[int, int, int], dim: int = -1) -> Tensor:
+def axes_of(sequence: str) -> Sequence3:
+    """Indices of the axes of a sequence such as `xyz`."""
+    first, second, third = ("xyz".index(axis) for axis in sequence)
+    return first, second, third
+
+
+def euler_matrices(radians: Tensor, sequence: Sequence3, dim: int = -1) -> Tensor:
     """Angles about x, y, z, along `dim`, to rotation matrices, whose rows and columns take its place.
 
     Source: Shoemake, "Euler Angle Conversion", Graphics Gems IV, for static frames.
@@ -88,7 +98,7 @@ def euler_matrices(radians: Tensor, sequence: tuple[int, int, int], dim: int = -
     return torch.stack(rows, dim=axis_index).unflatten(axis_index, (3, 3))
 
 
-def euler_quaternions(radians: Tensor, sequence: tuple[int, int, int]) -> Tensor:
+def euler_quaternions(radians: Tensor, sequence: Sequence3) -> Tensor:
     """Angles `(..., 3)` about x, y, z to quaternions `(..., 4)`."""
     half = radians / 2
     sines, cosines, axes = torch.sin(half), torch.cos(half), torch.eye(3, dtype=radians.dtype, device=radians.device)
@@ -98,8 +108,8 @@ def euler_quaternions(radians: Tensor, sequence: tuple[int, int, int]) -> Tensor
     return multiply(rotations[2], multiply(rotations[1], rotations[0]))
 
 
-def matrix_angles(matrices: Tensor, sequence: tuple[int, int, int]) -> Tensor:
-    """Rotation matrices `(..., 3, 3)` to angles `(..., 3)` about x, y, z; in gimbal lock the last axis does not turn."""
+def matrix_angles(matrices: Tensor, sequence: Sequence3) -> Tensor:
+    """Rotation matrices `(..., 3, 3)` to angles `(..., 3)` about x, y, z; in gimbal lock the last angle is 0."""
     i, j, k = sequence
     parity = 1.0 if (j - i) % 3 == 1 else -1.0
     cosine = torch.hypot(matrices[..., i, i], matrices[..., j, i])
@@ -145,7 +155,7 @@ def conjugate(quaternions: Tensor) -> Tensor:
 
 
 def normalise(quaternions: Tensor) -> Tensor:
-    """Quaternions `(..., 4)` of length 1; the identity where there is no length."""
+    """Quaternions `(..., 4)` of length 1; the identity for length 0."""
     squares = quaternions.square().sum(dim=-1, keepdim=True)
     there = squares > EPSILON**2
     identity = quaternions.new_tensor([0.0, 0.0, 0.0, 1.0])
@@ -153,14 +163,14 @@ def normalise(quaternions: Tensor) -> Tensor:
 
 
 def twist_of(quaternions: Tensor, axis: int) -> Tensor:
-    """The part `(..., 4)` of rotations that is about an axis; the swing is the rotation times its inverse."""
+    """Twist `(..., 4)` of rotations about an axis; the swing is the rotation times the inverse of the twist."""
     kept = torch.zeros(4, dtype=quaternions.dtype, device=quaternions.device)
     kept[[axis, 3]] = 1.0
     return normalise(quaternions * kept)
 
 
 def to_identity(quaternions: Tensor, weights: Tensor) -> Tensor:
-    """Spherical interpolation from quaternions `(..., 4)` to the identity at weights `(...)`: at 1 nothing rotates."""
+    """Spherical interpolation from quaternions `(..., 4)` to the identity at weights `(...)`: the identity at 1."""
     quaternions = torch.where(quaternions[..., 3:] < 0, -quaternions, quaternions)
     vectors, scalars = quaternions[..., :3], quaternions[..., 3]
     squares = vectors.square().sum(dim=-1)

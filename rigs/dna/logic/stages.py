@@ -1,4 +1,4 @@
-"""The whole logic of a DNA file at one level of detail, in the order of the reference.
+"""The logic of a DNA file at one level of detail, in the order of the reference.
 
 GUI table (where GUI controls are given), nets, radial basis functions, pose-space drivers, then joints, channels and maps.
 """
@@ -21,20 +21,19 @@ from rigs.dna.format.layers import Behavior, Channels, Definition
 from rigs.dna.logic.conditions import ConditionTable
 from rigs.dna.logic.joint_stage import JointStage
 from rigs.dna.logic.joints import JointChanges, group_block, used_columns
-from rigs.dna.logic.layout import Layout, quaternion_groups
+from rigs.dna.logic.layout import Layout, Stage, put, quaternion_groups
 from rigs.dna.logic.nets import Nets
 from rigs.dna.logic.operations import Operations
 from rigs.dna.logic.psds import PoseSpaceDrivers
 from rigs.dna.logic.radial import EUCLIDEAN, RadialSolvers
-from rigs.dna.logic.stage import Stage, put
 
 
 class Stages(NamedTuple):
-    """What every stage gives for a batch of raw controls.
+    """Results of all stages for a batch of raw controls.
 
     Attributes:
         controls: all controls, `(batch, control)`.
-        joints: what joints change by.
+        joints: changes of joints.
         channels: weights of the blendshape channels, `(batch, channel)`.
         maps: animated maps, `(batch, map)`.
     """
@@ -49,15 +48,18 @@ class Logic(Stage):
     """The logic of a file at a level of detail.
 
     Args:
-        joints: which joints matter, `(joint,)`; None: all.
+        joints: indices of the joints to evaluate, `(joint,)`; None: all.
 
     Attributes:
-        layout: where each kind of control stands.
+        layout: layout of the controls.
         quaternions: raw controls that hold quaternions, `(group, 4)` as x y z w.
 
     Raises:
         InputError: the file lacks a layer, or something in it is damaged or cannot be evaluated.
     """
+
+    channel_inputs: Tensor
+    channel_sources: Tensor
 
     def __init__(self, file: DnaFile, lod: int = 0, joints: np.ndarray | None = None) -> None:
         super().__init__()
@@ -69,10 +71,11 @@ class Logic(Stage):
         self.table = ConditionTable(layout, "the GUI table", table, len(table.inputs), layout.gui, layout.raw)
         learned, operations = file.find(MachineLearning), file.find(MachineLearningOperations)
         radial, outputs = file.find(RadialBasis), file.find(RadialBasisOutputs)
+        self.learned: Operations | Nets | None = None
         if operations is not None and operations.types:
             self.learned = Operations(layout, learned, operations, lod)
-        else:
-            self.learned = Nets(layout, learned, lod) if learned is not None else None
+        elif learned is not None:
+            self.learned = Nets(layout, learned, lod)
         self.radial = RadialSolvers(layout, radial, outputs, lod) if radial is not None else None
         maps = behavior.maps
         map_rows = layout.of_lod("the table of animated maps", maps.counts, lod, len(maps.table.inputs))
@@ -100,19 +103,19 @@ class Logic(Stage):
         layout.check_controls("the input of a blendshape channel", channels.inputs)
         layout.check("the output of a blendshape channel", channels.outputs, count, "channels")
         used = layout.of_lod("the blendshape channels", channels.counts, lod, len(channels.inputs))
-        source = np.full(count, layout.total)  # behind the last control stands a 0
+        source = np.full(count, layout.total)  # index of a 0 after the last control
         source[channels.outputs[:used]] = channels.inputs[:used]
         self.keep(channel_inputs=channels.inputs[:used].astype(int), channel_sources=source)
 
     def raw_of(self, gui: Tensor) -> Tensor:
-        """GUI controls `(batch, gui)` to raw controls `(batch, raw)`; those that no row writes are 0, quaternions too."""
+        """GUI controls `(batch, gui)` to raw controls `(batch, raw)`; those without rows are 0, also quaternions."""
         return self.table(gui)
 
     def all_controls(self, raw: Tensor, psds_before: Tensor | None = None) -> Tensor:
         """Raw controls `(batch, raw)` to all controls `(batch, control)`.
 
         Args:
-            psds_before: the PSDs of an evaluation before, `(batch, psd)`, which PSDs that depend on PSDs see; None: all 0.
+            psds_before: PSDs of the previous evaluation, `(batch, psd)`, for PSDs that depend on PSDs; None: all 0.
         """
         layout = self.layout
         psds = raw.new_zeros(len(raw), layout.psd) if psds_before is None else psds_before
@@ -138,7 +141,7 @@ class Logic(Stage):
 
 
 def _groups(radial: RadialBasis | None, twists: TwistsAndSwings | None) -> list[np.ndarray]:
-    """The controls of all quaternions, four at a time."""
+    """Controls of all quaternions, in groups of four."""
     solvers = radial.solvers if radial is not None else ()
     found = [group for one in solvers if one.distance != EUCLIDEAN for group in one.controls.reshape(-1, 4)]
     entries = (*twists.twists, *twists.swings) if twists is not None else ()

@@ -1,27 +1,30 @@
-"""Twists and swings: joints that take part of the rotation that four controls hold."""
+"""Twists and swings: joints with a part of the rotation of a quaternion control."""
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from rigs.dna.format.later_layers import Twist, TwistsAndSwings
-from rigs.dna.logic.layout import Layout
+from rigs.dna.logic.layout import Layout, Stage
 from rigs.dna.logic.rotations import conjugate, multiply, normalise, to_identity, twist_of
-from rigs.dna.logic.stage import Stage
 
 
 class TwistedJoints(Stage):
-    """The rotations of joints of twists and swings, whatever their groups say.
+    """Rotations of the joints of twists and swings, which override those of joint groups.
 
     Args:
-        joints: the joints that matter, `(joint,)`.
+        joints: indices of the evaluated joints, `(joint,)`.
 
     Attributes:
-        positions: where the joints that are written stand among those, `(twisted,)`.
+        positions: indices of the affected joints among those, `(twisted,)`.
 
     Raises:
         InputError: an entry is damaged.
     """
+
+    positions: Tensor
+    controls: Tensor
+    weights: Tensor
 
     def __init__(self, layout: Layout, entries: TwistsAndSwings, joints: np.ndarray, count: int) -> None:
         super().__init__()
@@ -50,10 +53,10 @@ class TwistedJoints(Stage):
         given = controls.index_select(1, self.controls.flatten()).unflatten(1, (-1, 4))
         parts = []
         for number, (axis, form) in enumerate(zip(self.axes, self.forms)):
-            whole, weight = given[:, number], self.weights[number].to(controls)
-            twist = twist_of(whole, axis)
+            rotation, weight = given[:, number], self.weights[number].to(controls)
+            twist = twist_of(rotation, axis)
             if form == "swing":
-                swing = normalise(multiply(whole, conjugate(twist)))
+                swing = normalise(multiply(rotation, conjugate(twist)))
                 parts.append(multiply(conjugate(twist), to_identity(conjugate(swing), weight)))
             else:
                 parts.append(to_identity(conjugate(twist) if form == "inverse" else twist, weight))

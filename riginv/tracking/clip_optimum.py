@@ -1,10 +1,10 @@
-"""The least error that a rig can reach on a few frames of a clip, so that an error has a scale."""
+"""The lowest error that a rig can reach on a few frames of a clip, for comparison."""
 
 from dataclasses import replace
 
 import torch
 
-from riginv.animation.animation import FrameErrors, Reach
+from riginv.animation.animation import FrameErrors, SampledOptimum
 from riginv.clips.clip import Clip
 from riginv.evaluation.optimum import TOLERANCE
 from riginv.geometry.neighbours import evenly
@@ -13,7 +13,7 @@ from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes, solve_meshes
 from riginv.solvers.objective import Objective
-from riginv.tracking.frame_evaluation import FrameJudge
+from riginv.tracking.frame_evaluation import FrameEvaluator
 from riginv.tracking.rigid import remove_motion
 from riginv.tracking.run import Inversion
 
@@ -22,30 +22,29 @@ STARTS, STEPS, DESCENT_STEPS = 3, 60, 100
 
 
 @torch.no_grad()
-def with_reach(errors: FrameErrors, clip: Clip, found: Inversion, judge: FrameJudge) -> FrameErrors:
-    """The errors of an inversion, with the least that many-start Levenberg-Marquardt finds on frames spread over the clip.
+def with_optimum(errors: FrameErrors, clip: Clip, found: Inversion, evaluator: FrameEvaluator) -> FrameErrors:
+    """The errors of an inversion, with the lowest that many-start Levenberg-Marquardt reaches on frames spread over the clip.
 
-    All controls are free there, whatever was asked of them. Unchanged for a true rig that does not end in a linear map, or that
-    no gradient passes through.
+    All controls are free, whatever the constraints. Unchanged for a true rig that is no differentiable `LinearRig`.
     """
-    rig, known_frames = judge.true_rig, (~errors.mean_mm.isnan()).nonzero()[:, 0]
+    rig, known_frames = evaluator.true_rig, (~errors.mean_mm.isnan()).nonzero()[:, 0]
     if not (isinstance(rig, LinearRig) and rig.differentiable and len(known_frames)):
         return errors
     rows = known_frames[evenly(FRAMES, len(known_frames))]
     vertices = torch.cat([clip.vertices(row, row + 1) for row in rows.tolist()])
     if found.motion is not None:
         vertices = remove_motion(found.motion[rows], vertices)
-    ours = rig(found.controls[rows])
+    recovered = rig(found.controls[rows])
     known = torch.isfinite(vertices).all(dim=2)
-    counted = known if judge.believed is None else known & judge.believed
-    vertices = torch.where(counted[..., None], vertices, ours)
-    space = judge.space if rig is judge.rig else MeshSpace.from_rig(rig)
+    evaluated = known if evaluator.evaluated is None else known & evaluator.evaluated
+    vertices = torch.where(evaluated[..., None], vertices, recovered)
+    space = evaluator.space if rig is evaluator.rig else MeshSpace.from_rig(rig)
     objective = Objective(RigInMeshSpace(rig, space))
     coordinates = space.encode(vertices)
     answers = (
         solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS),
         refine_meshes(objective, coordinates, objective.units(found.controls[rows]), STEPS),
     )
-    each = [mean_distance(rig(objective.to_controls(answer.units)), vertices, counted) for answer in answers]
+    each = [mean_distance(rig(objective.to_controls(answer.units)), vertices, evaluated) for answer in answers]
     least = torch.stack([*each, errors.mean_mm[rows]]).amin(dim=0)
-    return replace(errors, reach=Reach(rows, least))
+    return replace(errors, optimum=SampledOptimum(rows, least))

@@ -1,5 +1,6 @@
-"""The meshes of an avatar as pieces: vertices that share their data, with the triangles and the targets that use them."""
+"""Submeshes: vertices with their own vertex data, and the triangles and morph targets that use them."""
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -9,24 +10,24 @@ from riginv.errors import InputError
 from rigs.gltf.accessors import MOST_NUMBERS, count_of, read_numbers
 from rigs.gltf.container import COMPRESSED, GltfFile, compression_error
 from rigs.gltf.scene import Scene
-from rigs.gltf.skins import Binding, Carriers, binding
+from rigs.gltf.skins import Binding, PosedBinding, binding
 from rigs.gltf.targets import mesh_label, target_names
 from rigs.gltf.triangles import read_triangles
 
 MOST_PRIMITIVES = 10_000
-PLACING = ("POSITION", "JOINTS_", "WEIGHTS_")  # attributes that place a vertex; the others only colour it
+GEOMETRIC = ("POSITION", "JOINTS_", "WEIGHTS_")  # attributes that affect positions
 
 
 @dataclass(frozen=True)
-class Piece:
-    """Vertices of one node that share their data, used by one primitive or several.
+class Submesh:
+    """Vertices of one node, used by one or several primitives.
 
     Attributes:
-        label: what messages call it.
-        node, mesh: their numbers.
-        attributes: the accessors that place the vertices, by attribute.
-        targets: the accessor of each morph target's deltas, by the target's name; None for one that does not move the piece.
-        start, count: its vertices among those of all pieces.
+        label: for messages.
+        node, mesh: indices in the document.
+        attributes: accessors of the geometric attributes, by attribute.
+        targets: accessor of each morph target's deltas by name; None for targets that do not move the submesh.
+        start, count: range of its vertices among those of all submeshes.
         primitives: its primitives in the document.
     """
 
@@ -44,11 +45,11 @@ class Piece:
         return slice(self.start, self.start + self.count)
 
     def positions(self, file: GltfFile) -> np.ndarray:
-        """Positions `(vertex, 3)`, in the primitive's own coordinates."""
+        """Positions `(vertex, 3)`, in local coordinates."""
         return read_numbers(file, self.attributes["POSITION"], "VEC3", f"POSITION of {self.label}")
 
     def deltas(self, file: GltfFile) -> Iterator[tuple[str, np.ndarray]]:
-        """The name and the deltas `(vertex, 3)` of each target that moves the piece, in the primitive's own coordinates."""
+        """Name and deltas `(vertex, 3)` of each target that moves the submesh, in local coordinates."""
         for name, accessor in self.targets.items():
             if accessor is not None:
                 yield name, read_numbers(file, accessor, "VEC3", f"target '{name}' of {self.label}")
@@ -56,27 +57,27 @@ class Piece:
     def binding(self, file: GltfFile, scene: Scene) -> Binding:
         return binding(file, scene, self.node, self.attributes, self.count, self.label)
 
-    def carriers(self, file: GltfFile, scene: Scene) -> Carriers:
-        """What carries the vertices at rest."""
-        return self.binding(file, scene).carriers(scene.world)
+    def rest_binding(self, file: GltfFile, scene: Scene) -> PosedBinding:
+        """Binding in the rest pose."""
+        return self.binding(file, scene).posed(scene.world)
 
     def triangles(self, file: GltfFile) -> np.ndarray:
-        """Triangles `(face, 3)`, indices of the piece's own vertices."""
+        """Triangles `(face, 3)`, indices of the submesh's vertices."""
         return np.concatenate([read_triangles(file, primitive, self.count, self.label) for primitive in self.primitives])
 
 
-def pieces(file: GltfFile, nodes: list[int]) -> list[Piece]:
-    """The pieces of the meshes of nodes, in the order of the file.
+def read_submeshes(file: GltfFile, nodes: list[int]) -> list[Submesh]:
+    """Submeshes of the meshes of nodes, in the order of the file.
 
     Raises:
-        InputError: vertices and targets do not fit each other, or there is more than could be meant.
+        InputError: vertices and targets do not match, or there are implausibly many.
     """
     names = target_names(file, sorted({file.document["nodes"][node]["mesh"] for node in nodes}))
-    found: dict[tuple, Piece] = {}
+    found: dict[tuple, Submesh] = {}
     start = corners = 0
     for seen, (node, mesh, number, primitive) in enumerate(_primitives(file, nodes)):
         label = f"{mesh_label(file, mesh)}, primitive {number}"
-        attributes = {name: accessor for name, accessor in primitive["attributes"].items() if name.startswith(PLACING)}
+        attributes = {name: accessor for name, accessor in primitive["attributes"].items() if name.startswith(GEOMETRIC)}
         moved = primitive.get("targets") or [{}] * len(names[mesh])
         targets = {name: target.get("POSITION") for name, target in zip(names[mesh], moved)}
         if "POSITION" not in attributes:
@@ -89,7 +90,7 @@ def pieces(file: GltfFile, nodes: list[int]) -> list[Piece]:
             found[key].primitives.append(primitive)
         else:
             _check_counts(file, targets, count, label)
-            found[key] = Piece(label, node, mesh, attributes, targets, start, count, [primitive])
+            found[key] = Submesh(label, node, mesh, attributes, targets, start, count, [primitive])
             start += count
         if max(3 * start * (1 + len(targets)), corners) > MOST_NUMBERS or seen >= MOST_PRIMITIVES:
             raise InputError(
@@ -117,7 +118,28 @@ def _primitives(file: GltfFile, nodes: list[int]) -> Iterator[tuple[int, int, in
 
 
 def _refuse_compressed(file: GltfFile, primitive: dict, position: int) -> None:
-    """Compressed vertices may come with plain ones besides; without these nothing can be read."""
+    """Raises InputError where compressed vertices have no uncompressed fallback."""
     for name in COMPRESSED:
         if name in primitive.get("extensions", {}) and "bufferView" not in file.item("accessors", position, "POSITION"):
             raise compression_error(file.path, name)
+
+
+def weld_map(file: GltfFile, scene: Scene, submeshes: list[Submesh]) -> np.ndarray:
+    """Weld vertices that exporters split at seams: those of one node with equal positions, deltas and skin weights.
+
+    Returns:
+        `(file vertex,)` int64: index of the welded vertex of each; welded vertices keep their order.
+    """
+    seen: dict[bytes, int] = {}
+    numbers = []
+    for submesh in submeshes:
+        columns = [submesh.positions(file), *(change for _, change in submesh.deltas(file))]
+        if "skin" in file.document["nodes"][submesh.node]:
+            columns.append(submesh.rest_binding(file, scene).weights)
+        moved_by = [name for name, accessor in submesh.targets.items() if accessor is not None]
+        start = f"{submesh.node} {moved_by} ".encode()
+        rows = np.concatenate(columns, axis=1).astype(np.float32) + 0.0  # -0 becomes 0
+        for row in rows:
+            key = hashlib.blake2b(start + row.tobytes(), digest_size=20).digest()
+            numbers.append(seen.setdefault(key, len(seen)))
+    return np.array(numbers, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Where a store lies: a folder, or anywhere that fsspec can write."""
+"""Locations of stores: folders, or anything that fsspec can write."""
 
 import os
 from collections.abc import Iterator
@@ -14,8 +14,8 @@ from riginv.errors import InputError
 from riginv.runs.files import discard
 
 
-class Place:
-    """Where a store lies or shall lie.
+class StoreLocation:
+    """Location of a store, which may not exist yet.
 
     Args:
         text: a path, or a URL such as `s3://bucket/poses.zarr`; `file:///path` is a path.
@@ -34,10 +34,10 @@ class Place:
         return self.text
 
     def open(self, read_only: bool = True) -> Store:
-        """As zarr sees it.
+        """The zarr store.
 
         Raises:
-            InputError: nothing speaks such a URL here.
+            InputError: the URL is not supported here.
         """
         if self.path is not None:
             return LocalStore(self.path, read_only=read_only)
@@ -47,17 +47,17 @@ class Place:
             raise InputError(f"{self}: cannot be reached: {str(error).splitlines()[0]}") from None
 
     def holds_other_things(self) -> bool:
-        """Whether a local place is taken by something that is no zarr group."""
+        """Whether a local path is occupied by something that is no zarr group."""
         if self.path is None or not self.path.exists():
             return False
         return not self.path.is_dir() or (any(self.path.iterdir()) and not (self.path / "zarr.json").exists())
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Say in one sentence that a disk is full, or that nothing can be written here.
+        """Convert write errors, such as a full disk, to one sentence.
 
         Raises:
-            InputError: so it is.
+            InputError: a write fails.
         """
         try:
             yield
@@ -69,14 +69,14 @@ class Place:
 
     @contextmanager
     def exclusive_lock(self, purpose: str, refusal: str | None = None) -> Iterator[None]:
-        """Keep other processes out of a local place meanwhile; a remote one cannot be locked.
+        """Exclude other processes from a local store; remote ones cannot be locked.
 
         Args:
-            purpose: what others may not do at the same time.
-            refusal: what to say where another process is at it; None: wait for it.
+            purpose: name of the exclusive operation.
+            refusal: message where another process has the lock; None: wait for it.
 
         Raises:
-            InputError: another process is at it.
+            InputError: another process has the lock.
         """
         if self.path is None:
             yield
@@ -91,5 +91,5 @@ class Place:
         try:
             yield
         finally:
-            discard(Path(lock.lock_file))  # while it is held: who comes now makes a new one
+            discard(Path(lock.lock_file))  # while it is held: later processes create a new one
             lock.release()

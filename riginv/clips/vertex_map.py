@@ -1,4 +1,4 @@
-"""A clip of a larger mesh, or of the same in another order: which of its vertices the rig's are."""
+"""Clips of a larger mesh, or of the rig's mesh in another vertex order, mapped to the rig's vertices."""
 
 from pathlib import Path
 
@@ -11,31 +11,31 @@ from riginv.runs.array_files import check_npy
 UNKNOWN = -1
 
 
-class PickedVertices(MeshSequence):
-    """Some vertices of another sequence, in the order of the rig.
+class MappedVertices(MeshSequence):
+    """The vertices of another sequence in the rig's order.
 
     Args:
-        sequence: the other.
-        path: of a file with, for each vertex of the rig, the number of the clip's vertex, -1 where it has none (.npy or text).
+        sequence: the other sequence.
+        path: file (.npy or text) with the index of the clip's vertex for each vertex of the rig; -1 where it has none.
 
     Raises:
-        InputError: the file holds something else.
+        InputError: the file holds anything else.
     """
 
     def __init__(self, sequence: MeshSequence, path: Path) -> None:
         self.sequence = sequence
-        self.picked = read_picked(path, sequence.vertex_count)
+        self.vertex_map = read_vertex_map(path, sequence.vertex_count)
         known = sequence.fps, sequence.unit_mm, sequence.up, sequence.facts
-        super().__init__(sequence.path, sequence.frame_numbers, len(self.picked), None, *known)
+        super().__init__(sequence.path, sequence.frame_numbers, len(self.vertex_map), None, *known)
 
     def read(self, start: int, stop: int) -> np.ndarray:
-        values = self.sequence.read(start, stop)[:, self.picked]
-        values[:, self.picked == UNKNOWN] = np.nan
+        values = self.sequence.read(start, stop)[:, self.vertex_map]
+        values[:, self.vertex_map == UNKNOWN] = np.nan
         return values
 
 
-def read_picked(path: Path, vertices: int) -> np.ndarray:
-    """The numbers `(vertex of the rig,)` of a clip's vertices."""
+def read_vertex_map(path: Path, vertices: int) -> np.ndarray:
+    """Indices `(rig vertex,)` of a clip's vertices."""
     expected = f"expected for each vertex of the rig a number from 0 to {vertices - 1}, or -1"
     try:
         if path.suffix == ".npy":
@@ -44,7 +44,7 @@ def read_picked(path: Path, vertices: int) -> np.ndarray:
         else:
             found = np.array([int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()])
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file, asked for by reading.vertices") from None
+        raise InputError(f"{path}: no such file, named by reading.vertices") from None
     except (OSError, ValueError, EOFError, OverflowError) as error:
         raise InputError(f"{path}: {expected}; it cannot be read: {str(error)[:120]}") from None
     if found.dtype.kind not in "iu" or found.ndim != 1 or not found.size or found.min() < -1 or found.max() >= vertices:

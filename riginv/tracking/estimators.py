@@ -1,0 +1,109 @@
+"""Estimators of controls from filled meshes without rigid motion: a network, a solver, or a network and then a solver."""
+
+from abc import ABC, abstractmethod
+
+import torch
+from torch import Tensor
+
+from riginv.inference.inverse import Inverse
+from riginv.rig.mesh_space import MeshSpace
+from riginv.solvers.every_mesh import refine_meshes, solve_frames
+from riginv.solvers.levenberg_marquardt import levenberg_marquardt
+from riginv.solvers.objective import Objective
+from riginv.tracking.constraints import ControlConstraints
+from riginv.tracking.fixed_controls import FixedControlsRig
+
+BATCH_SIZE = 512  # meshes per network call
+REFINE_STEPS = 3  # solver steps from controls of a slightly different mesh
+UNCONVERGED_MM = 0.02  # root mean square distance that a further solver step would gain
+
+
+class ControlEstimator(ABC):
+    """Maps filled meshes `(frame, vertex, 3)`, mm, without rigid motion, to controls `(frame, control)`."""
+
+    @abstractmethod
+    def estimate(self, vertices: Tensor) -> Tensor:
+        """The controls of consecutive frames."""
+
+    @abstractmethod
+    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        """The controls of meshes that changed a little since `controls` were estimated."""
+
+    @abstractmethod
+    def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        """Whether further steps would not lower the error, `(frame,)`."""
+
+
+class NetworkEstimator(ControlEstimator):
+    """The network alone; fixed controls replace its answers."""
+
+    def __init__(self, inverse: Inverse, constraints: ControlConstraints) -> None:
+        self.inverse, self.constraints = inverse, constraints
+
+    @torch.no_grad()
+    def estimate(self, vertices: Tensor) -> Tensor:
+        network = self.inverse.network
+        controls = torch.cat([network(network.rig.space.encode(batch)) for batch in vertices.split(BATCH_SIZE)])
+        return torch.where(self.constraints.free, controls, self.constraints.values)
+
+    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        return self.estimate(vertices)
+
+    def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        return torch.ones(len(vertices), dtype=torch.bool)
+
+
+class SolverEstimator(ControlEstimator):
+    """Levenberg-Marquardt, started from the answers of a network or of neighbouring frames.
+
+    Args:
+        objective: over the free controls of a `FixedControlsRig`.
+        start: estimates the start; None: frames are solved from scratch and from their neighbours.
+        steps: linearisations, at most.
+        key_starts, descent_steps: as in `solve_frames`.
+    """
+
+    def __init__(
+        self,
+        objective: Objective,
+        start: NetworkEstimator | None,
+        steps: int,
+        key_starts: int = 2,
+        descent_steps: int = 60,
+    ) -> None:
+        self.objective, self.start, self.steps, self.key_starts = objective, start, steps, key_starts
+        rig = objective.rig.rig
+        assert isinstance(rig, FixedControlsRig)
+        self.rig = rig
+        self.descent_steps = descent_steps if self.rig.differentiable else 0
+
+    @property
+    def space(self) -> MeshSpace:
+        return self.objective.rig.space
+
+    def units(self, controls: Tensor) -> Tensor:
+        """The free ones of controls `(frame, control)`, as fractions of their ranges."""
+        return self.objective.units(controls[:, self.rig.free])
+
+    def controls(self, units: Tensor) -> Tensor:
+        """All controls of free controls as fractions of their ranges, the inverse of `units`."""
+        return self.rig.all_controls(self.objective.to_controls(units))
+
+    def estimate(self, vertices: Tensor) -> Tensor:
+        coordinates = self.space.encode(vertices)
+        if self.start is not None:
+            start = self.units(self.start.estimate(vertices))
+            found = refine_meshes(self.objective, coordinates, start, self.steps)
+        else:
+            found = solve_frames(self.objective, coordinates, self.key_starts, self.steps, descent_steps=self.descent_steps)
+        return self.controls(found.units)
+
+    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        coordinates = self.space.encode(vertices)
+        return self.controls(refine_meshes(self.objective, coordinates, self.units(controls), REFINE_STEPS).units)
+
+    def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        coordinates, units = self.space.encode(vertices), self.units(controls)
+        more = levenberg_marquardt(self.objective, coordinates, units, 1)
+        gained = self.objective.cost(units, coordinates) - more.cost
+        return ~(gained > 0.5 * UNCONVERGED_MM**2 * self.objective.vertex_count)

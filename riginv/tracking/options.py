@@ -1,0 +1,162 @@
+"""Settings of an inversion; `InvertConfig` adds what a command needs, and conf/invert.yaml explains each key."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from riginv.config.values import Bound, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from riginv.errors import InputError
+
+Method = Literal["network", "refined", "levenberg_marquardt", "clip"]
+Globs = Annotated[Sequence[str], Bound("a list of names or globs, such as [jaw*]", lambda value: True)]
+Pairs = Annotated[
+    Sequence[tuple[str, str]],
+    Bound("pairs of names, such as [[browDownLeft,browDownRight]]", lambda value: all(len(pair) == 2 for pair in value)),
+]
+Penalty = Annotated[float, Bound("a number from 0 to 1e12", lambda value: 0 <= value <= 1e12)]
+Weight = Annotated[float, Bound("a weight from 0 to 1e6", lambda value: 0 <= value <= 1e6)]
+
+
+@dataclass(frozen=True)
+class VertexOptions:
+    """How much each vertex counts.
+
+    Attributes:
+        weights: weight by region or glob of regions; later ones override earlier ones.
+        default: weight of all other vertices.
+        regions: further regions: a name, and a file of vertex indices (.txt, .json, .npy) or of all vertices' weights (.npy).
+    """
+
+    weights: Mapping[str, Weight] | None = None
+    default: Weight = 1.0
+    regions: Mapping[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class ControlOptions:
+    """Constraints on controls; all names may be globs.
+
+    Attributes:
+        activate: controls that may move.
+        freeze: controls that stay at neutral.
+        hold: values at which controls are fixed.
+        static: controls with one value for the whole clip.
+        weights: penalty scale, which multiplies `solver.prior` and `solver.sparsity`.
+        symmetric: pairs that move alike; `auto`: all that differ only in their side.
+        exclusive: pairs of which at most one moves.
+        symmetric_mm2, exclusive_mm2: mean squared error that a violation by a whole range costs.
+        mask: file of names and weights: 0 freezes a control, 1 frees it (.json, .yaml, .csv).
+        unknown: policy for names that do not match: `error`, `ignore_new`, `ignore_missing`, `ignore_both`.
+    """
+
+    activate: Globs = ("*",)
+    freeze: Globs = ()
+    hold: Mapping[str, float] | None = None
+    static: Globs = ()
+    weights: Mapping[str, Penalty] | None = None
+    symmetric: Literal["auto"] | Pairs = ()
+    symmetric_mm2: Weight = 1.0
+    exclusive: Literal["auto"] | Pairs = ()
+    exclusive_mm2: Weight = 1.0
+    mask: str | None = None
+    unknown: Literal["error", "ignore_new", "ignore_missing", "ignore_both"] = "error"
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """Settings of the solver.
+
+    Attributes:
+        steps: linearisations of each frame, at most, without a network.
+        prior: mm^2 of mean squared error for a control that leaves neutral by its whole range.
+        sparsity: the same as an L1 penalty.
+        smoothness: of `method=clip`: mm^2 for a second difference of a whole range.
+        clip_steps: of `method=clip`: Gauss-Newton steps on the whole clip.
+        mean_steps: of `method=clip`: further steps that minimise distances in place of their squares.
+        blur: of `method=clip`: standard deviation, in frames, of the smoothing of the initial curves.
+        key_starts, descent_steps: starts of every fourth frame, and gradient descent steps to the second of them.
+    """
+
+    steps: PositiveInt = 30
+    prior: NonNegativeFloat = 1e-6
+    sparsity: NonNegativeFloat = 0.0
+    smoothness: NonNegativeFloat = 1.5
+    clip_steps: PositiveInt = 4
+    mean_steps: NonNegativeInt = 0
+    blur: NonNegativeFloat = 3.0
+    key_starts: PositiveInt = 2
+    descent_steps: NonNegativeInt = 60
+
+
+@dataclass(frozen=True)
+class FlagOptions:
+    """When a frame is flagged: distance from what the rig can make, and from what the network was trained on, mm."""
+
+    reach_mm: PositiveFloat = 1.0
+    range_mm: PositiveFloat = 0.5
+
+
+@dataclass(frozen=True)
+class AfterOptions:
+    """Processing of the curves: frames per second, key reduction within mm, exchange of MouthLeft and MouthRight."""
+
+    fps: PositiveFloat | None = None
+    keys_mm: PositiveFloat | None = None
+    swap_mouth: bool = False
+
+
+@dataclass(frozen=True)
+class LookOptions:
+    """Which views of the result are written: the HTML page, the contact sheet, TensorBoard events."""
+
+    page: bool = True
+    sheet: bool = True
+    tensorboard: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingOptions:
+    """How a clip is inverted.
+
+    Attributes:
+        method: None: the network of a bundle, else `clip`.
+        correspondence: `vertices`: the rig's own mesh; `surface`: scans of any topology; `auto`: vertices where they fit.
+        prior: folder of a learned prior; None: for scans a default prior, else none.
+        noise_mm: residual between a capture and the rig's best mesh, which weights the prior.
+        refine: Levenberg-Marquardt steps after the network.
+        motion: rigid motion: `remove`, `keep`, or `auto`: remove it, unless the rig has controls for it.
+        turns: iterations of the alternating solve for rigid motion, missing vertices and controls, at most.
+        window: frames in memory at a time.
+
+    Raises:
+        InputError: the method does not fit `refine`.
+    """
+
+    method: Method | None = None
+    correspondence: Literal["auto", "vertices", "surface"] = "auto"
+    prior: str | None = None
+    noise_mm: PositiveFloat = 0.1
+    refine: NonNegativeInt = 0
+    motion: Literal["auto", "remove", "keep"] = "auto"
+    turns: PositiveInt = 12
+    vertices: VertexOptions = field(default_factory=VertexOptions)
+    controls: ControlOptions = field(default_factory=ControlOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+    flags: FlagOptions = field(default_factory=FlagOptions)
+    window: PositiveInt = 128
+
+    def __post_init__(self) -> None:
+        if self.refine and self.method in ("network", "levenberg_marquardt"):
+            raise InputError(f"refine={self.refine} is for method=refined or clip: leave it out with method={self.method}")
+
+    def resolved_method(self, has_network: bool) -> Method:
+        """The method, or the default one for what is given.
+
+        Raises:
+            InputError: the method needs a network, and there is none.
+        """
+        if self.method in ("network", "refined") and not has_network:
+            raise InputError(f"method={self.method} needs a trained network: give bundle=DIR, or method=clip without one")
+        if self.method is not None:
+            return self.method
+        return "clip" if not has_network else "refined" if self.refine else "network"

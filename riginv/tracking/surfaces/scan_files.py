@@ -1,0 +1,176 @@
+"""Readers of scans: OBJ and PLY files, ragged arrays, and clips of one topology."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from riginv.clips.numbered import find_frames, visible_files
+from riginv.clips.open import open_sequence
+from riginv.clips.options import ReadingOptions
+from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts
+from riginv.errors import InputError, in_short
+from riginv.meshes.polygons import Polygons
+from riginv.meshes.reading import read_mesh
+from riginv.rig.interface import RigBackend
+from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
+from riginv.tracking.surfaces.scans import Scan, ScanSequence
+
+SUFFIXES = (".obj", ".ply")
+
+
+class FileScans(ScanSequence):
+    """OBJ or PLY files, one per frame, each with any number of points.
+
+    Args:
+        path: as in `find_frames`.
+        options: `missing_frames`.
+    """
+
+    def __init__(self, path: str, options: ReadingOptions) -> None:
+        suffix = _suffix(Path(path))
+        self.frames = find_frames(path, suffix, options.missing_frames == "bridge")
+        facts = SourceFacts(f"scans ({suffix[1:].upper()})", notes=self.frames.notes)
+        super().__init__(path, self.frames.numbers, facts)
+
+    def scan(self, index: int) -> Scan | None:
+        path = self.frames.paths[index]
+        if path is None:
+            return None
+        mesh = read_mesh(path)
+        polygons = mesh.polygons()
+        if polygons is not None:
+            polygons.check(path, len(mesh.points))
+        return Scan(mesh.points, None if polygons is None else triangulated(polygons))
+
+
+class MeshScans(ScanSequence):
+    """The meshes of a clip of one topology, which need not be the rig's."""
+
+    def __init__(self, sequence: MeshSequence) -> None:
+        super().__init__(sequence.path, sequence.frame_numbers, sequence.facts, sequence.fps, sequence.unit_mm, sequence.up)
+        self.sequence = sequence
+        self.faces = None if sequence.faces is None else triangulated(sequence.faces)
+
+    def scan(self, index: int) -> Scan | None:
+        return Scan(self.sequence.read(index, index + 1)[0], self.faces)
+
+
+class RaggedArrays(ScanSequence):
+    """An .npz of ragged arrays, with the points of all frames one after the other.
+
+    It holds `points (point, 3)` and `offsets (frame + 1,)`: frame f has the points from offsets[f] up to offsets[f + 1]. Meshes
+    have `faces (face, 3)`, with vertex indices within their frame, and `face_offsets (frame + 1,)`; point clouds may have
+    `normals (point, 3)`. `fps` and `frame_numbers` as in other clips.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.arrays = _load(path)
+        points, offsets = self.arrays.get("points"), self.arrays.get("offsets")
+        if points is None or offsets is None:
+            raise InputError(f"{path}: scans need the arrays points and offsets, found {', '.join(self.arrays) or 'none'}")
+        _check_floats(path, "points", points)
+        _check_offsets(path, "offsets", offsets, len(points))
+        frames = len(offsets) - 1
+        if "faces" in self.arrays:
+            faces, starts = self.arrays["faces"], self.arrays.get("face_offsets")
+            if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or starts is None:
+                raise InputError(
+                    f"{path}: faces of scans are whole numbers (face, 3) with face_offsets (frame + 1,) beside them"
+                )
+            _check_offsets(path, "face_offsets", starts, len(faces), frames)
+        if "normals" in self.arrays:
+            _check_floats(path, "normals", self.arrays["normals"], len(points))
+        numbers = self.arrays.get("frame_numbers", np.arange(frames))
+        if numbers.shape != (frames,) or numbers.dtype.kind not in "iu" or (np.diff(numbers.astype(np.int64)) <= 0).any():
+            raise InputError(f"{path}: frame_numbers are no {frames} whole numbers that rise")
+        rate = self.arrays.get("fps")
+        if rate is not None and (rate.size != 1 or rate.dtype.kind not in "iuf"):
+            raise InputError(f"{path}: fps is {rate.dtype} of shape {rate.shape}, expected one number")
+        facts = SourceFacts("scans (NumPy .npz)", rate_source="" if rate is None else "its array fps")
+        super().__init__(path, numbers, facts, None if rate is None else float(rate.reshape(-1)[0]))
+
+    def scan(self, index: int) -> Scan | None:
+        first, last = (int(value) for value in self.arrays["offsets"][index : index + 2])
+        points = self.arrays["points"][first:last].astype(np.float32)
+        normals = self.arrays.get("normals")
+        if "faces" not in self.arrays:
+            return Scan(points, None, None if normals is None else normals[first:last])
+        start, stop = (int(value) for value in self.arrays["face_offsets"][index : index + 2])
+        faces = self.arrays["faces"][start:stop].astype(np.int64)
+        Polygons.triangles(faces).check(self.path, len(points))
+        return Scan(points, faces)
+
+
+def open_scans(path: str, rig: RigBackend, reading: ReadingOptions) -> ScanSequence:
+    """A clip of scans.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    given = Path(path)
+    if is_ragged(path):
+        return RaggedArrays(given)
+    if given.suffix.lower() in SUFFIXES or given.is_dir():
+        return FileScans(path, reading)
+    return MeshScans(open_sequence(path, rig, reading))
+
+
+def is_ragged(path: str) -> bool:
+    """Whether a path is an .npz of ragged arrays."""
+    given = Path(path)
+    if given.suffix.lower() != ".npz":
+        return False
+    try:
+        if not given.is_file():  # a pipe might never start
+            return False
+        with zipfile.ZipFile(given) as archive:
+            return "offsets.npy" in archive.namelist()
+    except (*DAMAGED_ZIP, OSError, ValueError):
+        return False  # its reader reports what is wrong
+
+
+def _suffix(given: Path) -> str:
+    """The suffix of a sequence's files; in a folder, the first of `SUFFIXES` that occurs."""
+    if given.is_dir():
+        found = {file.suffix.lower() for file in visible_files(given)}
+        return next((suffix for suffix in SUFFIXES if suffix in found), SUFFIXES[0])
+    return given.suffix.lower()
+
+
+def triangulated(polygons: Polygons) -> np.ndarray:
+    """Triangle fans `(face, 3)` of polygons; those of fewer than three corners give none."""
+    starts = np.cumsum(polygons.sizes) - polygons.sizes
+    count = np.maximum(polygons.sizes - 2, 0)
+    first = np.repeat(starts, count)
+    along = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    return np.stack([polygons.corners[first + step] for step in (0 * along, along + 1, along + 2)], axis=1)
+
+
+def _load(path: Path) -> dict[str, np.ndarray]:
+    try:
+        check_npz(path)
+        with np.load(path, allow_pickle=False) as archive:
+            wanted = ("points", "offsets", "faces", "face_offsets", "normals", "fps", "frame_numbers")
+            return {name: archive[name] for name in wanted if name in archive}
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; clip=PATH names a clip") from None
+    except InputError:
+        raise
+    except (OSError, *BROKEN, *DAMAGED_ZIP) as error:
+        raise InputError(f"{path}: no .npz of scans, or a damaged one ({in_short(error)}): save it again") from None
+
+
+def _check_floats(path: Path, name: str, values: np.ndarray, count: int | None = None) -> None:
+    if values.ndim != 2 or values.shape[1] != 3 or values.dtype.kind != "f" or count not in (None, len(values)):
+        raise InputError(f"{path}: {name} are {values.dtype} of shape {values.shape}, expected floats ({count or 'point'}, 3)")
+
+
+def _check_offsets(path: Path, name: str, values: np.ndarray, last: int, frames: int | None = None) -> None:
+    good = values.ndim == 1 and values.dtype.kind in "iu" and len(values) >= 2 and frames in (None, len(values) - 1)
+    if not good or values[0] != 0 or int(values[-1]) != last or (np.diff(values.astype(np.int64)) < 0).any():
+        raise InputError(
+            f"{path}: {name} must rise from 0 to {last}, one more than there are frames; found shape {values.shape}"
+        )
+    if np.diff(values.astype(np.int64)).max() > MAX_VERTICES:
+        raise InputError(f"{path}: a scan of more than {MAX_VERTICES} points: damaged; save it again")

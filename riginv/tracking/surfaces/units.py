@@ -1,0 +1,37 @@
+"""Units of scans, which may show part of the rig, or more than it."""
+
+import numpy as np
+
+from riginv.clips.options import ReadingOptions
+from riginv.clips.units import ClipUnits, SizeLimits, units_from_size
+from riginv.errors import InputError
+from riginv.rig.interface import RigBackend
+from riginv.tracking.surfaces.scans import ScanSequence
+
+LIMITS = SizeLimits(("mm", "cm", "m"), 3.0, 3.0)  # wide enough for half a face and for a whole head
+SAMPLED_FRAMES = 20  # at most, to find one with enough points
+
+
+def resolve_scan_units(scans: ScanSequence, rig: RigBackend, reading: ReadingOptions) -> ClipUnits:
+    """The units of a clip of scans, see `riginv.clips.units.resolve_units`.
+
+    Raises:
+        InputError: no frame has enough points, or the scans would be absurdly small or large beside the rig.
+    """
+    rig_mm = robust_size(rig.rest_vertices.cpu().numpy())
+    return units_from_size(scans, _size_of_scans(scans), rig_mm, rig.name, reading, LIMITS)
+
+
+def robust_size(points: np.ndarray) -> float:
+    """Twice the root median square distance of points `(point, 3)` from their median: a size that ignores outliers."""
+    middle = np.median(points, axis=0)
+    return 2 * float(np.sqrt(np.median(((points - middle) ** 2).sum(axis=1))))
+
+
+def _size_of_scans(scans: ScanSequence) -> float:
+    for index in np.unique(np.linspace(0, len(scans) - 1, min(len(scans), SAMPLED_FRAMES)).astype(int)).tolist():
+        scan = scans.scan(index)
+        cleaned = None if scan is None else scan.cleaned()
+        if cleaned is not None:
+            return robust_size(cleaned.points)
+    raise InputError(f"{scans.path}: no frame holds a scan of 50 points or more: there is nothing to fit")
