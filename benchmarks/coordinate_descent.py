@@ -71,6 +71,7 @@ def main() -> None:
     face = FaceRig()
     rig = RigInMeshSpace(face, MeshSpace.from_rig(face))
     clip = simulated_performance(face, given.frames)
+    assert clip is not None
     model = with_products(rig, ramps(rig, squares=False), PRODUCTS)
     sides = len(model.sides)
     descent = GramDescent(model, SPARSITY, groups=[[side] for side in range(sides)])

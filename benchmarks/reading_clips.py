@@ -26,7 +26,7 @@ def main() -> None:
     table = Table("clip", "MB", "MB/s", "frames/s")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        clips = {
+        clips: dict[str, str | Path] = {
             "npz": write_npz(folder / "a.npz", meshes, faces),
             "npz, compressed": write_npz(folder / "b.npz", meshes, faces, compressed=True),
             "OBJ": obj_sequence(folder / "obj", meshes, faces),

@@ -73,9 +73,10 @@ class SlowFace(FaceRig):
 def overhead(folder: Path) -> float:
     """The time that sampling takes beyond the rig's own, as a share of that, of a rig of 200 poses a second."""
     rig = SlowFace()
-    layout, facts = plan_store(to_typed({**PLAN, "samples": SLOW_POSES}, SampleConfig), rig)
+    settings = to_typed({**PLAN, "samples": SLOW_POSES}, SampleConfig)
+    layout, facts = plan_store(settings, rig)
     store = PoseStore.begin(StoreLocation(str(folder / "slow.zarr")), layout, facts, rig)
-    maker = ChunkMaker(store, rig, build_sampler(PLAN["sampler"], rig))
+    maker = ChunkMaker(store, rig, build_sampler(settings.sampler.config, rig))
     rig.spent, began = 0.0, time.perf_counter()
     for chunk in range(layout.chunks):
         maker.make(chunk)
@@ -92,7 +93,7 @@ def seconds_of(*running: subprocess.Popen) -> float:
     began = time.perf_counter()
     for process in running:
         if process.wait():
-            sys.exit(f"{process.args} failed")
+            sys.exit(f"{process.args!r} failed")
     return time.perf_counter() - began
 
 
@@ -165,6 +166,7 @@ def main() -> None:
         store = folder / "poses.zarr"
         whole = seconds_of(command("sample", f"samples={given.samples}", f"out={store}"))
         opened = PoseStore.find(StoreLocation(str(store)))
+        assert opened is not None
         rate = steady(store, opened.layout.chunk)
         said = f"{given.samples / whole:,.0f} poses/s with the start, {rate:,.0f} without"
         say(f"the face, {given.samples:,} poses, a process for each core", said, ">= 20,000 on 2 cores")

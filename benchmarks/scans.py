@@ -36,6 +36,7 @@ from riginv.tracking.priors.prior import ControlPrior, blended, learn_prior
 from riginv.tracking.priors.takes import read_take
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.clip import ScanSmoothness, smooth_scans
+from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
 from riginv.tracking.surfaces.triangles import TriangleMesh
 from rigs.face import FaceRig
@@ -126,7 +127,7 @@ class Bench:
 def solved(solver: ScanSolver, scans: list, in_a_row: bool) -> tuple[list[SolvedScan], float]:
     """The answers, and the seconds of a core's time that each took."""
 
-    def target(number: int) -> object:
+    def target(number: int) -> Target:
         return solver.target(TriangleMesh(*scans[number]))
 
     started, before, answers = time.process_time(), None, []

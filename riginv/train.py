@@ -77,7 +77,7 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
     model = load_model(folder.path / BUNDLE, rig)
     results = evaluate_model(model, true_rig, settings.judging.test_poses, clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": settings.seed}
-    log_results(trainer.logger, write_results(folder.path, results, true_rig, facts), trainer.global_step)
+    log_results(trainer, write_results(folder.path, results, true_rig, facts))
 
 
 def fit_network(
@@ -91,7 +91,7 @@ def fit_network(
     trainer, clock = build_trainer(settings, folder)
 
     folder.begin()
-    log_choices(trainer.logger, folder.config)
+    log_choices(trainer, folder.config)
     speed_up(settings.trainer, module, trainer.strategy.root_device)
     trainer.fit(module, data, ckpt_path=folder.checkpoint, weights_only=True)
 

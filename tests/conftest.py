@@ -10,6 +10,12 @@ from pathlib import Path
 import pytest
 import torch
 from hydra.core.global_hydra import GlobalHydra
+from jaxtyping import install_import_hook
+
+from tests.support import shape_checks
+
+SHAPES = [f"riginv.{package}" for package in ("rig", "geometry", "networks", "sampling", "solvers")]
+install_import_hook(SHAPES, f"{shape_checks.__name__}.check_shapes")  # before these are imported
 
 from riginv import (
     check,

@@ -1,1 +1,1 @@
-"""Where the jobs of a sweep run: launchers for Hydra, which finds them by the name of the folder above."""
+"""Launchers for the jobs of a sweep; Hydra discovers them by the name of the parent folder."""

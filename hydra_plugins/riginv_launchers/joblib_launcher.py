@@ -1,4 +1,4 @@
-"""hydra/launcher=joblib: several jobs at once on this machine, the cores shared out among them."""
+"""hydra/launcher=joblib: parallel jobs on this machine, which share its cores."""
 
 from collections.abc import Sequence
 
@@ -7,11 +7,11 @@ from riginv.launch.launching import JobsLauncher
 
 
 class JoblibLauncher(JobsLauncher):
-    """Several jobs at once on this machine.
+    """Parallel jobs on this machine.
 
     Args:
-        n_jobs: so many; -1: as many as there are cores, or jobs.
-        threads: of each job; None: the cores shared out.
+        n_jobs: number of parallel jobs; -1: the number of cores or of jobs.
+        threads: of each job; None: an equal share of the cores.
     """
 
     package = name = "joblib"
@@ -23,19 +23,17 @@ class JoblibLauncher(JobsLauncher):
         """Each job waits for its own process in a thread of this one."""
         from joblib import Parallel, cpu_count, delayed  # Hydra loads this file for every command
 
-        at_once, threads = shared_out(cpu_count(), len(jobs), self.n_jobs)
-        Parallel(n_jobs=at_once, prefer="threads", batch_size=1)(
+        parallel, threads = share_cores(cpu_count(), len(jobs), self.n_jobs)
+        Parallel(n_jobs=parallel, prefer="threads", batch_size=1)(
             delayed(run_apart)(job, self.threads or threads) for job in jobs
         )
 
 
-def shared_out(cores: int, jobs: int, wanted: int) -> tuple[int, int]:
-    """How many jobs run at once, and how many threads each may use.
+def share_cores(cores: int, jobs: int, wanted: int) -> tuple[int, int]:
+    """Number of parallel jobs, and of threads for each.
 
     Args:
-        cores: that are there.
-        jobs: to be run.
-        wanted: at once; below 0: one for each core.
+        wanted: parallel jobs; below 0: one per core.
     """
-    at_once = min(jobs, wanted if wanted > 0 else cores)
-    return at_once, max(1, cores // at_once)
+    parallel = min(jobs, wanted if wanted > 0 else cores)
+    return parallel, max(1, cores // parallel)

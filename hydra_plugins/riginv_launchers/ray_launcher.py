@@ -1,4 +1,4 @@
-"""hydra/launcher=ray: jobs spread over a Ray cluster, or over this machine by Ray."""
+"""hydra/launcher=ray: jobs on a Ray cluster, or on this machine by Ray."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,25 +8,26 @@ from omegaconf import DictConfig, OmegaConf
 from riginv.errors import InputError
 from riginv.launch.apart import Job, run_apart
 from riginv.launch.launching import JobsLauncher
+from riginv.runs.run_folder import resolved
 
 
 class RayLauncher(JobsLauncher):
     """Jobs as tasks of Ray.
 
     Args:
-        init: arguments of `ray.init`: `address` names a cluster ("auto": the one that this machine belongs to; None: one of
-            its own, on this machine).
-        remote: what each job needs, as arguments of `ray.remote`: `num_cpus`, `num_gpus`, `resources`, `max_retries`.
+        init: arguments of `ray.init`: `address` names a cluster ("auto": that of this machine; None: a new one on this
+            machine).
+        remote: resources of each job, as arguments of `ray.remote`: `num_cpus`, `num_gpus`, `resources`, `max_retries`.
     """
 
     package = name = "ray"
 
     def __init__(self, init: DictConfig, remote: DictConfig) -> None:
-        self.init: dict[str, Any] = OmegaConf.to_container(OmegaConf.create(init), resolve=True)
-        self.remote: dict[str, Any] = OmegaConf.to_container(OmegaConf.create(remote), resolve=True)
+        self.init: dict[str, Any] = resolved(OmegaConf.create(init))
+        self.remote: dict[str, Any] = resolved(OmegaConf.create(remote))
 
     def run_all(self, jobs: Sequence[Job]) -> None:
-        """Each job is a task; one whose machine was lost is started again on another, and goes on there.
+        """Run each job as a task; a job whose machine is lost resumes on another.
 
         Raises:
             InputError: there is no cluster at that address.

@@ -1,4 +1,4 @@
-"""hydra/launcher=submitit_slurm: jobs as a SLURM array; hydra/launcher=submitit_local: the same path on this machine."""
+"""hydra/launcher=submitit_slurm: jobs as a SLURM array; hydra/launcher=submitit_local: the same without a queue."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,8 +16,8 @@ class SubmititLauncher(JobsLauncher):
 
     Args:
         cluster: slurm or local.
-        max_num_timeout: how often a job that ran out of its time is queued again; it goes on where it was.
-        parameters: of the queue: submitit's general ones, or those of the cluster (partition, array_parallelism, setup ...).
+        max_num_timeout: how often a job that exceeds its time limit is queued again; it resumes.
+        parameters: of the queue: the general ones of submitit, or those of the cluster (partition, setup ...).
     """
 
     package = "submitit"
@@ -32,7 +32,7 @@ class SubmititLauncher(JobsLauncher):
         self.parameters = {key if key in GENERAL else f"{cluster}_{key}": value for key, value in plain.items()}
 
     def run_all(self, jobs: Sequence[Job]) -> None:
-        """Submit all jobs as one array, and wait for them; should this process end, the array goes on."""
+        """Submit all jobs as one array, and wait for them; the array continues if this process ends."""
         from submitit.core.utils import UncompletedJobError  # Hydra loads this file for every command
 
         for submitted in self.submit(jobs):
@@ -42,7 +42,7 @@ class SubmititLauncher(JobsLauncher):
                 continue  # its record has no end: the launcher says so
 
     def submit(self, jobs: Sequence[Job]) -> list[Any]:
-        """Submit all jobs as one array; submitit's handles of them."""
+        """Submit all jobs as one array; their handles of submitit."""
         import submitit
 
         executor = submitit.AutoExecutor(
@@ -53,13 +53,13 @@ class SubmititLauncher(JobsLauncher):
 
 
 class Requeued:
-    """`run_apart` for submitit: a job that ran out of its time is queued again as it is, and goes on by its record."""
+    """`run_apart` for submitit: a job that exceeds its time limit is queued again unchanged, and resumes by its record."""
 
     def __call__(self, job: Job, threads: int | None) -> None:
         run_apart(job, threads)
 
     def checkpoint(self, job: Job, threads: int | None) -> Any:
-        """Submitit's: what to queue again."""
+        """The job to queue again, for submitit."""
         from submitit.helpers import DelayedSubmission
 
         return DelayedSubmission(self, job, threads)

@@ -1,1 +1,1 @@
-"""Controls over time, and the formats that hold them."""
+"""Animation curves: controls over time, and the file formats they are written in."""

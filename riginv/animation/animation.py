@@ -1,4 +1,4 @@
-"""What an inversion found: controls over time, and how good they are frame by frame."""
+"""The result of an inversion: controls over time, and the errors of each frame."""
 
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -20,19 +20,19 @@ class Animation:
     """Controls over time.
 
     Attributes:
-        rig: whose controls.
-        controls: `(frame, control)` in the controls' own units, within their limits.
-        fps: frames a second.
-        frame_numbers: `(frame,)`, whole, rising, as in the source; where some were left out they have gaps.
-        motion: `(frame, 4, 4)`, the rigid motion that was removed from the meshes: a mesh in the world is
-            motion @ the rig's mesh, mm. None: nothing was removed.
-        source: the name of the clip.
-        made_by: facts worth keeping: the bundle's fingerprint, the method, versions.
-        keys: after a reduction: for each control the rows of `controls` that are keys; between keys the curve is linear.
+        rig: has the controls.
+        controls: `(frame, control)` in the controls' units, within their limits.
+        fps: frames per second.
+        frame_numbers: integers `(frame,)`, rising, as in the source; omitted frames leave gaps.
+        motion: rigid motion removed from the meshes, `(frame, 4, 4)`: a mesh in the world is motion @ the rig's mesh, mm.
+            None: nothing was removed.
+        source: name of the clip.
+        made_by: provenance: fingerprint of the bundle, method, versions.
+        keys: after key reduction: for each control the rows of `controls` that are keys; the curve is linear in between.
             None: every frame is a key.
 
     Raises:
-        InputError: the numbers do not make an animation of the rig.
+        InputError: shapes or values do not fit the rig.
     """
 
     rig: RigBackend
@@ -54,7 +54,7 @@ class Animation:
                 f"need {(frames, count)}"
             )
         if not torch.isfinite(self.controls).all():
-            frame, control = (int(place) for place in (~torch.isfinite(self.controls)).nonzero()[0])
+            frame, control = (int(index) for index in (~torch.isfinite(self.controls)).nonzero()[0])
             raise InputError(
                 f"frame {int(self.frame_numbers[frame])}: control '{self.rig.control_names[control]}' is not a finite number"
             )
@@ -77,11 +77,11 @@ class Animation:
 
 
 class SampledOptimum(NamedTuple):
-    """The least error that the rig can reach, on a few frames.
+    """The lowest errors that the rig can reach on a few frames.
 
     Attributes:
-        rows: of the frames that were judged, `(frame,)`.
-        least_mm: the least mean vertex error that a solver found for each, `(frame,)`.
+        rows: of the evaluated frames, `(frame,)`.
+        least_mm: lowest mean vertex error that a solver reached, `(frame,)`.
     """
 
     rows: Tensor
@@ -90,17 +90,17 @@ class SampledOptimum(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameErrors:
-    """How far each frame's recovered mesh is off, by the true rig.
+    """Vertex errors of each frame, measured with the true rig.
 
     Attributes:
-        mean_mm, max_mm: `(frame,)`, over the vertices that were known.
-        worst_vertex: `(frame,)`, whole: where `max_mm` is.
-        worst_region: the name of the region of that vertex, for each frame; empty where nobody named any.
-        flags: for each frame why to look at it: `outside_training_range`, `outside_reach`, `not_converged`,
+        mean_mm, max_mm: `(frame,)`, over known vertices.
+        worst_vertex: index of the vertex of `max_mm`, `(frame,)`.
+        worst_region: region name of that vertex, for each frame; empty if there is none.
+        flags: of each frame: `outside_training_range`, `outside_reach`, `not_converged`,
             `missing_vertices`.
-        frame_numbers: `(frame,)`, of the frames that were judged; None: those of the animation.
-        neutral_mm: `(frame,)`, the mean error of the neutral mesh in place of the recovered one; None: not measured.
-        reach: the least error that the rig can reach on a few frames; None: not known.
+        frame_numbers: of the evaluated frames, `(frame,)`; None: those of the animation.
+        neutral_mm: mean error of the neutral mesh, `(frame,)`; None: not measured.
+        optimum: lowest errors on a few frames; None: not known.
     """
 
     mean_mm: Tensor
@@ -113,7 +113,7 @@ class FrameErrors:
     optimum: SampledOptimum | None = None
 
     def summary(self) -> dict[str, float]:
-        """The mean errors over all frames that are known, mm, and on those whose least error is."""
+        """Mean errors, mm, over all known frames, and over those with a known optimum."""
         found = {"mean_error_mm": self.mean_mm, "max_error_mm": self.max_mm, "neutral_mean_error_mm": self.neutral_mm}
         values = {key: float(errors.nanmean()) for key, errors in found.items() if errors is not None}
         values["max_error_mm"] = float(self.max_mm.nan_to_num(0.0).max())
@@ -124,9 +124,9 @@ class FrameErrors:
 
     @property
     def flagged(self) -> list[int]:
-        """The rows of the frames that have a flag."""
+        """Rows of flagged frames."""
         return [row for row, flags in enumerate(self.flags) if flags]
 
     def worst(self, count: int) -> list[int]:
-        """The rows of the `count` frames with the largest mean errors, worst first, those that nobody knows last."""
+        """Rows of the `count` frames with the largest mean errors, worst first, unknown ones last."""
         return self.mean_mm.nan_to_num(nan=-1.0).argsort(descending=True)[:count].tolist()

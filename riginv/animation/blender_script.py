@@ -1,4 +1,4 @@
-"""A script that keys the curves in Blender: onto controls that are there already, or onto a new object."""
+"""A script that keys the curves in Blender, on existing controls or on a new object."""
 
 from pathlib import Path
 
@@ -12,10 +12,10 @@ TEMPLATE = Path(__file__).parent / "in_blender" / "key_curves.py"
 
 
 def check(rig: RigBackend) -> None:
-    """Every rig's controls can be keyed."""
+    """Accept every rig: all controls can be keyed."""
 
 
 def write(path: Path, animation: Animation) -> None:
-    """Write the script; it reads curves.csv and curves.json, which lie beside it."""
+    """Write the script; it reads curves.csv and curves.json beside it."""
     text = TEMPLATE.read_text(encoding="utf-8")
     write_text(path, text.replace("curves.csv", CURVES).replace("curves.json", SIDECAR))

@@ -17,33 +17,33 @@ from riginv.runs.files import write_text
 
 FILE = "skeleton.bvh"
 CM = 0.1  # per mm
-MOVES, TURNS = "Xposition Yposition Zposition", "Zrotation Yrotation Xrotation"
+TRANSLATION, ROTATION = "Xposition Yposition Zposition", "Zrotation Yrotation Xrotation"
 
 
 def check(rig: RigBackend) -> None:
-    """Raises InputError for a rig that tells no joints."""
+    """Raise InputError for a rig without joints."""
     if rig.skeleton() is None:
-        raise InputError(f"formats: bvh holds joints, and rig '{rig.name}' tells of none; choose csv, anim or blender")
+        raise InputError(f"formats: bvh holds joints, and rig '{rig.name}' has none; choose csv, anim or blender")
 
 
 @torch.no_grad()
 def write(path: Path, animation: Animation) -> None:
-    """Write the skeleton at rest, and for each frame the root's place and every joint's turn.
+    """Write the skeleton at rest, and for each frame the root's position and the joints' rotations.
 
-    A BVH cannot leave frames out: gaps between them are filled.
+    A BVH cannot omit frames: gaps are filled.
     """
     skeleton = animation.rig.skeleton()
     assert skeleton is not None
     poses = local_poses(skeleton, fill_gaps(animation))
-    turns = Rotation.from_matrix(poses.rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True)
-    turns = unwrap_angles(turns.reshape(*poses.rotations.shape[:2], 3))
+    angles = Rotation.from_matrix(poses.rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True)
+    angles = unwrap_angles(angles.reshape(*poses.rotations.shape[:2], 3))
     moving = _moving(poses)
     order = _order(skeleton)
     columns = []
     for joint in order:
         if moving[joint]:
             columns.append(poses.translations[:, joint] * CM)
-        columns.append(turns[:, joint])
+        columns.append(angles[:, joint])
     table = np.concatenate(columns, axis=1) + 0.0
     rows = [" ".join(f"{value:.6f}" for value in row) for row in table.tolist()]
     head = ["HIERARCHY", *_joint(skeleton, order[0], moving, 0), "MOTION", f"Frames: {len(rows)}"]
@@ -51,14 +51,14 @@ def write(path: Path, animation: Animation) -> None:
 
 
 def _moving(poses: LocalPoses) -> np.ndarray:
-    """Which joints go anywhere against their parents: the root, and others where the rig stretches."""
+    """Whether each joint translates against its parent: the root, and others if the rig stretches."""
     moving = np.ptp(poses.translations, axis=0).max(axis=1) > 1e-3
     moving[0] = True
     return moving
 
 
 def _order(skeleton: Skeleton) -> list[int]:
-    """The joints as a BVH lists them: each one's children right after it."""
+    """The joints in depth-first order."""
     children: dict[int, list[int]] = {}
     for joint, parent in enumerate(skeleton.parents):
         children.setdefault(parent, []).append(joint)
@@ -71,10 +71,10 @@ def _order(skeleton: Skeleton) -> list[int]:
 
 
 def _joint(skeleton: Skeleton, joint: int, moving: np.ndarray, depth: int) -> list[str]:
-    """The lines of a joint and of all below it."""
+    """The lines of a joint and its descendants."""
     pad, parent = "\t" * depth, skeleton.parents[joint]
     offset = (skeleton.heads[joint] - (skeleton.heads[parent] if parent >= 0 else 0)) * CM
-    channels = f"CHANNELS 6 {MOVES} {TURNS}" if moving[joint] else f"CHANNELS 3 {TURNS}"
+    channels = f"CHANNELS 6 {TRANSLATION} {ROTATION}" if moving[joint] else f"CHANNELS 3 {ROTATION}"
     lines = [f"{pad}{'ROOT' if parent < 0 else 'JOINT'} {skeleton.joint_names[joint].replace(' ', '_')}", f"{pad}{{"]
     lines += [f"{pad}\tOFFSET {_triple(offset)}", f"{pad}\t{channels}"]
     children = [child for child, above in enumerate(skeleton.parents) if above == joint]

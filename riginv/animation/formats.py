@@ -1,4 +1,4 @@
-"""The formats that curves are written in, each a file of its own."""
+"""The registry of curve formats, each with one file."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,12 +12,12 @@ from riginv.rig.interface import RigBackend
 
 
 class Format(NamedTuple):
-    """One format.
+    """A curve format.
 
     Attributes:
-        file: its name in the folder.
-        check: raises InputError where a rig cannot be written in it.
-        write: writes an animation to a path, whole or not at all.
+        file: name of its file.
+        check: raises InputError if a rig cannot be written in it.
+        write: writes an animation to a path, atomically.
     """
 
     file: str
@@ -36,10 +36,10 @@ FORMATS = {
 
 
 def check_formats(rig: RigBackend, names: Sequence[str]) -> None:
-    """To be asked before any work.
+    """Check formats before any work.
 
     Raises:
-        InputError: a format is not known, the rig cannot be written in it, or a package that it takes is missing.
+        InputError: a format is not known, the rig cannot be written in it, or a package is missing.
     """
     for name in names:
         if name != "csv" and name not in FORMATS:
@@ -60,12 +60,12 @@ def write_formats(
     """Write curves.csv, its sidecar curves.json, frames.csv, and a file for each further format.
 
     Args:
-        names: of formats; csv goes without saying.
+        names: of formats; csv is always written.
         swap_mouth: exchange MouthLeft and MouthRight in Live Link Face's CSV.
-        clip: what was read of the clip that the curves come from, for the sidecar.
+        clip: description of the clip, for curves.json.
 
     Returns:
-        the files.
+        paths of the files.
 
     Raises:
         InputError: as `check_formats`; nothing is written then.

@@ -20,13 +20,13 @@ PER_SET = 4  # joints of a vertex in one attribute
 
 
 def check(rig: RigBackend) -> None:
-    """Raises InputError for a rig with neither blendshapes nor joints."""
+    """Raise InputError for a rig with neither blendshapes nor joints."""
     check_drawable(rig, "glb")
 
 
 @torch.no_grad()
 def write(path: Path, animation: Animation) -> None:
-    """Write the mesh and its animation: names of shapes stand in `extras.targetNames`, as every importer expects them."""
+    """Write the mesh and its animation; `extras.targetNames` holds the names of shapes, as importers expect."""
     document = GlbDocument(animation.source or animation.rig.name)
     times = document.times(animation.seconds.numpy())
     skeleton = animation.rig.skeleton()
@@ -75,9 +75,9 @@ def _add_joints(document: GlbDocument, animation: Animation, skeleton: Skeleton,
     mesh = document.add("meshes", {"name": animation.rig.name, "primitives": [primitive]})
     document.node({"name": animation.rig.name, "mesh": mesh, "skin": document.add("skins", skin)}, in_scene=True)
     poses = local_poses(skeleton, animation)
-    turns = quaternions(poses.rotations)
+    rotations = quaternions(poses.rotations)
     for joint, node in enumerate(joints):
-        document.channel(node, "rotation", times, turns[:, joint])
+        document.channel(node, "rotation", times, rotations[:, joint])
         if parents[joint] < 0 or np.ptp(poses.translations[:, joint], axis=0).max() > 1e-3:
             document.channel(node, "translation", times, poses.translations[:, joint] * METRES)
 
@@ -95,25 +95,25 @@ def _primitive(document: GlbDocument, rig: RigBackend) -> dict:
 
 
 def _influences(document: GlbDocument, skeleton: Skeleton) -> dict[str, int]:
-    """The joints of each vertex and their shares, the largest first, four to an attribute."""
+    """Joint indices and weights of each vertex, largest first, four per attribute."""
     weights = skeleton.weights.cpu().double().numpy()
-    most = int((weights > 0).sum(axis=1).max())
-    order = np.argsort(-weights, axis=1, kind="stable")[:, : PER_SET * -(-most // PER_SET)]
-    shares = np.take_along_axis(weights, order, axis=1)
-    shares /= shares.sum(axis=1, keepdims=True)
-    order = np.where(shares > 0, order, 0).astype(np.uint16)
+    count = int((weights > 0).sum(axis=1).max())
+    order = np.argsort(-weights, axis=1, kind="stable")[:, : PER_SET * -(-count // PER_SET)]
+    fractions = np.take_along_axis(weights, order, axis=1)
+    fractions /= fractions.sum(axis=1, keepdims=True)
+    order = np.where(fractions > 0, order, 0).astype(np.uint16)
     attributes = {}
     for number in range(order.shape[1] // PER_SET):
         part = slice(PER_SET * number, PER_SET * (number + 1))
         attributes[f"JOINTS_{number}"] = document.array(order[:, part], "VEC4", vertices=True)
-        attributes[f"WEIGHTS_{number}"] = document.array(shares[:, part].astype(np.float32), "VEC4", vertices=True)
+        attributes[f"WEIGHTS_{number}"] = document.array(fractions[:, part].astype(np.float32), "VEC4", vertices=True)
     return attributes
 
 
 def quaternions(rotations: np.ndarray) -> np.ndarray:
-    """Unit quaternions x y z w `(frame, joint, 4)` of rotations `(frame, joint, 3, 3)`, each near the one before it."""
+    """Unit quaternions x y z w `(frame, joint, 4)` of rotations `(frame, joint, 3, 3)`, with signs continuous over frames."""
     found = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*rotations.shape[:2], 4)
-    turned = (found[1:] * found[:-1]).sum(axis=-1) < 0
-    signs = np.cumprod(np.where(turned, -1.0, 1.0), axis=0)
+    flipped = (found[1:] * found[:-1]).sum(axis=-1) < 0
+    signs = np.cumprod(np.where(flipped, -1.0, 1.0), axis=0)
     found[1:] *= signs[..., None]
     return found

@@ -1,4 +1,4 @@
-"""A GLB file in the making: its JSON document and its one binary buffer (glTF 2.0)."""
+"""Writer of GLB files: a JSON document and a binary buffer (glTF 2.0)."""
 
 import json
 import struct
@@ -12,7 +12,7 @@ from riginv.runs.files import atomic_write
 
 COMPONENTS = {np.dtype(np.float32): 5126, np.dtype(np.uint32): 5125, np.dtype(np.uint16): 5123}
 SHAPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-VERTICES, INDICES = 34962, 34963  # what a buffer view is for
+VERTICES, INDICES = 34962, 34963  # targets of buffer views
 MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 
 
@@ -23,7 +23,7 @@ class GlbDocument:
         name: of the animation.
 
     Attributes:
-        content: the JSON document, as far as it got.
+        content: the JSON document so far.
     """
 
     def __init__(self, name: str) -> None:
@@ -40,12 +40,12 @@ class GlbDocument:
         self.binary = bytearray()
 
     def add(self, kind: str, entry: dict[str, Any]) -> int:
-        """Add an entry to one of the document's lists; its number there."""
+        """Add an entry to one of the document's lists; returns its index."""
         self.content.setdefault(kind, []).append(entry)
         return len(self.content[kind]) - 1
 
     def node(self, entry: dict[str, Any], in_scene: bool = False) -> int:
-        """Add a node, and put it at the top of the scene if it hangs on no other."""
+        """Add a node, and with `in_scene` as a root of the scene."""
         number = self.add("nodes", entry)
         if in_scene:
             self.content["scenes"][0]["nodes"].append(number)
@@ -89,7 +89,7 @@ class GlbDocument:
         return self.array(seconds.astype(np.float32)[:, None], bounds=True)
 
     def channel(self, node: int, path: str, times: int, values: np.ndarray) -> None:
-        """Animate a node's `translation`, `rotation` or `weights`, in straight lines between frames."""
+        """Animate a node's `translation`, `rotation` or `weights`, linear between frames."""
         animation = self.content["animations"][0]
         output = self.array(np.ascontiguousarray(values, np.float32))
         animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
@@ -97,7 +97,7 @@ class GlbDocument:
         animation["channels"].append({"sampler": sampler, "target": {"node": node, "path": path}})
 
     def save(self, path: Path) -> None:
-        """Write the file whole or not at all."""
+        """Write the file atomically."""
         self.content["buffers"] = [{"byteLength": len(self.binary)}]
         text = json.dumps(self.content, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)

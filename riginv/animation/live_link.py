@@ -1,4 +1,4 @@
-"""Live Link Face CSV: the 52 shapes of ARKit and the turn of the head, as the app writes them."""
+"""Live Link Face CSV: the 52 shapes of ARKit and the rotation of the head, in the app's format."""
 
 from pathlib import Path
 
@@ -16,13 +16,13 @@ from riginv.solvers.bounded import bounded_least_squares
 
 FILE = "live_link.csv"
 ANGLES = [f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll")]
-TIMECODE_FPS = 60  # the app counts 60 frames a second in its timecode, whatever it records at
-BATCH_SIZE = 256  # frames at a time
-RIDGE = 1e-5  # of a shape's own size: between shapes that do the same, the weights are shared
+TIMECODE_FPS = 60  # the app counts 60 frames per second in timecodes, whatever it records at
+BATCH_SIZE = 256  # frames
+RIDGE = 1e-5  # relative to a shape's squared size: distributes weights between equal shapes
 
 
 def check(rig: RigBackend) -> None:
-    """Raises InputError for a rig that has neither controls nor shapes with ARKit's names."""
+    """Raise InputError for a rig that has neither controls nor shapes with ARKit's names."""
     if not rig.arkit_deltas() and not named_controls(rig):
         raise InputError(
             f"formats: livelink needs ARKit's shapes, and rig '{rig.name}' has neither shapes nor controls of their names "
@@ -34,15 +34,15 @@ def write(path: Path, animation: Animation, swap_mouth: bool = False) -> None:
     """Write a recording.
 
     Args:
-        swap_mouth: exchange MouthLeft and MouthRight: some software takes them the other way round than the app.
+        swap_mouth: exchange MouthLeft and MouthRight: some software swaps them relative to the app.
     """
     shapes = dict(zip(LIVE_LINK_SHAPES, arkit_weights(animation).T.tolist()))
     if swap_mouth:
         shapes["MouthLeft"], shapes["MouthRight"] = shapes["MouthRight"], shapes["MouthLeft"]
     angles = np.zeros((len(animation), len(ANGLES)))
     if animation.motion is not None:
-        turns = Rotation.from_matrix(animation.motion[:, :3, :3].detach().cpu().double().numpy())
-        angles[:, :3] = turns.as_euler("YXZ")  # radians, as in the app
+        rotations = Rotation.from_matrix(animation.motion[:, :3, :3].detach().cpu().double().numpy())
+        angles[:, :3] = rotations.as_euler("YXZ")  # radians, as in the app
     values = np.concatenate([np.stack([shapes[name] for name in LIVE_LINK_SHAPES], axis=1), angles], axis=1)
     first = float(animation.frame_numbers[0]) / animation.fps
     rows = [
@@ -53,7 +53,7 @@ def write(path: Path, animation: Animation, swap_mouth: bool = False) -> None:
 
 
 def timecode(seconds: float) -> str:
-    """A time as `HH:MM:SS:FF.fff`, with 60 frames in a second."""
+    """A time as `HH:MM:SS:FF.fff`, with 60 frames per second."""
     thousandths = round(seconds * TIMECODE_FPS * 1000)
     whole, frames = divmod(thousandths, TIMECODE_FPS * 1000)
     minutes, seconds = divmod(whole, 60)
@@ -62,7 +62,7 @@ def timecode(seconds: float) -> str:
 
 
 def named_controls(rig: RigBackend) -> dict[str, int]:
-    """The number of the control that has the name of each ARKit shape; case, underscores and prefixes do not matter."""
+    """Index of the control with the name of each ARKit shape, ignoring case, underscores and prefixes."""
     found: dict[str, int] = {}
     for number, name in enumerate(rig.control_names):
         found.setdefault(plain_name(name), number)
@@ -72,8 +72,8 @@ def named_controls(rig: RigBackend) -> dict[str, int]:
 def arkit_weights(animation: Animation) -> Tensor:
     """Weights `(frame, shape)` in [0, 1] of ARKit's shapes, in the order of `LIVE_LINK_SHAPES`.
 
-    Where every control of the rig is one of ARKit's, or the rig has no shapes of these names, they are the controls. Else
-    other controls move the face, too, and the weights are those whose shapes, added linearly, come nearest to its meshes.
+    If every control of the rig is one of ARKit's, or the rig has no shapes of these names, they are the controls. Else they
+    are the weights whose shapes, added linearly, are nearest to the rig's meshes.
     """
     rig, named = animation.rig, named_controls(animation.rig)
     shapes = {name[0].upper() + name[1:]: delta for name, delta in rig.arkit_deltas().items()}
@@ -90,18 +90,18 @@ def arkit_weights(animation: Animation) -> Tensor:
 
 @torch.no_grad()
 def nearest_weights(rig: RigBackend, deltas: Tensor, controls: Tensor) -> Tensor:
-    """The weights `(frame, shape)` in [0, 1] whose shapes `(shape, vertex, 3)` sum to the nearest of the rig's meshes."""
+    """Weights `(frame, shape)` in [0, 1] whose shapes `(shape, vertex, 3)` sum to the meshes nearest to the rig's."""
     flat = deltas.flatten(1).double()
     gram = flat @ flat.T
     size = gram.diagonal()
-    size.copy_(torch.where(size > 0, size * (1 + RIDGE), 1.0))  # a shape without any size takes no part
+    size.copy_(torch.where(size > 0, size * (1 + RIDGE), 1.0))  # zero shapes keep weight 0
     linear = rig if isinstance(rig, LinearRig) else None
     along = None if linear is None else linear.basis.flatten(1).double() @ flat.T
     found = []
     for batch in controls.split(BATCH_SIZE):
         if linear is None or along is None:
-            aim = (rig(batch) - rig.rest_vertices).flatten(1).double() @ flat.T
+            target = (rig(batch) - rig.rest_vertices).flatten(1).double() @ flat.T
         else:
-            aim = (linear.coefficients(batch) - linear.neutral_coefficients()).double() @ along
-        found.append(bounded_least_squares(gram, aim))
+            target = (linear.coefficients(batch) - linear.neutral_coefficients()).double() @ along
+        found.append(bounded_least_squares(gram, target))
     return torch.cat(found).cpu()

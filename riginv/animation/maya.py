@@ -1,6 +1,6 @@
-"""Maya .anim: a curve for each control, to be pasted onto a node that has the controls as attributes.
+"""Maya .anim: a curve for each control, for a node that has the controls as attributes.
 
-The format is documented in Maya's manual, "ANIM file format", version 1.1.
+Source: Maya's manual, "ANIM file format", version 1.1.
 """
 
 import re
@@ -21,7 +21,7 @@ MOTION = ("translateX", "translateY", "translateZ", "rotateX", "rotateY", "rotat
 
 
 def check(rig: RigBackend) -> None:
-    """Raises InputError where two controls would have one name in Maya."""
+    """Raise InputError if two controls would have the same name in Maya."""
     names: dict[str, str] = {}
     for name in rig.control_names:
         other = names.setdefault(legal(name), name)
@@ -35,7 +35,7 @@ def check(rig: RigBackend) -> None:
 def write(path: Path, animation: Animation) -> None:
     """Write a curve for each control on the node `RIG_controls`, and the rigid motion, if any, on `RIG_motion`.
 
-    Times are frames where Maya knows the frame rate, else seconds. Tangents are linear.
+    Times are frames if Maya has a unit for the frame rate, else seconds. Tangents are linear.
     """
     rig, unit = animation.rig, TIME_UNITS.get(animation.fps, "sec")
     if unit == "sec":
@@ -61,7 +61,7 @@ def write(path: Path, animation: Animation) -> None:
 
 
 def legal(name: str) -> str:
-    """A name as Maya allows it."""
+    """A name with the characters that Maya allows."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     return f"_{plain}" if plain[:1].isdigit() or not plain else plain
 

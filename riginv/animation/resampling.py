@@ -1,4 +1,4 @@
-"""Another number of frames a second, and gaps between frames filled."""
+"""Resampling of animations to another frame rate, and filling of gaps."""
 
 from dataclasses import replace
 
@@ -11,14 +11,14 @@ from torch import Tensor
 from riginv.animation.animation import Animation
 from riginv.errors import InputError
 
-MOST_FRAMES = 10_000_000
+MAX_FRAMES = 10_000_000
 
 
 def resampled(animation: Animation, fps: float) -> Animation:
-    """The same animation at another number of frames a second; it starts at the same time and ends no later.
+    """An animation at another frame rate; it starts at the same time and ends no later.
 
-    Between frames controls follow monotone cubics (Fritsch and Carlson 1980), which never overshoot and so stay within the
-    limits; the rigid motion goes along the shortest turn. Reduce keys afterwards: those of before do not fit new frames.
+    Controls are interpolated by monotone cubics (Fritsch and Carlson 1980), which stay within the limits; rotations along the
+    shortest arc. Keys are lost: reduce keys afterwards.
 
     Raises:
         InputError: fps is not a finite number above 0, or makes more than ten million frames.
@@ -27,21 +27,19 @@ def resampled(animation: Animation, fps: float) -> Animation:
         raise InputError(f"fps is {fps}, expected a finite number above 0")
     seconds = animation.seconds.numpy()
     count = seconds[-1] * fps + 1 + 1e-6
-    if count > MOST_FRAMES:
-        raise InputError(f"fps={fps:g} makes {count:.0f} frames of a clip of {seconds[-1]:.1f} s, the most is {MOST_FRAMES}")
+    if count > MAX_FRAMES:
+        raise InputError(f"fps={fps:g} makes {count:.0f} frames of a clip of {seconds[-1]:.1f} s, the most is {MAX_FRAMES}")
     first = round(int(animation.frame_numbers[0]) * fps / animation.fps)
     return _at(animation, np.arange(int(count)) / fps, torch.arange(first, first + int(count)), fps)
 
 
 def fill_gaps(animation: Animation) -> Animation:
-    """The animation with every frame from its first to its last, for formats that cannot leave any out."""
+    """The animation with every frame from its first to its last, for formats that cannot omit frames."""
     first, last = int(animation.frame_numbers[0]), int(animation.frame_numbers[-1])
     if last - first + 1 == len(animation):
         return animation
-    if last - first >= MOST_FRAMES:
-        raise InputError(
-            f"frames {first} to {last}: more than {MOST_FRAMES} would be needed to fill the gaps; number them anew"
-        )
+    if last - first >= MAX_FRAMES:
+        raise InputError(f"frames {first} to {last}: more than {MAX_FRAMES} would be needed to fill the gaps; number them anew")
     numbers = torch.arange(first, last + 1)
     return _at(animation, (numbers - first).double().numpy() / animation.fps, numbers, animation.fps)
 
@@ -54,7 +52,7 @@ def _at(animation: Animation, times: np.ndarray, numbers: Tensor, fps: float) ->
     else:
         between = PchipInterpolator(seconds, controls.double().numpy(), axis=0)(times)
         lower, upper = animation.rig.lower.cpu(), animation.rig.upper.cpu()
-        values = torch.tensor(between).to(controls).clamp(lower, upper)  # rounding can step over a limit
+        values = torch.tensor(between).to(controls).clamp(lower, upper)  # rounding may exceed a limit
         motion = None if animation.motion is None else _motion_at(seconds, animation.motion, times)
     return replace(animation, controls=values, fps=fps, frame_numbers=numbers, motion=motion, keys=None)
 

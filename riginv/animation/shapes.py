@@ -1,4 +1,4 @@
-"""The blendshapes of an animation: what formats that hold a mesh and its shapes are given."""
+"""The blendshapes of an animation, for formats that hold a mesh and its shapes."""
 
 from typing import NamedTuple
 
@@ -9,13 +9,13 @@ from riginv.animation.animation import Animation
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig, RigBackend
 
-BATCH_SIZE = 256  # frames at a time
-STILL = 1e-6  # of a weight: a correction that never leaves 0 by more is left out
-FAINT_MM = 1e-5  # a vertex that a shape moves by less is not in it
+BATCH_SIZE = 256  # frames
+MIN_WEIGHT = 1e-6  # corrective shapes whose weights never exceed it are omitted
+MIN_MM = 1e-5  # vertices that a shape moves by less are omitted
 
 
 class Shapes(NamedTuple):
-    """Shapes and how much of each there is.
+    """Shapes and their weights.
 
     Attributes:
         names: of the shapes.
@@ -29,25 +29,25 @@ class Shapes(NamedTuple):
 
 
 def check_drawable(rig: RigBackend, name: str) -> None:
-    """Raises InputError for a rig that a format of shapes and joints, called `name`, cannot hold."""
+    """Raise InputError for a rig without shapes and joints, which format `name` needs."""
     if not (isinstance(rig, LinearRig) and rig.has_blendshapes) and rig.skeleton() is None:
         raise InputError(
-            f"formats: {name} holds blendshapes or joints, and rig '{rig.name}' tells of neither; choose csv, anim or blender"
+            f"formats: {name} holds blendshapes or joints, and rig '{rig.name}' has neither; choose csv, anim or blender"
         )
 
 
 @torch.no_grad()
 def moving_shapes(animation: Animation) -> Shapes:
-    """Every shape that a rig drives directly, and of those that correct these the ones that move in this animation."""
+    """All primary shapes of a rig, and the corrective shapes that this animation uses."""
     rig = animation.rig
     assert isinstance(rig, LinearRig)
     weights = torch.cat([rig.coefficients(batch) for batch in animation.controls.split(BATCH_SIZE)])
-    kept = (weights.abs() > STILL).any(dim=0)
+    kept = (weights.abs() > MIN_WEIGHT).any(dim=0)
     kept[: rig.primary_count] = True
     names = [name for name, keep in zip(rig.coefficient_names, kept.tolist()) if keep]
     return Shapes(names, rig.basis[kept], weights[:, kept])
 
 
 def moved_vertices(deltas: Tensor) -> Tensor:
-    """The vertices that a shape `(vertex, 3)` moves."""
-    return (deltas.abs().amax(dim=1) > FAINT_MM).nonzero()[:, 0]
+    """Indices of the vertices that a shape `(vertex, 3)` moves."""
+    return (deltas.abs().amax(dim=1) > MIN_MM).nonzero()[:, 0]

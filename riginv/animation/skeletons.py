@@ -1,4 +1,4 @@
-"""The joints of an animation against their parents: what formats for skeletons hold."""
+"""Joint transforms of an animation relative to their parents, for formats that hold skeletons."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ BATCH_SIZE = 256  # frames at a time
 
 
 class LocalPoses(NamedTuple):
-    """Joints against their parents.
+    """Joint transforms relative to their parents.
 
     Attributes:
         rotations: `(frame, joint, 3, 3)`.
-        translations: `(frame, joint, 3)`, mm, along the axes of the parent; a root's is its place in the world.
+        translations: `(frame, joint, 3)`, mm, in the parent's axes; of a root, its position in the world.
     """
 
     rotations: np.ndarray
@@ -25,7 +25,7 @@ class LocalPoses(NamedTuple):
 
 @torch.no_grad()
 def local_poses(skeleton: Skeleton, animation: Animation) -> LocalPoses:
-    """The poses of an animation's joints; the rigid motion that was removed is put back, onto the root."""
+    """The joint transforms of an animation; removed rigid motion is applied to the root."""
     worlds = torch.cat([skeleton.pose(batch) for batch in animation.controls.split(BATCH_SIZE)]).double().cpu()
     if animation.motion is not None:
         motion = animation.motion.double().cpu()[:, None]

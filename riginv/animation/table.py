@@ -1,4 +1,4 @@
-"""curves.csv, curves.json and frames.csv: what every other format can be made from."""
+"""curves.csv, curves.json and frames.csv, from which every other format can be made."""
 
 import csv
 import io
@@ -20,7 +20,7 @@ SPACE = "millimetres, y up; motion turns about x, then y, then z (axes that stay
 
 
 def write_curves(path: Path, animation: Animation) -> None:
-    """Write a row for each frame: its number, its time, every control, and the rigid motion where some was removed."""
+    """Write a row for each frame: number, time, controls, and rigid motion if it was removed."""
     columns = ["frame", "seconds", *animation.rig.control_names]
     values = animation.controls.detach().cpu().double().numpy()
     motion = rigid_motion_columns(animation)
@@ -33,7 +33,7 @@ def write_curves(path: Path, animation: Animation) -> None:
 
 
 def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: Mapping[str, Any] | None = None) -> None:
-    """Write what the columns of curves.csv mean, how large the errors are, and what was read of the clip."""
+    """Write the meaning of the columns of curves.csv, the errors, and the description of the clip."""
     numbers = animation.frame_numbers.tolist()
     content: dict[str, Any] = {
         "source": animation.source,
@@ -46,8 +46,8 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: M
         "errors": {key: round(value, 6) for key, value in errors.summary().items() if math.isfinite(value)},
     }
     if errors.optimum is not None:
-        judged = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
-        content["errors"]["least_error_frames"] = judged[errors.optimum.rows].tolist()
+        evaluated = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
+        content["errors"]["least_error_frames"] = evaluated[errors.optimum.rows].tolist()
     if clip is not None:
         content["clip"] = clip
     if animation.motion is not None:
@@ -59,7 +59,7 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: M
 
 
 def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:
-    """Write a row for each frame that was judged."""
+    """Write a row for each evaluated frame."""
     numbers = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
     columns = ["frame", "mean_error_mm", "max_error_mm", "worst_vertex", "worst_region", "flags"]
     columns += ["neutral_error_mm", "least_error_mm"]
@@ -86,15 +86,15 @@ def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:
 
 
 def as_text(cell: str) -> str:
-    """A cell that no spreadsheet takes for a formula: an apostrophe stands before what would be one.
+    """A cell that no spreadsheet evaluates as a formula: an apostrophe is put before what would be one.
 
-    Source: OWASP, CSV Injection. Numbers, negative ones too, stay as they are.
+    Source: OWASP, CSV Injection. Numbers stay as they are.
     """
     return f"'{cell}" if cell[:1] in FORMULA and not NUMBER.fullmatch(cell) else cell
 
 
 def write_rows(path: Path, columns: list[str], rows: list[list[Any]]) -> None:
-    """Write a CSV whole or not at all."""
+    """Write a CSV atomically."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([as_text(column) for column in columns])

@@ -18,22 +18,22 @@ from riginv.runs.files import atomic_write, discard
 
 FILE = "animation.usdc"
 CM = 0.1  # per mm
-MOTION = "motion"  # the joint that carries a mesh without any
+MOTION = "motion"  # name of the joint of a mesh without joints
 CONTROL_NAMES, CONTROL_VALUES = "riginv:controlNames", "riginv:controlValues"
 
 
 def check(rig: RigBackend) -> None:
-    """Raises InputError for a rig with neither blendshapes nor joints, or where usd-core is missing."""
+    """Raise InputError for a rig with neither blendshapes nor joints, or if usd-core is missing."""
     check_drawable(rig, "usd")
     if importlib.util.find_spec("pxr") is None:
-        raise InputError("formats: usd takes the package usd-core: pip install 'riginv[usd]', or leave usd out")
+        raise InputError("formats: usd needs the package usd-core: pip install 'riginv[usd]', or leave usd out")
 
 
 @torch.no_grad()
 def write(path: Path, animation: Animation) -> None:
-    """Write the mesh and its animation; time codes are the frames' numbers.
+    """Write the mesh and its animation; time codes are frame numbers.
 
-    The controls themselves stand on the SkelAnimation, too, as `riginv:controlNames` and `riginv:controlValues`.
+    The SkelAnimation also has the controls, as `riginv:controlNames` and `riginv:controlValues`.
     """
     from pxr import Tf, Usd, UsdGeom, UsdSkel
 
@@ -58,7 +58,7 @@ def write(path: Path, animation: Animation) -> None:
     _add_joints(skeleton, mesh, moves, animation, joints or _one_joint(animation.rig))
     _add_controls(moves, animation)
     with atomic_write(path) as beside:
-        named = beside.with_name(f"{beside.name}.usdc")  # USD goes by the ending
+        named = beside.with_name(f"{beside.name}.usdc")  # USD chooses the format by the suffix
         try:
             stage.GetRootLayer().Export(str(named))
             named.replace(beside)
@@ -101,11 +101,11 @@ def _add_shapes(stage: Any, mesh: Any, moves: Any, animation: Animation) -> None
 
 
 def _one_joint(rig: RigBackend) -> Skeleton:
-    """A joint that carries the whole mesh, for a rig that has none: it holds the rigid motion."""
-    at = torch.zeros(1, 3)
-    still = torch.eye(3, 4, dtype=torch.float64)
+    """A skeleton of one joint, for the rigid motion of a rig without joints."""
+    origin = torch.zeros(1, 3)
+    identity = torch.eye(3, 4, dtype=torch.float64)
     weights = torch.ones(len(rig.rest_vertices), 1)
-    return Skeleton((MOTION,), (-1,), at, at, weights, lambda controls: still.expand(len(controls), 1, 3, 4))
+    return Skeleton((MOTION,), (-1,), origin, origin, weights, lambda controls: identity.expand(len(controls), 1, 3, 4))
 
 
 def _add_joints(skeleton: Any, mesh: Any, moves: Any, animation: Animation, joints: Skeleton) -> None:
@@ -122,22 +122,22 @@ def _add_joints(skeleton: Any, mesh: Any, moves: Any, animation: Animation, join
     skeleton.CreateJointsAttr(paths)
     moves.CreateJointsAttr(paths)
     weights = joints.weights.cpu().numpy()
-    most = int((weights > 0).sum(axis=1).max())
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :most]
-    shares = np.take_along_axis(weights, order, axis=1).astype(np.float32)
+    count = int((weights > 0).sum(axis=1).max())
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
+    fractions = np.take_along_axis(weights, order, axis=1).astype(np.float32)
     binding = UsdSkel.BindingAPI(mesh.GetPrim())
-    binding.CreateJointIndicesPrimvar(False, most).Set(Vt.IntArray.FromNumpy(order.astype(np.int32).ravel()))
-    binding.CreateJointWeightsPrimvar(False, most).Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(shares).ravel()))
+    binding.CreateJointIndicesPrimvar(False, count).Set(Vt.IntArray.FromNumpy(order.astype(np.int32).ravel()))
+    binding.CreateJointWeightsPrimvar(False, count).Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(fractions).ravel()))
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
 
     poses = local_poses(joints, animation)
-    places = np.ascontiguousarray(poses.translations * CM, np.float32)
-    turns = np.ascontiguousarray(quaternions(poses.rotations), np.float32)  # x y z w, as Gf keeps them
+    positions = np.ascontiguousarray(poses.translations * CM, np.float32)
+    rotation_values = np.ascontiguousarray(quaternions(poses.rotations), np.float32)  # x y z w, as in Gf
     translations, rotations = moves.CreateTranslationsAttr(), moves.CreateRotationsAttr()
     moves.CreateScalesAttr(Vt.Vec3hArray(len(paths), Gf.Vec3h(1, 1, 1)))
-    for number, place, turn in zip(animation.frame_numbers.tolist(), places, turns):
-        translations.Set(Vt.Vec3fArray.FromNumpy(place), number)
-        rotations.Set(Vt.QuatfArray.FromNumpy(turn), number)
+    for number, position, rotation in zip(animation.frame_numbers.tolist(), positions, rotation_values):
+        translations.Set(Vt.Vec3fArray.FromNumpy(position), number)
+        rotations.Set(Vt.QuatfArray.FromNumpy(rotation), number)
 
 
 def _add_controls(moves: Any, animation: Animation) -> None:

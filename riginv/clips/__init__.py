@@ -1,1 +1,1 @@
-"""Captured and simulated performances as mesh clips."""
+"""Readers of clips: sequences of meshes, captured or simulated."""

@@ -57,7 +57,7 @@ class ClassSpec(Generic[T]):
     @property
     def target(self) -> str:
         """The name of the class, as the config says it."""
-        return self.config["_target_"]
+        return str(self.config.get("_target_"))
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -83,9 +83,9 @@ class ClassSpec(Generic[T]):
         Raises:
             InputError: an argument does not fit.
         """
-        for name, hint in hints.items():
-            if name in self.config:
-                check_value(self.config[name], hint, f"{self.key}.{name}")
+        for name, value in self.arguments.items():
+            if name in hints:
+                check_value(value, hints[name], f"{self.key}.{name}")
 
 
 def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, ...] | None = None) -> Any:
@@ -102,11 +102,11 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
     """
     if not isinstance(config, Mapping):
         raise InputError(f"a config must name a class as _target_: package.module.Class, found {config!r:.80}")
-    found = class_of(config.get("_target_"), only, kind)
+    target = config.get("_target_")
+    found = class_of(target, only, kind)
     arguments = _arguments(config, given, None if only else _may_name(found))
     if only is not None:
         arguments = {key: value for key, value in arguments.items() if key not in getattr(found, "only_by_hand", ())}
-    target = config["_target_"]
     try:
         inspect.signature(found).bind(*given, **arguments)
     except TypeError as error:
@@ -122,11 +122,6 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
         raise InputError(
             f"{target} cannot be built from what the file says of it: {in_short(error)}; damaged, or not made by riginv"
         ) from error
-
-
-def factory(config: Any, kind: type | None = None) -> partial:
-    """As `ClassSpec.factory`, of a plain config."""
-    return ClassSpec.read(config, kind).factory()
 
 
 def _may_name(found: type) -> tuple[str, ...]:
@@ -146,9 +141,8 @@ def _arguments(config: Mapping[str, Any], given: tuple, may_name: tuple[str, ...
             if "_target_" not in value:
                 return {key: value_of(inner) for key, inner in value.items()}
             if may_name is None:
-                raise InputError(
-                    f"{value['_target_']!r:.80} is not allowed here: within {config['_target_']} no class may be named"
-                )
+                outer = config.get("_target_")
+                raise InputError(f"{value['_target_']!r:.80} is not allowed here: within {outer} no class may be named")
             class_of(value["_target_"], may_name)
             return build(value, *given)
         return [value_of(inner) for inner in value] if isinstance(value, list) else value
@@ -196,14 +190,14 @@ def check_arguments(found: type, config: Mapping[str, Any], prefix: str, may_nam
     Raises:
         InputError: there is no such argument, or it is of another type or out of its range.
     """
-    hints, names = _hints(found), _names(found)
+    hints, names, target = _hints(found), _names(found), config.get("_target_")
     for name, value in config.items():
         if name == "_target_":
             continue
         if names is not None and name not in names:
-            if present := present_argument(config["_target_"], str(name)):
+            if present := present_argument(str(target), str(name)):
                 raise InputError(f"{prefix}{name} is named {prefix}{present} now")
-            raise InputError(f"{prefix}{name}: {config['_target_']} has no such argument{did_you_mean(str(name), names)}")
+            raise InputError(f"{prefix}{name}: {target} has no such argument{did_you_mean(str(name), names)}")
         if name in hints:
             _check_argument(value, hints[name], f"{prefix}{name}", may_name)
 

@@ -110,7 +110,7 @@ def _known_keys(config_name: str) -> set[str]:
 
 def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:
     for key in map(str, config):
-        inner = None if OmegaConf.is_interpolation(config, key) or OmegaConf.is_missing(config, key) else config[key]
+        inner = None if OmegaConf.is_interpolation(config, key) or OmegaConf.is_missing(config, key) else config.get(key)
         yield f"{prefix}{key}"
         if isinstance(inner, DictConfig):
             yield from _keys(inner, f"{prefix}{key}.")

@@ -19,9 +19,11 @@ import types
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import yaml
 from omegaconf import DictConfig
 
 from riginv.config.building import ClassSpec
+from riginv.config.messages import CONFIGS
 from riginv.config.values import PositiveFloat, PositiveInt, check_value, did_you_mean, fits, in_words
 from riginv.errors import InputError
 from riginv.runs.run_folder import resolved
@@ -58,7 +60,19 @@ def to_typed(config: DictConfig | Mapping[str, Any], kind: type[T]) -> T:
     """
     values = resolved(config) if isinstance(config, DictConfig) else config
     check_value(values.get("verbose", False), bool, "verbose")
-    return convert({key: value for key, value in values.items() if key not in OTHERS}, kind, "")
+    unknown = {str(key) for key in values} - {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    left_out = {*OTHERS, *(unknown & keys_of_commands() if unknown - set(OTHERS) else ())}
+    return convert({key: value for key, value in values.items() if key not in left_out}, kind, "")
+
+
+def keys_of_commands() -> set[str]:
+    """The first keys of all commands: a user's `local/default.yaml` holds values for several, each takes its own."""
+    keys: set[str] = set()
+    for path in CONFIGS.glob("*.yaml"):
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        groups = (str(next(iter(one))) for one in content.pop("defaults", []) if isinstance(one, dict))
+        keys |= {*content, *(group.rpartition("@")[2].rpartition(" ")[2] for group in groups)}
+    return keys
 
 
 def to_plain(value: Any) -> Any:

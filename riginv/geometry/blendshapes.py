@@ -3,12 +3,18 @@
 from typing import Any
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, is_transformed, kernels_for, plain_rows, pure_gradients
 
 
-def add_to_columns(sums: Tensor, columns: Tensor, entries: Tensor, scales: Tensor | None = None) -> Tensor:
+def add_to_columns(
+    sums: Float[Tensor, "batch column"],
+    columns: Int[Tensor, " entry"],
+    entries: Float[Tensor, "batch entry"],
+    scales: Float[Tensor, "batch entry"] | None = None,
+) -> Float[Tensor, "batch column"]:
     """Add entries `(batch, entry)`, each times its scale, to the columns `(entry,)` of `sums` `(batch, column)`, in place."""
     compiled = kernels_for(sums, columns, entries) if scales is None else kernels_for(sums, columns, entries, scales)
     if compiled is None:
@@ -20,14 +26,14 @@ def add_to_columns(sums: Tensor, columns: Tensor, entries: Tensor, scales: Tenso
     return sums
 
 
-def screen(activations: Tensor, sources: Tensor) -> Tensor:
+def screen(activations: Float[Tensor, "batch driver"], sources: Int[Tensor, "shape slot"]) -> Float[Tensor, "batch shape"]:
     """Combine several drivers of each shape as 1 - (1 - a)(1 - b)...: a single driver passes through, and 1 is never exceeded.
 
     Unlike a clamped sum, this keeps its gradient.
 
     Args:
         activations: `(batch, driver)` in [0, 1].
-        sources: `(shape, slot)`, the drivers of each shape, -1 where a slot is empty.
+        sources: the drivers of each shape, -1 where a slot is empty.
 
     Returns:
         `(batch, shape)` in [0, 1].
@@ -42,15 +48,13 @@ def screen(activations: Tensor, sources: Tensor) -> Tensor:
     return 1 - remaining
 
 
-def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
+def combination_weights(
+    weights: Float[Tensor, "batch shape"], members: Int[Tensor, "combination slot"]
+) -> Float[Tensor, "batch combination"]:
     """The weight of each combination: the product of the weights of its members.
 
     Args:
-        weights: `(batch, shape)`.
         members: `(combination, slot)` indices of shapes, -1 where a slot is empty.
-
-    Returns:
-        `(batch, combination)`.
     """
     compiled = kernels_for(weights, members)
     if compiled is not None:
@@ -62,7 +66,9 @@ def combination_weights(weights: Tensor, members: Tensor) -> Tensor:
     return product
 
 
-def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
+def smallest_weights(
+    weights: Float[Tensor, "batch shape"], members: Int[Tensor, "combination slot"]
+) -> Float[Tensor, "batch combination"]:
     """As `combination_weights`, with the minimum of the members' weights in place of their product."""
     padded = torch.cat([weights, weights.new_full((weights.shape[0], 1), torch.inf)], dim=1)
     smallest = _pick(padded, members[:, 0])
@@ -71,17 +77,25 @@ def smallest_weights(weights: Tensor, members: Tensor) -> Tensor:
     return smallest
 
 
-def screen_vjp(activations: Tensor, sources: Tensor, gradient: Tensor) -> Tensor:
+def screen_vjp(
+    activations: Float[Tensor, "batch driver"], sources: Int[Tensor, "shape slot"], gradient: Float[Tensor, "batch shape"]
+) -> Float[Tensor, "batch driver"]:
     """The vector-Jacobian product of `screen`: a gradient `(batch, shape)` to one `(batch, driver)`."""
     return _pull(activations, sources, gradient, True)
 
 
-def combination_vjp(weights: Tensor, members: Tensor, gradient: Tensor) -> Tensor:
+def combination_vjp(
+    weights: Float[Tensor, "batch shape"],
+    members: Int[Tensor, "combination slot"],
+    gradient: Float[Tensor, "batch combination"],
+) -> Float[Tensor, "batch shape"]:
     """The vector-Jacobian product of `combination_weights`: a gradient `(batch, combination)` to one `(batch, shape)`."""
     return _pull(weights, members, gradient, False)
 
 
-def screen_derivatives(activations: Tensor, sources: Tensor) -> Tensor:
+def screen_derivatives(
+    activations: Float[Tensor, "batch driver"], sources: Int[Tensor, "shape slot"]
+) -> Float[Tensor, "batch shape slot"]:
     """The derivative `(batch, shape, slot)` of each shape of `screen` by the driver in each slot; 0 in empty slots."""
     compiled = kernels_for(activations, sources)
     if compiled is not None:
@@ -90,7 +104,9 @@ def screen_derivatives(activations: Tensor, sources: Tensor) -> Tensor:
     return _products_of_others(1 - padded[:, sources]) * (sources >= 0)
 
 
-def combination_derivatives(weights: Tensor, members: Tensor) -> Tensor:
+def combination_derivatives(
+    weights: Float[Tensor, "batch shape"], members: Int[Tensor, "combination slot"]
+) -> Float[Tensor, "batch combination slot"]:
     """The derivative `(batch, combination, slot)` of each of `combination_weights` by the weight of each member."""
     compiled = kernels_for(weights, members)
     if compiled is not None:
@@ -99,16 +115,15 @@ def combination_derivatives(weights: Tensor, members: Tensor) -> Tensor:
     return _products_of_others(padded[:, members]) * (members >= 0)
 
 
-def apply_deltas(rest_vertices: Tensor, deltas: Tensor, weights: Tensor) -> Tensor:
+def apply_deltas(
+    rest_vertices: Float[Tensor, "vertex 3"], deltas: Float[Tensor, "shape vertex 3"], weights: Float[Tensor, "batch shape"]
+) -> Float[Tensor, "batch vertex 3"]:
     """Add weighted deltas to a rest mesh.
 
     Args:
-        rest_vertices: `(vertex, 3)`, mm.
-        deltas: `(shape, vertex, 3)`, mm at weight 1.
-        weights: `(batch, shape)`; not clamped.
-
-    Returns:
-        `(batch, vertex, 3)`, mm.
+        rest_vertices: in mm.
+        deltas: in mm at weight 1.
+        weights: not clamped.
     """
     return rest_vertices + (weights @ deltas.flatten(1)).unflatten(1, rest_vertices.shape)
 

@@ -12,6 +12,7 @@ from contextvars import ContextVar
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, is_transformed, kernels_for, plain_rows, pure_gradients, pure_torch
@@ -34,7 +35,7 @@ class Key(NamedTuple):
 Curve = list[Key]
 
 
-def pack_curves(curves: list[Curve]) -> Tensor:
+def pack_curves(curves: list[Curve]) -> Float[Tensor, "curve segment 9"]:
     """Pack curves into one table for `evaluate_curves`.
 
     Returns:
@@ -54,12 +55,13 @@ def pack_curves(curves: list[Curve]) -> Tensor:
     return torch.tensor([row + [[torch.inf] + [0.0] * 8] * (longest - len(row)) for row in rows], dtype=torch.float64)
 
 
-def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
+def evaluate_curves(
+    table: Float[Tensor, "curve segment 9"], inputs: Float[Tensor, "batch curve"]
+) -> Float[Tensor, "batch curve"]:
     """The value of each curve at its own input.
 
     Args:
-        table: `(curve, segment, 9)`, as from `pack_curves`.
-        inputs: `(batch, curve)`.
+        table: as from `pack_curves`.
 
     Returns:
         `(batch, curve)`; differentiable in `inputs`. At a key the derivative is that of the segment to its right, at the ends
@@ -76,7 +78,9 @@ def evaluate_curves(table: Tensor, inputs: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def curves_and_derivatives(table: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
+def curves_and_derivatives(
+    table: Float[Tensor, "curve segment 9"], inputs: Float[Tensor, "batch curve"]
+) -> tuple[Float[Tensor, "batch curve"], Float[Tensor, "batch curve"]]:
     """The value of each curve at its own input, and its derivative there, both `(batch, curve)`; as `evaluate_curves`."""
     compiled = kernels_for(table, inputs)
     if compiled is not None:

@@ -7,6 +7,7 @@ Source: Drmac and Gugercin, "A New Selection Operator for the Discrete Empirical
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 from scipy.linalg import qr
 from torch import Tensor
 
@@ -16,11 +17,11 @@ CANDIDATES = 4000  # vertices to select from, at most
 MORE = 1.0  # further vertices for each selected one, evenly spread: they average out components outside the span
 
 
-def informative_vertices(frame: Tensor) -> Tensor:
+def informative_vertices(frame: Float[Tensor, "coefficient vertex 3"]) -> Int[Tensor, " row"]:
     """Vertices `(row,)`, in ascending order, that determine the coefficients of meshes.
 
     Args:
-        frame: the basis, `(coefficient, vertex, 3)`, rows orthonormal.
+        frame: the basis, rows orthonormal.
     """
     candidates = evenly(CANDIDATES, frame.shape[1])
     columns = frame[:, candidates.to(frame.device)].flatten(1).double().cpu().numpy()
@@ -30,11 +31,13 @@ def informative_vertices(frame: Tensor) -> Tensor:
     return torch.from_numpy(np.union1d(chosen, more)).to(frame.device)
 
 
-def coefficients_from(frame: Tensor, rows: Tensor) -> Tensor:
+def coefficients_from(
+    frame: Float[Tensor, "coefficient vertex 3"], rows: Int[Tensor, " row"]
+) -> Float[Tensor, "number coefficient"]:
     """The matrix `(3 * row, coefficient)` from the coordinates of some vertices to coefficients, by least squares.
 
     Args:
         frame: as for `informative_vertices`.
-        rows: vertices, `(row,)`.
+        rows: vertices.
     """
     return torch.linalg.pinv(frame[:, rows].flatten(1).double()).to(frame)

@@ -7,6 +7,7 @@ So the derivative follows from the axes, and is zero for joints that are not bel
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 
@@ -27,7 +28,7 @@ class JointJacobian(nn.Module):
     joints: Tensor
     parents: Tensor
 
-    def __init__(self, parents: Sequence[int], angles: Tensor, joints: Tensor) -> None:
+    def __init__(self, parents: Sequence[int], angles: Float[Tensor, "control angle"], joints: Int[Tensor, " wanted"]) -> None:
         super().__init__()
         control, axis = angles.nonzero(as_tuple=True)
         carried = _ancestry(parents)[axis // 3][:, joints]
@@ -46,12 +47,14 @@ class JointJacobian(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
         self.controls = len(angles)
 
-    def forward(self, worlds: Tensor, axes: Tensor) -> Tensor:
+    def forward(
+        self, worlds: Float[Tensor, "batch joint 3 4"], axes: Float[Tensor, "batch joint 3 3"]
+    ) -> Float[Tensor, "batch control wanted 3 4"]:
         """The derivative of the transforms, `(batch, control, wanted, 3, 4)`.
 
         Args:
-            worlds: all joints' transforms, `(batch, joint, 3, 4)`.
-            axes: the three rotation axes of each joint, as columns, in its parent's frame: `(batch, joint, 3, 3)`.
+            worlds: all joints' transforms.
+            axes: the three rotation axes of each joint, as columns, in its parent's frame.
         """
         rotations, positions = worlds[..., :3], worlds[..., 3]
         above = rotations[:, self.parents.clamp_min(0)]

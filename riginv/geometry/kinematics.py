@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.errors import InputError
@@ -60,7 +61,7 @@ def _cycle(parents: Sequence[int], joint: int) -> list[int]:
     return seen[seen.index(joint) :]
 
 
-def relative_rotations(worlds: Tensor, parents: Sequence[int]) -> Tensor:
+def relative_rotations(worlds: Float[Tensor, "batch joint 3 4"], parents: Sequence[int]) -> Float[Tensor, "batch joint 3 3"]:
     """The rotation of each joint relative to its parent, from world transforms `(batch, joint, 3, 4)`: `(batch, joint, 3, 3)`.
 
     A root's is its world rotation. Estimated rotations need not be orthogonal.
@@ -72,33 +73,34 @@ def relative_rotations(worlds: Tensor, parents: Sequence[int]) -> Tensor:
     return torch.where(is_root, rotations, against)
 
 
-def compose(outer: Tensor, inner: Tensor) -> Tensor:
+def compose(outer: Float[Tensor, "*#transforms 3 4"], inner: Float[Tensor, "*#transforms 3 4"]) -> Float[Tensor, "... 3 4"]:
     """The transform `(..., 3, 4)` that applies `inner` first, then `outer`."""
     product = outer[..., :3] @ inner
     return torch.cat([product[..., :3], product[..., 3:] + outer[..., 3:]], dim=-1)
 
 
-def invert(transforms: Tensor) -> Tensor:
+def invert(transforms: Float[Tensor, "*transforms 3 4"]) -> Float[Tensor, "*transforms 3 4"]:
     """The inverse `(..., 3, 4)` of affine transforms, which may scale and shear."""
     linear = torch.linalg.inv(transforms[..., :3])
     return torch.cat([linear, -linear @ transforms[..., 3:]], dim=-1)
 
 
-def transform_from(rotations: Tensor, translations: Tensor) -> Tensor:
+def transform_from(
+    rotations: Float[Tensor, "*transforms 3 3"], translations: Float[Tensor, "*transforms 3"]
+) -> Float[Tensor, "*transforms 3 4"]:
     """Transforms `(..., 3, 4)` from rotations `(..., 3, 3)` and translations `(..., 3)`."""
     return torch.cat([rotations, translations[..., None]], dim=-1)
 
 
-def forward_kinematics(local: Tensor, parents: Sequence[int], levels: Sequence[Tensor]) -> Tensor:
+def forward_kinematics(
+    local: Float[Tensor, "batch joint 3 4"], parents: Sequence[int], levels: Sequence[Tensor]
+) -> Float[Tensor, "batch joint 3 4"]:
     """World transforms from transforms relative to the parents, batched over the joints of one depth.
 
     Args:
-        local: `(batch, joint, 3, 4)`; a root's is its world transform.
+        local: a root's is its world transform.
         parents: as for `tree_levels`.
         levels: `tree_levels` of the parents.
-
-    Returns:
-        `(batch, joint, 3, 4)`.
     """
     of_joint = torch.tensor(parents, device=local.device)
     position = torch.empty_like(of_joint)  # within the joint's level

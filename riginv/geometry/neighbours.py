@@ -1,18 +1,17 @@
 """Differential coordinates, and evenly spread subsets of points."""
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 
-def differential_coordinates(meshes: Tensor, faces: Tensor) -> Tensor:
+def differential_coordinates(
+    meshes: Float[Tensor, "mesh vertex 3"], faces: Int[Tensor, "face 3"]
+) -> Float[Tensor, "mesh vertex 3"]:
     """Each vertex minus the mean of its neighbours (the graph Laplacian); 0 for vertices without neighbours.
 
     Args:
-        meshes: vertices or displacements, `(mesh, vertex, 3)`.
-        faces: `(face, 3)`.
-
-    Returns:
-        `(mesh, vertex, 3)`.
+        meshes: vertices or displacements.
     """
     edges = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edges = torch.unique(torch.cat([edges, edges.flip(1)]), dim=0)
@@ -22,12 +21,12 @@ def differential_coordinates(meshes: Tensor, faces: Tensor) -> Tensor:
     return torch.where(degree[:, None] > 0, difference, 0.0)
 
 
-def evenly(count: int, of: int) -> Tensor:
+def evenly(count: int, of: int) -> Int[Tensor, " row"]:
     """`count` evenly spread indices `(row,)` below `of`, with the first and the last; all of them where `of` is no larger."""
     return torch.linspace(0, of - 1, min(count, of), dtype=torch.float64).round().long()
 
 
-def spread_points(points: Tensor, count: int) -> Tensor:
+def spread_points(points: Float[Tensor, "point dimension"], count: int) -> Int[Tensor, " chosen"]:
     """Farthest point sampling: indices `(count,)` of points `(point, dimension)`, the one nearest to their mean first.
 
     All of them where there are no more than `count`.

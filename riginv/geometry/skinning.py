@@ -7,6 +7,7 @@ entries, so that a skinned rig ends in a linear map (`riginv.rig.interface.Linea
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.errors import InputError
@@ -15,7 +16,7 @@ NUMBERS = 12  # entries of one skinning matrix, row by row
 SUM_TOLERANCE = 1e-3  # of the sum of a vertex's weights
 
 
-def check_weights(weights: Tensor, where: str, joint_names: Sequence[str] | None = None) -> None:
+def check_weights(weights: Float[Tensor, "vertex joint"], where: str, joint_names: Sequence[str] | None = None) -> None:
     """Check skin weights `(vertex, joint)`.
 
     Args:
@@ -46,13 +47,17 @@ def check_weights(weights: Tensor, where: str, joint_names: Sequence[str] | None
         )
 
 
-def skinning_basis(rest_vertices: Tensor, weights: Tensor, centres: Tensor | None = None) -> Tensor:
+def skinning_basis(
+    rest_vertices: Float[Tensor, "vertex 3"],
+    weights: Float[Tensor, "vertex joint"],
+    centres: Float[Tensor, "joint 3"] | None = None,
+) -> Float[Tensor, "coefficient vertex 3"]:
     """The basis of LBS as a linear map of the entries of the skinning matrices.
 
     Args:
-        rest_vertices: `(vertex, 3)`, mm.
-        weights: `(vertex, joint)`, each row summing to 1.
-        centres: `(joint, 3)`, mm: the origin of each joint's matrix, such as its position at rest: the matrix then maps
+        rest_vertices: in mm.
+        weights: each row summing to 1.
+        centres: the origin of each joint's matrix, such as its position at rest: the matrix then maps
             rest - centre, and its translation is the centre's new position. None: the world's origin.
 
     Returns:
@@ -68,16 +73,14 @@ def skinning_basis(rest_vertices: Tensor, weights: Tensor, centres: Tensor | Non
     return basis.reshape(NUMBERS * joints, vertices, 3)
 
 
-def skin(rest_vertices: Tensor, weights: Tensor, matrices: Tensor) -> Tensor:
+def skin(
+    rest_vertices: Float[Tensor, "vertex 3"], weights: Float[Tensor, "vertex joint"], matrices: Float[Tensor, "batch joint 3 4"]
+) -> Float[Tensor, "batch vertex 3"]:
     """LBS of a mesh, without a basis.
 
     Args:
-        rest_vertices: `(vertex, 3)`, mm.
-        weights: `(vertex, joint)`.
-        matrices: skinning matrices `(batch, joint, 3, 4)`.
-
-    Returns:
-        `(batch, vertex, 3)`, mm.
+        rest_vertices: in mm.
+        matrices: skinning matrices.
     """
     blended = torch.einsum("vj,bjrc->bvrc", weights, matrices)
     return (blended[..., :3] @ rest_vertices[..., None]).squeeze(-1) + blended[..., 3]

@@ -133,7 +133,5 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
 
 def bundle_rig(bundle: Bundle) -> RigBackend:
     """The rig that a bundle describes: one of ours, or the surrogate that lies within the bundle."""
-    config = dict(bundle.description["rig"]["config"])
-    if bundle.holds_surrogate:
-        config["bundle"] = str(bundle.folder / RIG)
-    return build(config, kind=RigBackend, only=OURS)
+    own = {"bundle": str(bundle.folder / RIG)} if bundle.holds_surrogate else {}
+    return build({**bundle.description["rig"]["config"], **own}, kind=RigBackend, only=OURS)

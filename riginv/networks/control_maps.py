@@ -4,6 +4,7 @@ import math
 from abc import ABC, abstractmethod
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.rig.interface import RigBackend, Vjp
@@ -29,7 +30,7 @@ class ControlMap(nn.Module, ABC):
         self.register_buffer("upper", rig.upper, persistent=False)
         self.register_buffer("neutral", rig.neutral_controls, persistent=False)
 
-    def with_vjp(self, raw: Tensor) -> tuple[Tensor, Vjp]:
+    def with_vjp(self, raw: Float[Tensor, "batch control"]) -> tuple[Float[Tensor, "batch control"], Vjp]:
         """The controls `(batch, control)` without a graph, and their vector-Jacobian product to raw outputs."""
         with torch.enable_grad():
             given = raw.detach().requires_grad_()
@@ -37,24 +38,24 @@ class ControlMap(nn.Module, ABC):
         return controls.detach(), lambda gradient: torch.autograd.grad(controls, given, gradient, retain_graph=True)[0]
 
     @abstractmethod
-    def raw_of(self, controls: Tensor) -> Tensor:
+    def raw_of(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch control"]:
         """Raw outputs that map to controls `(batch, control)`, or close to these at the limits or beyond."""
 
 
 class RangeTanh(ControlMap):
     """The paper's: tanh scaled to each control's range; 0 maps to the middle of it."""
 
-    def forward(self, raw: Tensor) -> Tensor:
+    def forward(self, raw: Float[Tensor, "batch control"]) -> Float[Tensor, "batch control"]:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
         return middle + half * torch.tanh(raw)
 
     @torch.no_grad()
-    def with_vjp(self, raw: Tensor) -> tuple[Tensor, Vjp]:
+    def with_vjp(self, raw: Float[Tensor, "batch control"]) -> tuple[Float[Tensor, "batch control"], Vjp]:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
         squashed = torch.tanh(raw)
         return middle + half * squashed, lambda gradient: _through_tanh(gradient * half, squashed)
 
-    def raw_of(self, controls: Tensor) -> Tensor:
+    def raw_of(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch control"]:
         middle, half = (self.upper + self.lower) / 2, (self.upper - self.lower) / 2
         return torch.atanh(((controls - middle) / half).clamp(-FULL, FULL))
 
@@ -96,19 +97,19 @@ class NeutralStart(ControlMap):
         for name, values in buffers.items():
             self.register_buffer(name, values.to(self.lower), persistent=False)
 
-    def forward(self, raw: Tensor) -> Tensor:
+    def forward(self, raw: Float[Tensor, "batch control"]) -> Float[Tensor, "batch control"]:
         squashed = (torch.tanh(self.direction * raw - self.depth) + self.edge) / self.norm
         limited = squashed + (torch.maximum(squashed, self.least) - squashed).detach()
         return self.neutral + torch.where(raw >= 0, self.above, self.below) * limited
 
     @torch.no_grad()
-    def with_vjp(self, raw: Tensor) -> tuple[Tensor, Vjp]:
+    def with_vjp(self, raw: Float[Tensor, "batch control"]) -> tuple[Float[Tensor, "batch control"], Vjp]:
         tail = torch.tanh(self.direction * raw - self.depth)
         scale = torch.where(raw >= 0, self.above, self.below)
         controls = self.neutral + scale * torch.maximum((tail + self.edge) / self.norm, self.least)
         return controls, lambda gradient: _through_tanh(gradient * scale / self.norm, tail) * self.direction
 
-    def raw_of(self, controls: Tensor) -> Tensor:
+    def raw_of(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch control"]:
         above, below = self.upper - self.neutral, self.neutral - self.lower
         change = controls - self.neutral
         two_sided = torch.atanh((change / torch.where(change >= 0, above, below).clamp_min(TINY)).clamp(-FULL, FULL))

@@ -1,6 +1,7 @@
 """One step of a learned optimiser: from a residual to a change of the controls."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 START_GAIN = 0.05  # of the last layer: steps start small
@@ -31,13 +32,18 @@ class Correction(nn.Module):
         with torch.no_grad():
             self.mix.weight.mul_(START_GAIN)
 
-    def forward(self, residual: Tensor, gradient: Tensor, raw: Tensor) -> Tensor:
+    def forward(
+        self,
+        residual: Float[Tensor, "batch residual"],
+        gradient: Float[Tensor, "batch control"],
+        raw: Float[Tensor, "batch control"],
+    ) -> Float[Tensor, "batch control"]:
         """The change of the raw outputs `(batch, control)`.
 
         Args:
-            residual: scaled, `(batch, number)`.
-            gradient: of the squared error by the raw outputs, scaled, `(batch, control)`.
-            raw: the raw outputs so far, squashed, `(batch, control)`.
+            residual: scaled.
+            gradient: of the squared error by the raw outputs, scaled.
+            raw: the raw outputs so far, squashed.
         """
         size = gradient.square().mean(dim=1, keepdim=True).sqrt() + SMALLEST
         gates = 1 + self.gate(torch.cat([raw, gradient / size, LOG_SCALE * size.log()], dim=1))

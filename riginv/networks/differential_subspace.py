@@ -13,6 +13,7 @@ their number and their weight are our choices.
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from riginv.config.values import PositiveInt, Widths
@@ -39,7 +40,9 @@ class Reconstruction(NamedTuple):
     from_anchors: Tensor
 
 
-def reconstruction(rig: LinearRig, anchors: Tensor, weight: float, components: int | None = None) -> Reconstruction:
+def reconstruction(
+    rig: LinearRig, anchors: Int[Tensor, " anchor"], weight: float, components: int | None = None
+) -> Reconstruction:
     """The least-squares maps from differential coordinates and anchors to meshes in the span of a rig's basis.
 
     Args:
@@ -121,10 +124,10 @@ class DifferentialSubspace(SurrogateNetwork):
     def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
         """Does nothing: components are scaled by their spread already."""
 
-    def forward(self, controls: Tensor) -> Tensor:
+    def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         """As `raw`: coefficients of a reconstructed mesh need no sigmoid."""
         return self.raw(controls)
 
-    def raw(self, controls: Tensor) -> Tensor:
+    def raw(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         away = (controls - self.neutral) / self.span
         return self.differential(away) @ self.from_differential + self.subspace(away) @ self.from_anchors

@@ -4,6 +4,7 @@ In mesh coordinates a bent finger looks different for every rotation of the body
 """
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.rig.batches import generator_at
@@ -67,7 +68,7 @@ class RigFeatures(nn.Module):
         return len(self.scale)
 
     @torch.no_grad()
-    def calibrate(self, rig: RigInMeshSpace, coordinates: Tensor) -> None:
+    def calibrate(self, rig: RigInMeshSpace, coordinates: Float[Tensor, "batch coordinate"]) -> None:
         """Set the scale of each feature from sampled mesh coordinates `(batch, coordinate)`, and fit the first guess."""
         self.scale.fill_(1.0)
         sizes = self.forward(coordinates).square().mean(dim=0).sqrt()
@@ -84,15 +85,17 @@ class RigFeatures(nn.Module):
         derivative = (directions * inverse) @ directions.T @ (seen.T @ changes) / len(seen)
         self.derivative.copy_(derivative * (backend.upper - backend.lower))
 
-    def guess(self, features: Tensor) -> Tensor:
+    def guess(self, features: Float[Tensor, "batch feature"]) -> Float[Tensor, "batch control"]:
         """A first guess at the controls `(batch, control)` from features `(batch, feature)`; it may exceed the limits."""
         return self.rig[0].neutral_controls + features @ self.derivative
 
-    def forward(self, coordinates: Tensor) -> Tensor:
+    def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch feature"]:
         """Mesh coordinates `(batch, coordinate)` to features `(batch, feature)`; 0 at the neutral mesh."""
         return self.change(self.rest, self._features(coordinates))
 
-    def residual(self, target: Tensor, found: Tensor) -> Tensor:
+    def residual(
+        self, target: Float[Tensor, "batch coordinate"], found: Float[Tensor, "batch coordinate"]
+    ) -> Float[Tensor, "batch feature"]:
         """The residual `(batch, feature)` of meshes that were found against their targets, both in mesh coordinates."""
         return self.change(self._features(found), self._features(target))
 

@@ -4,6 +4,7 @@ import functools
 from abc import ABC, abstractmethod
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.config.values import NonNegativeInt, PositiveInt, Widths
@@ -33,7 +34,13 @@ class Answer:
         rig: the rig of the controls.
     """
 
-    def __init__(self, raw: Tensor, target: Tensor, control_map: ControlMap, rig: RigInMeshSpace) -> None:
+    def __init__(
+        self,
+        raw: Float[Tensor, "batch control"],
+        target: Float[Tensor, "batch coordinate"],
+        control_map: ControlMap,
+        rig: RigInMeshSpace,
+    ) -> None:
         self.raw, self.target, self.control_map, self.rig = raw, target, control_map, rig
 
     @functools.cached_property
@@ -68,7 +75,7 @@ class Answer:
         """The squared length of each error, `(batch,)`, without a graph."""
         return self.error.square().sum(dim=1)
 
-    def vjp(self, gradient: Tensor) -> Tensor:
+    def vjp(self, gradient: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         """The vector-Jacobian product from coordinates `(batch, coordinate)` to raw outputs, `(batch, control)`; no graph."""
         return self._posed[1](gradient)
 
@@ -93,17 +100,17 @@ class InverseNetwork(RigNetwork, ABC):
         self.control_map = CONTROL_MAPS[control_map](rig.rig)
 
     @abstractmethod
-    def answers(self, coordinates: Tensor) -> list[Answer]:
+    def answers(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Answer]:
         """The estimates of all stages, the last one the most refined; training uses all of them."""
 
-    def calibrate(self, coordinates: Tensor) -> None:
+    def calibrate(self, coordinates: Float[Tensor, "batch coordinate"]) -> None:
         """Set fixed scales from sampled mesh coordinates `(batch, coordinate)`, before training."""
 
-    def answer(self, raw: Tensor, target: Tensor) -> Answer:
+    def answer(self, raw: Float[Tensor, "batch control"], target: Float[Tensor, "batch coordinate"]) -> Answer:
         """The estimate from raw outputs `(batch, control)` for mesh coordinates `(batch, coordinate)`."""
         return Answer(raw, target, self.control_map, self.rig)
 
-    def forward(self, coordinates: Tensor) -> Tensor:
+    def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         return self.answers(coordinates)[-1].controls
 
 
@@ -128,10 +135,10 @@ class DirectInverse(InverseNetwork):
     def learned_parts(self) -> list[nn.Module]:
         return [self.network]
 
-    def answers(self, coordinates: Tensor) -> list[Answer]:
+    def answers(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Answer]:
         return [self.answer(self.network(coordinates), coordinates)]
 
-    def forward(self, coordinates: Tensor) -> Tensor:
+    def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         return self.control_map(self.network(coordinates))
 
 
@@ -186,7 +193,7 @@ class StagedInverse(InverseNetwork):
         self.register_buffer("coordinate_scale", torch.ones(()))
         self.register_buffer("gradient_scale", torch.ones(controls) if self.features else torch.ones(()))
 
-    def calibrate(self, coordinates: Tensor) -> None:
+    def calibrate(self, coordinates: Float[Tensor, "batch coordinate"]) -> None:
         self.coordinate_scale.copy_(_size(coordinates))
         raw = coordinates.new_zeros(len(coordinates), len(self.rig.rig.controls))
         gradient = self.answer(raw, coordinates).gradient
@@ -199,7 +206,7 @@ class StagedInverse(InverseNetwork):
     def learned_parts(self) -> list[nn.Module]:
         return [*self.stages, *self.corrections]
 
-    def answers(self, coordinates: Tensor) -> list[Answer]:
+    def answers(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Answer]:
         inputs = self.features(coordinates) if self.features else coordinates / self.coordinate_scale
         before = None
         if self.features:
@@ -223,7 +230,7 @@ class StagedInverse(InverseNetwork):
             return before + stage(residual, gradient, squashed)
         return before + stage(torch.cat([inputs, residual, gradient, squashed], dim=1))
 
-    def forward(self, coordinates: Tensor) -> Tensor:
+    def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         """The last estimate; where the rig has features the best one of each mesh, for there a refinement step may fail."""
         answers = self.answers(coordinates)
         return self._best(answers) if self.features else answers[-1].controls

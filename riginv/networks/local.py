@@ -3,6 +3,7 @@
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.config.values import PositiveInt, Widths
@@ -39,14 +40,14 @@ class LocalMlps(nn.Module):
         self.out = nn.Parameter(torch.randn(outputs, width, 1) / math.sqrt(width))
         self.out_shift = nn.Parameter(torch.zeros(outputs, 1, 1))
 
-    def forward(self, inputs: Tensor) -> Tensor:
+    def forward(self, inputs: Float[Tensor, "batch input"]) -> Float[Tensor, "batch output"]:
         """Inputs `(batch, input)` to outputs `(batch, output)`."""
         selected = (inputs[:, self.index.clamp_min(0)] * (self.index >= 0)).transpose(0, 1)
         hidden = nn.functional.silu(torch.baddbmm(self.into_shift, selected, self.into))
         hidden = nn.functional.silu(torch.baddbmm(self.across_shift, hidden, self.across))
         return torch.baddbmm(self.out_shift, hidden, self.out)[:, :, 0].T
 
-    def product(self, inputs: Tensor) -> Tensor:
+    def product(self, inputs: Float[Tensor, "batch input"]) -> Float[Tensor, "batch output"]:
         """The product `(batch, output)` of each output's inputs; 0 where it has none."""
         filled = self.index >= 0
         return torch.where(filled, inputs[:, self.index.clamp_min(0)], 1.0).prod(dim=2) * filled.any(dim=1)
@@ -92,7 +93,7 @@ class LocalSurrogate(SurrogateNetwork):
             last.weight.mul_(CONTEXT_GAIN)
             last.bias.fill_(-OPEN)
 
-    def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
+    def set_scales(self, rig: LinearRig, controls: Float[Tensor, "batch control"]) -> None:
         super().set_scales(rig, controls)
         if self.weights:
             slots = self.primary.index.shape[1], self.corrective.index.shape[1]
@@ -100,13 +101,13 @@ class LocalSurrogate(SurrogateNetwork):
             self.primary.index.copy_(found.drivers)
             self.corrective.index.copy_(found.parents)
 
-    def forward(self, controls: Tensor) -> Tensor:
+    def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         """The coefficients, without a sigmoid: so gradients do not vanish near 0 and 1."""
         if not self.weights:
             return super().forward(controls)
         return self.raw((controls - self.neutral) / self.half_range)
 
-    def raw(self, controls: Tensor) -> Tensor:
+    def raw(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         if not self.weights:
             return self.dense(controls)
         undamped = self.primary(controls)

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.config.values import Widths
@@ -34,17 +35,17 @@ class SurrogateNetwork(RigNetwork, ABC):
             self.register_buffer("spread", torch.ones(len(rig.basis), dtype=rig.dtype))
 
     @abstractmethod
-    def raw(self, controls: Tensor) -> Tensor:
+    def raw(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         """Coefficients before the sigmoid, or scaled by their spread."""
 
     @torch.no_grad()
-    def set_scales(self, rig: LinearRig, controls: Tensor) -> None:
+    def set_scales(self, rig: LinearRig, controls: Float[Tensor, "batch control"]) -> None:
         """Set fixed scales from sampled controls `(batch, control)`, before training."""
         if not self.weights:
             self.middle.copy_(rig.neutral_coefficients()[0])
             self.spread.copy_((rig.coefficients(controls) - self.middle).square().mean(dim=0).sqrt())
 
-    def forward(self, controls: Tensor) -> Tensor:
+    def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         if self.weights:
             return torch.sigmoid(self.raw(controls))
         return self.middle + self.spread * self.raw((controls - self.neutral) / self.half_range)
@@ -57,5 +58,5 @@ class ControlMLP(SurrogateNetwork):
         super().__init__(rig)
         self.network = mlp(len(rig.controls), hidden, len(rig.basis), activation)
 
-    def raw(self, controls: Tensor) -> Tensor:
+    def raw(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         return self.network(controls)

@@ -3,6 +3,7 @@
 import logging
 
 import torch
+from jaxtyping import Float
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
@@ -22,12 +23,14 @@ WORTHWHILE = 3  # a vertex subset is used where the mesh has at least so many ti
 BATCH_SIZE = 50
 
 
-def fitted_basis(rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> tuple[Tensor, float]:
+def fitted_basis(
+    rest_vertices: Float[Tensor, "vertex 3"], samples: Float[Tensor, "sample vertex 3"], residual_mm: float
+) -> tuple[Float[Tensor, "coefficient vertex 3"], float]:
     """The principal components `(coefficient, vertex, 3)` of sampled meshes, each scaled by the samples' spread along it.
 
     Args:
-        rest_vertices: `(vertex, 3)`, mm.
-        samples: `(sample, vertex, 3)`, mm.
+        rest_vertices: in mm.
+        samples: in mm.
         residual_mm: the mean vertex distance that may remain.
 
     Returns:
@@ -117,7 +120,7 @@ class BlackBoxRig(LinearRig):
     def true_rig(self) -> RigBackend:
         return self.posed.true_rig()
 
-    def coefficients(self, controls: Tensor) -> Tensor:
+    def coefficients(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         if self.some is None:
             return self.coefficients_of(self.posed(controls))
         return (self.some(controls) - self.some_rest.to(controls)).flatten(1) @ self.some_projection.to(controls)
@@ -128,7 +131,7 @@ class BlackBoxRig(LinearRig):
             return super().coefficient_jacobian(controls)
         return forward_jacobian(self.coefficients, controls)
 
-    def coefficients_of(self, vertices: Tensor) -> Tensor:
+    def coefficients_of(self, vertices: Float[Tensor, "batch vertex 3"]) -> Float[Tensor, "batch coefficient"]:
         """The coefficients `(batch, coefficient)` of meshes `(batch, vertex, 3)`, mm, of the rig."""
         return (vertices - self.rest_vertices.to(vertices)).flatten(1) @ self.projection.to(vertices)
 

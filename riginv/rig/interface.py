@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from riginv.errors import InputError
@@ -135,7 +136,7 @@ class RigBackend(nn.Module, ABC):
         """The joints of a rig that is only skinned, for export to BVH, glTF and USD; None for other rigs."""
         return None
 
-    def vertex_colors(self) -> Tensor | None:
+    def vertex_colors(self) -> Float[Tensor, "vertex 3"] | None:
         """Colours `(vertex, 3)` in [0, 1] for pictures, or None for plain clay."""
         return None
 
@@ -143,7 +144,7 @@ class RigBackend(nn.Module, ABC):
         """The rig that evaluates models trained on this one: itself, or the rig that it approximates."""
         return self
 
-    def vertex_subset(self, rows: Tensor) -> nn.Module:
+    def vertex_subset(self, rows: Int[Tensor, " row"]) -> nn.Module:
         """A module from controls `(batch, control)` to the vertices `rows` alone, `(batch, row, 3)`, mm; see `poses_subsets`.
 
         Large black-box rigs are posed at these alone in training (`riginv.rig.black_box`).
@@ -151,7 +152,7 @@ class RigBackend(nn.Module, ABC):
         raise NotImplementedError(f"rig '{self.name}' poses all of its vertices at once")
 
     @abstractmethod
-    def forward(self, controls: Tensor) -> Tensor:
+    def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch vertex 3"]:
         """Controls `(batch, control)` to vertices `(batch, vertex, 3)`, mm (the paper's L, Eq. 1)."""
 
 
@@ -202,10 +203,12 @@ class LinearRig(RigBackend):
         return self.primary_count > 0
 
     @abstractmethod
-    def coefficients(self, controls: Tensor) -> Tensor:
+    def coefficients(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coefficient"]:
         """Controls `(batch, control)` to coefficients `(batch, coefficient)`: the nonlinear part f of the rig."""
 
-    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+    def coefficient_jacobian(
+        self, controls: Float[Tensor, "batch control"]
+    ) -> tuple[Float[Tensor, "batch coefficient"], Jacobian]:
         """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their Jacobian.
 
         By automatic differentiation, or by finite differences for a rig that is not differentiable. Rigs may override it with
@@ -220,7 +223,7 @@ class LinearRig(RigBackend):
             derivatives = torch.autograd.grad(found, given, rows, is_grads_batched=True)[0]
         return found.detach(), Jacobian(inner=derivatives.transpose(0, 1))
 
-    def coefficients_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
+    def coefficients_and_vjp(self, controls: Float[Tensor, "batch control"]) -> tuple[Float[Tensor, "batch coefficient"], Vjp]:
         """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and their vector-Jacobian product.
 
         The latter maps a gradient by the coefficients, `(batch, coefficient)`, to one by the controls, `(batch, control)`.
@@ -234,7 +237,7 @@ class LinearRig(RigBackend):
             found = self.coefficients(given)
         return found.detach(), lambda gradient: torch.autograd.grad(found, given, gradient, retain_graph=True)[0]
 
-    def neutral_coefficients(self) -> Tensor:
+    def neutral_coefficients(self) -> Float[Tensor, "1 coefficient"]:
         """The coefficients `(1, coefficient)` of the rest mesh."""
         return self.coefficients(self.neutral_controls[None])
 
@@ -246,7 +249,7 @@ class LinearRig(RigBackend):
         """The recorded poses to train on, in mesh coordinates; None for a rig that can be posed."""
         return None
 
-    def features(self, coefficients: Tensor) -> Tensor | None:
+    def features(self, coefficients: Float[Tensor, "batch coefficient"]) -> Float[Tensor, "batch feature"] | None:
         """Inputs for an inverse network in place of mesh coordinates: `(batch, feature)`, differentiable.
 
         From coefficients `(batch, coefficient)`; None where mesh coordinates serve. A skinned rig gives the rotation of each
@@ -254,14 +257,18 @@ class LinearRig(RigBackend):
         """
         return None
 
-    def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
+    def feature_change(
+        self, before: Float[Tensor, "#batch feature"], after: Float[Tensor, "batch feature"]
+    ) -> Float[Tensor, "batch feature"]:
         """The difference of features `(batch, feature)`; a rig with angles among them takes the shorter way round."""
         return after - before
 
-    def coefficients_with_joint_noise(self, controls: Tensor, parts: Tensor) -> Tensor:
+    def coefficients_with_joint_noise(
+        self, controls: Float[Tensor, "batch control"], parts: Float[Tensor, "batch part"]
+    ) -> Float[Tensor, "batch coefficient"]:
         """The coefficients `(batch, coefficient)` of poses whose joints are rotated by noise `parts` `(batch, part)`, too."""
         return self.coefficients(controls)
 
-    def forward(self, controls: Tensor) -> Tensor:
+    def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch vertex 3"]:
         change = self.coefficients(controls) - self.neutral_coefficients().to(controls)
         return apply_deltas(self.rest_vertices.to(controls), self.basis.to(controls), change)

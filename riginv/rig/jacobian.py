@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd import forward_ad
 
@@ -97,26 +98,26 @@ class Jacobian:
     factors: tuple[Factor, ...] = ()
     inner: Tensor | None = None
 
-    def dense(self) -> Tensor:
+    def dense(self) -> Float[Tensor, "batch coefficient control"]:
         """As dense matrices, `(batch, coefficient, control)`."""
         outer, result = (self.factors, self.inner) if self.inner is not None else (self.factors[:-1], self.factors[-1].dense())
         for factor in reversed(outer):
             result = factor.times(result)
         return result
 
-    def times(self, rows: Tensor) -> Tensor:
+    def times(self, rows: Float[Tensor, "row coefficient"]) -> Float[Tensor, "row control"]:
         """Rows `(row, coefficient)` times the Jacobian of a batch of one: `(row, control)`."""
         for factor in self.factors:
             rows = (factor.pattern.transposed(factor.values, block_diagonal=False) @ rows.T).T
         return rows if self.inner is None else rows @ self.inner[0]
 
-    def vjp(self, gradient: Tensor) -> Tensor:
+    def vjp(self, gradient: Float[Tensor, "batch coefficient"]) -> Float[Tensor, "batch control"]:
         """The vector-Jacobian product: a gradient `(batch, coefficient)` to one of the controls, `(batch, control)`."""
         for factor in self.factors:
             gradient = factor.vjp(gradient)
         return gradient if self.inner is None else (gradient[:, None] @ self.inner)[:, 0]
 
-    def of_controls(self, controls: Tensor) -> "Jacobian":
+    def of_controls(self, controls: Int[Tensor, " control"]) -> "Jacobian":
         """The derivative by some of the controls alone, by their indices `(control,)`."""
         if self.inner is not None:
             return Jacobian(self.factors, self.inner[..., controls])
@@ -126,7 +127,7 @@ class Jacobian:
         pattern = Pattern(last.pattern.rows, index[last.pattern.columns], (last.pattern.shape[0], len(controls)))
         return Jacobian((*self.factors[:-1], Factor(pattern, last.values[:, pattern.kept])))
 
-    def scaled(self, scale: Tensor) -> "Jacobian":
+    def scaled(self, scale: Float[Tensor, " control"]) -> "Jacobian":
         """The derivative by each control multiplied by `scale` `(control,)`."""
         if self.inner is not None:
             return Jacobian(self.factors, self.inner * scale)
@@ -170,7 +171,9 @@ def _gram(metric: Tensor, pattern: Pattern, values: Tensor, inner: Tensor) -> Te
     return inner.transpose(1, 2) @ (middle @ inner)
 
 
-def forward_jacobian(function: Callable[[Tensor], Tensor], controls: Tensor) -> tuple[Tensor, Jacobian]:
+def forward_jacobian(
+    function: Callable[[Tensor], Tensor], controls: Float[Tensor, "batch control"]
+) -> tuple[Float[Tensor, "batch coefficient"], Jacobian]:
     """The coefficients of controls `(batch, control)`, and their Jacobian, in forward mode: fast where controls are few.
 
     Args:
@@ -193,8 +196,11 @@ def forward_jacobian(function: Callable[[Tensor], Tensor], controls: Tensor) -> 
 
 @torch.no_grad()
 def finite_differences(
-    function: Callable[[Tensor], Tensor], controls: Tensor, lower: Tensor, upper: Tensor
-) -> tuple[Tensor, Jacobian]:
+    function: Callable[[Tensor], Tensor],
+    controls: Float[Tensor, "batch control"],
+    lower: Float[Tensor, " control"],
+    upper: Float[Tensor, " control"],
+) -> tuple[Float[Tensor, "batch coefficient"], Jacobian]:
     """A function of controls `(batch, control)`, and its Jacobian by one-sided differences within the limits `(control,)`."""
     step = STEP * (upper - lower).to(controls)
     step = torch.where(controls + step <= upper.to(controls), step, -step)

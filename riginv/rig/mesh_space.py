@@ -9,6 +9,7 @@ and the last term does not depend on r. For a black box, Q comes from samples in
 """
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.errors import InputError
@@ -30,7 +31,9 @@ class MeshSpace(nn.Module):
     rest_vertices: Tensor
     frame: Tensor
 
-    def __init__(self, rest_vertices: Tensor, frame: Tensor, residual_mm: float = 0.0) -> None:
+    def __init__(
+        self, rest_vertices: Float[Tensor, "vertex 3"], frame: Float[Tensor, "coordinate vertex 3"], residual_mm: float = 0.0
+    ) -> None:
         super().__init__()
         self.register_buffer("rest_vertices", rest_vertices, persistent=False)
         self.register_buffer("frame", frame, persistent=False)
@@ -95,11 +98,11 @@ class MeshSpace(nn.Module):
     def vertex_count(self) -> int:
         return len(self.rest_vertices)
 
-    def encode(self, vertices: Tensor) -> Tensor:
+    def encode(self, vertices: Float[Tensor, "batch vertex 3"]) -> Float[Tensor, "batch coordinate"]:
         """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`, by orthogonal projection."""
         return (vertices - self.rest_vertices).flatten(1) @ self.frame.flatten(1).T
 
-    def decode(self, coordinates: Tensor) -> Tensor:
+    def decode(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch vertex 3"]:
         """Mesh coordinates `(batch, coordinate)` to meshes `(batch, vertex, 3)`, mm."""
         return self.rest_vertices + (coordinates @ self.frame.flatten(1)).unflatten(1, self.rest_vertices.shape)
 
@@ -140,17 +143,17 @@ class RigInMeshSpace(nn.Module):
         self.register_buffer("linear_map", rig.basis.flatten(1) @ space.frame.flatten(1).T, persistent=False)
         self.register_buffer("neutral_coefficients", rig.neutral_coefficients().detach(), persistent=False)
 
-    def forward(self, controls: Tensor) -> Tensor:
+    def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coordinate"]:
         """Controls `(batch, control)` to mesh coordinates `(batch, coordinate)`; 0 at the neutral controls."""
         return self.coordinates_of(self.rig.coefficients(controls))
 
     @torch.no_grad()
-    def coordinates_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
+    def coordinates_and_vjp(self, controls: Float[Tensor, "batch control"]) -> tuple[Float[Tensor, "batch coordinate"], Vjp]:
         """As `forward`, without a graph, and its vector-Jacobian product (`LinearRig.coefficients_and_vjp`)."""
         coefficients, vjp = self.rig.coefficients_and_vjp(controls)
         return self.coordinates_of(coefficients), lambda gradient: vjp(gradient @ self.linear_map.T)
 
-    def coordinates_of(self, coefficients: Tensor) -> Tensor:
+    def coordinates_of(self, coefficients: Float[Tensor, "batch coefficient"]) -> Float[Tensor, "batch coordinate"]:
         """Coefficients `(batch, coefficient)` to mesh coordinates `(batch, coordinate)`."""
         return (coefficients - self.neutral_coefficients) @ self.linear_map
 

@@ -3,22 +3,24 @@
 import math
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 
 def sparse_controls(
-    lower: Tensor, upper: Tensor, neutral: Tensor, max_active: int, count: int, generator: torch.Generator
-) -> Tensor:
-    """The paper's random controls `(count, control)`: their number of active ones, up to `max_active`, and values are uniform.
-
-    Args:
-        lower, upper, neutral: `(control,)`.
-    """
+    lower: Float[Tensor, " control"],
+    upper: Float[Tensor, " control"],
+    neutral: Float[Tensor, " control"],
+    max_active: int,
+    count: int,
+    generator: torch.Generator,
+) -> Float[Tensor, "count control"]:
+    """The paper's random controls: the number of active ones, up to `max_active`, and their values are uniform."""
     active = choose(uniform_counts(count, max_active, generator), len(lower), generator)
     return torch.where(active, uniform(lower, upper, count, generator), neutral)
 
 
-def choose(counts: Tensor, among: int, generator: torch.Generator) -> Tensor:
+def choose(counts: Int[Tensor, " batch"], among: int, generator: torch.Generator) -> Bool[Tensor, "batch among"]:
     """Random masks `(batch, among)` with `counts` `(batch,)` entries set in each row, all equally likely."""
     scores = torch.rand(len(counts), among, generator=generator, device=generator.device)
     threshold = scores.sort(dim=1).values.gather(1, counts[:, None] - 1)
@@ -36,7 +38,9 @@ def log_uniform_counts(count: int, most: int, generator: torch.Generator) -> Ten
     return exponent.exp().round().long().clamp(1, most)
 
 
-def uniform(lower: Tensor, upper: Tensor, count: int, generator: torch.Generator) -> Tensor:
+def uniform(
+    lower: Float[Tensor, " n"], upper: Float[Tensor, " n"], count: int, generator: torch.Generator
+) -> Float[Tensor, "count n"]:
     """Values `(count, n)`, uniform between `lower` and `upper` `(n,)`."""
     draws = torch.rand(count, len(lower), generator=generator, device=generator.device, dtype=lower.dtype)
     return lower + (upper - lower) * draws

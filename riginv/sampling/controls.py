@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.config.values import Fraction, PositiveInt
@@ -31,7 +32,7 @@ class ControlSampler(nn.Module, ABC):
         return True
 
     @abstractmethod
-    def sample(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
         """Controls `(count, control)`."""
 
 
@@ -54,7 +55,7 @@ class SparseControls(ControlSampler):
                 f"sampler: max_active is {max_active}, expected 1 to {controls}, the number of controls of '{rig.rig.name}'"
             )
 
-    def sample(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
         return sparse_controls(self.lower, self.upper, self.neutral, self.max_active, count, generator)
 
 
@@ -77,7 +78,7 @@ class PlausibleControls(ControlSampler):
         self.max_active, self.weak_fraction = min(max_active, len(rig.rig.controls)), weak_fraction
         check_plausible(max_active, weak_fraction)
 
-    def sample(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
         active = choose(log_uniform_counts(count, self.max_active, generator), len(self.lower), generator)
         strength = random_strength(count, self.weak_fraction, generator)
         change = (uniform(self.lower, self.upper, count, generator) - self.neutral) * strength
@@ -92,7 +93,7 @@ def check_plausible(max_active: int, weak_fraction: float) -> None:
         raise InputError(f"sampler: weak_fraction is {weak_fraction}, expected a number from 0 to 1")
 
 
-def random_strength(count: int, weak_fraction: float, generator: torch.Generator) -> Tensor:
+def random_strength(count: int, weak_fraction: float, generator: torch.Generator) -> Float[Tensor, "count 1"]:
     """Factors `(count, 1)`: 1, or for a fraction of them uniform in [0, 1]."""
     draws = torch.rand(count, 2, generator=generator, device=generator.device)
     return torch.where(draws[:, :1] < weak_fraction, draws[:, 1:], 1.0)

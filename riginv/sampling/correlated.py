@@ -3,6 +3,7 @@
 import re
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.config.values import Fraction, PositiveFloat
@@ -61,7 +62,7 @@ class CorrelatedControls(ControlSampler):
     def suits(cls, rig: LinearRig) -> bool:
         return not rig.has_blendshapes
 
-    def sample(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
         device, controls = generator.device, len(self.lower)
         draws = torch.randn(count, controls, generator=generator, device=device).to(self.lower) @ self.mixing
         together = torch.randint(-1, 2, (count, 1), generator=generator, device=device)
@@ -76,7 +77,7 @@ class CorrelatedControls(ControlSampler):
 
 
 @torch.no_grad()
-def control_positions(rig: RigInMeshSpace) -> Tensor:
+def control_positions(rig: RigInMeshSpace) -> Float[Tensor, "control 3"]:
     """The weighted centre `(control, 3)`, mm, of the rest vertices that each control moves near neutral."""
     backend = rig.rig
     upwards = torch.where(backend.upper > backend.neutral_controls, backend.upper, backend.lower) - backend.neutral_controls

@@ -3,6 +3,7 @@
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.config.values import PositiveFloat
@@ -52,7 +53,9 @@ class JointNoisePoses(MeshSampler):
         return PoseBatch(coordinates=self.rig.coordinates_of(coefficients))
 
 
-def random_joint_noise(rig: LinearRig, count: int, generator: torch.Generator, strength: float = 1.0) -> Tensor:
+def random_joint_noise(
+    rig: LinearRig, count: int, generator: torch.Generator, strength: float = 1.0
+) -> Float[Tensor, "count part"]:
     """Random joint noise `(count, part)`: the number of active parts is log-uniform, and so is the strength of each mesh."""
     size, device = len(rig.joint_noise), generator.device
     active = choose(log_uniform_counts(count, size, generator), size, generator)

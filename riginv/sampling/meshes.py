@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import torch
+from jaxtyping import Float
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
@@ -36,7 +37,7 @@ class MeshSampler(nn.Module, ABC):
         """Some rows of the batch of `sample`: the part of one of several processes."""
         return map_batches(lambda values: values[rows], self.sample(count, generator))
 
-    def sample_controls(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample_controls(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
         """Controls `(count, control)` alone, to pose the rig elsewhere.
 
         Raises:
@@ -61,7 +62,7 @@ class RigPoses(MeshSampler):
         super().__init__()
         self.rig, self.controls = rig, controls
 
-    def sample_controls(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample_controls(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
         return self.controls.sample(count, generator)
 
     def reading(self, stored: MeshSampler) -> MeshSampler:
@@ -100,7 +101,7 @@ class RandomCombinations(BlendshapeSampler):
         return PoseBatch(coordinates=random_weights(len(self.rig.linear_map), count, generator) @ self.rig.linear_map)
 
 
-def random_weights(shapes: int, count: int, generator: torch.Generator) -> Tensor:
+def random_weights(shapes: int, count: int, generator: torch.Generator) -> Float[Tensor, "count shape"]:
     """Weights `(count, shape)` in [0, 1]: the number of active shapes is uniform, and so are their weights."""
     active = choose(uniform_counts(count, shapes, generator), shapes, generator)
     return torch.where(active, torch.rand(count, shapes, generator=generator, device=generator.device), 0.0)
@@ -160,7 +161,7 @@ class Mixture(MeshSampler):
         parts = [sampler.sample(size, generator) for sampler, size in self._sizes(count)]
         return map_batches(lambda *values: torch.cat(values), *parts)
 
-    def sample_controls(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample_controls(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
         return torch.cat([sampler.sample_controls(size, generator) for sampler, size in self._sizes(count)])
 
     def reading(self, stored: MeshSampler) -> MeshSampler:
@@ -248,11 +249,11 @@ def select_for_rig(config: Config, rig: LinearRig) -> Config:
     Raises:
         InputError: a part names a class that does not exist.
     """
-    if "samplers" not in config:
+    samplers, given = config.get("samplers"), config.get("fractions", {})
+    if samplers is None:
         return config
-    parts = {name: part for name, part in config["samplers"].items() if _belongs(part, rig, MeshSampler)}
-    given = config["fractions"].items()
-    fractions = {name: fraction for name, fraction in given if name in parts or name not in config["samplers"]}
+    parts = {name: part for name, part in samplers.items() if _belongs(part, rig, MeshSampler)}
+    fractions = {name: fraction for name, fraction in given.items() if name in parts or name not in samplers}
     return {**config, "samplers": parts, "fractions": fractions}
 
 

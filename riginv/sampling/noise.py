@@ -1,6 +1,7 @@
 """Capture noise, in mesh coordinates: its projection onto the rig's mesh space."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.errors import InputError
@@ -45,7 +46,7 @@ class CaptureNoise(nn.Module):
         fields = fields / fields.square().sum(dim=(0, 2)).mean().sqrt()
         self.register_buffer("smooth", space.encode(rest + fields), persistent=False)
 
-    def sample(self, count: int, generator: torch.Generator) -> Tensor:
+    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count coordinate"]:
         """Noise `(count, coordinate)` to add to mesh coordinates."""
         mixing = torch.randn(count, len(self.smooth), generator=generator, device=generator.device)
         white = torch.randn(count, self.size, generator=generator, device=generator.device)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, kernels_for
@@ -12,33 +13,35 @@ TO_NEXT, TO_SECOND = -4.0, 1.0  # couplings of a frame to the next and second ne
 LONGEST_GAP = 12.0  # of frames, as a multiple of the usual step: curves are not smoothed across longer ones
 
 
-def usual_steps(numbers: Tensor) -> Tensor:
+def usual_steps(numbers: Shaped[Tensor, " frame"]) -> Float[Tensor, " step"]:
     """The steps `(frame - 1,)` between frame numbers `(frame,)`, as multiples of their median: 1 where no frame is missing."""
     steps = numbers.diff().double()
     return steps / steps.median() if len(steps) else steps
 
 
-def spans(numbers: Tensor) -> list[slice]:
+def spans(numbers: Shaped[Tensor, " frame"]) -> list[slice]:
     """The row ranges of frame numbers `(frame,)` that contain no gap longer than `LONGEST_GAP`."""
     cuts = ((usual_steps(numbers) > LONGEST_GAP).nonzero()[:, 0] + 1).tolist()
     return [slice(first, stop) for first, stop in zip([0, *cuts], [*cuts, len(numbers)])]
 
 
-def second_differences(steps: Tensor) -> Tensor:
+def second_differences(steps: Float[Tensor, " step"]) -> Float[Tensor, "difference 3"]:
     """The weights `(frame - 2, 3)` of three consecutive frames in their second difference.
 
     1, -2, 1 where no frame is missing. Else the second derivative of the parabola through the three, times the square root of
     the time between them, so that the sum of squares is the integral of its square; 0 across gaps that are too long.
 
     Args:
-        steps: `(frame - 1,)`, from `usual_steps`.
+        steps: from `usual_steps`.
     """
     before, after = steps[:-1], steps[1:]
     size = (2 / (before + after)).sqrt() * (torch.maximum(before, after) <= LONGEST_GAP)
     return size[:, None] * torch.stack([1 / before, -1 / before - 1 / after, 1 / after], dim=1)
 
 
-def second_difference_bands(count: int, before: int = 0, differences: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+def second_difference_bands(
+    count: int, before: int = 0, differences: Float[Tensor, "difference 3"] | None = None
+) -> tuple[Float[Tensor, " frame"], Float[Tensor, " frame"], Float[Tensor, " frame"]]:
     """The matrix D^T D of second differences over `before + count` frames, of which the first `before` are given.
 
     Args:
@@ -61,14 +64,18 @@ def second_difference_bands(count: int, before: int = 0, differences: Tensor | N
     return main, to_next, to_second
 
 
-def solve_band(blocks: Sequence[Tensor] | Tensor, next_to: Tensor, second_to: Tensor, right: Tensor) -> Tensor | None:
+def solve_band(
+    blocks: Sequence[Tensor] | Tensor,
+    next_to: Float[Tensor, "frame control"],
+    second_to: Float[Tensor, "frame control"],
+    right: Float[Tensor, "frame control"],
+) -> Float[Tensor, "frame control"] | None:
     """Solve a symmetric positive definite system by block Cholesky.
 
     Args:
         blocks: `(frame, control, control)`, the diagonal blocks.
-        next_to, second_to: `(frame, control)`, the diagonals of the blocks that couple a frame to the next and the second
+        next_to, second_to: the diagonals of the blocks that couple a frame to the next and the second
             next; entries that reach beyond the last frame are 0.
-        right: `(frame, control)`.
 
     Returns:
         `(frame, control)`, or None where the matrix is not positive definite in its own precision.
@@ -131,7 +138,7 @@ class Band(NamedTuple):
     right: Tensor
     free: Tensor
 
-    def solve(self, run_tasks: RunTasks) -> Tensor | None:
+    def solve(self, run_tasks: RunTasks) -> Float[Tensor, "frame control"] | None:
         """The unknowns `(frame, control)`, or None where the matrix of the free ones is not positive definite.
 
         Frames are eliminated from both ends towards the middle.

@@ -1,6 +1,7 @@
 """A step of a block-banded quadratic model within a box: the frames of a clip, coupled by second differences."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.solvers.band import Band, RunTasks, run_in_order
@@ -9,16 +10,22 @@ ROUNDS = 2  # of solving, and fixing controls that leave the box
 
 
 def band_box_step(
-    blocks: Tensor, added: Tensor, near: Tensor, far: Tensor, gradient: Tensor, at: Tensor, run_tasks: RunTasks = run_in_order
-) -> Tensor:
+    blocks: Float[Tensor, "frame control control"],
+    added: Float[Tensor, "frame control"],
+    near: Float[Tensor, " frame"],
+    far: Float[Tensor, " frame"],
+    gradient: Float[Tensor, "frame control"],
+    at: Float[Tensor, "frame control"],
+    run_tasks: RunTasks = run_in_order,
+) -> Float[Tensor, "frame control"]:
     """As `box_step`, for all frames of a clip together.
 
     Args:
-        blocks: the diagonal blocks `(frame, control, control)`, float64.
-        added: added to their diagonals, `(frame, control)`, float64.
-        near, far: the coupling of each frame to the next and to the second next, `(frame,)`; 0 beyond the last frame.
-        gradient: `(frame, control)`, float64.
-        at: the current controls, `(frame, control)` in [0, 1].
+        blocks: the diagonal blocks, float64.
+        added: added to their diagonals, float64.
+        near, far: the coupling of each frame to the next and to the second next; 0 beyond the last frame.
+        gradient: float64.
+        at: the current controls in [0, 1].
         run_tasks: runs tasks, perhaps in parallel.
 
     Returns:

@@ -1,6 +1,7 @@
 """Linear least squares for weights that stay in [0, 1]."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.solvers.box_step import box_step
@@ -9,14 +10,16 @@ ROUNDS = 100  # at most; most meshes converge after a few
 TOLERANCE = 1e-9  # a mesh has converged once no weight changes by more
 
 
-def bounded_least_squares(gram: Tensor, right: Tensor) -> Tensor:
+def bounded_least_squares(
+    gram: Float[Tensor, "shape shape"], right: Float[Tensor, "mesh shape"]
+) -> Float[Tensor, "mesh shape"]:
     """Weights `(mesh, shape)` in [0, 1] that minimise half w^T G w - b^T w, for all meshes at once.
 
     Each round takes a step of `box_step`, where that descends, and then one of coordinate descent, which always does.
 
     Args:
-        gram: G `(shape, shape)`, positive definite.
-        right: b `(mesh, shape)`.
+        gram: G, positive definite.
+        right: b.
     """
     found = torch.zeros_like(right)
     active = torch.arange(len(right), device=right.device)

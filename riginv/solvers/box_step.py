@@ -1,6 +1,7 @@
 """A step of damped quadratic models within a box, for many meshes at once."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, kernels_for
@@ -9,14 +10,18 @@ ROUNDS = 3  # of solving, and fixing controls that leave the box
 FLOOR = 1e-3  # of the mean curvature, added under damping: so controls without effect are damped, too
 
 
-def damping_diagonal(hessian: Tensor, damping: Tensor) -> Tensor:
+def damping_diagonal(
+    hessian: Float[Tensor, "mesh control control"], damping: Float[Tensor, " mesh"]
+) -> Float[Tensor, "mesh control"]:
     """Marquardt's damping: the addition `(mesh, control)` to the diagonals of Hessians, by factors `(mesh,)`."""
     diagonal = hessian.diagonal(dim1=1, dim2=2)
     floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + torch.finfo(hessian.dtype).tiny
     return damping[:, None] * (diagonal + floor)
 
 
-def predicted_change(hessian: Tensor, gradient: Tensor, step: Tensor) -> Tensor:
+def predicted_change(
+    hessian: Float[Tensor, "mesh control control"], gradient: Float[Tensor, "mesh control"], step: Float[Tensor, "mesh control"]
+) -> Float[Tensor, " mesh"]:
     """The change of each mesh's quadratic model by a step, `(mesh,)`: negative where it descends."""
     compiled = kernels_for(hessian, gradient, step)
     if compiled is None:
@@ -27,7 +32,12 @@ def predicted_change(hessian: Tensor, gradient: Tensor, step: Tensor) -> Tensor:
     return result
 
 
-def box_step(matrix: Tensor, gradient: Tensor, at: Tensor, diagonal: Tensor | None = None) -> Tensor:
+def box_step(
+    matrix: Float[Tensor, "mesh control control"],
+    gradient: Float[Tensor, "mesh control"],
+    at: Float[Tensor, "mesh control"],
+    diagonal: Float[Tensor, "mesh control"] | None = None,
+) -> Float[Tensor, "mesh control"]:
     """The step `(mesh, control)` that approximately minimises quadratic models over the box from 0 to 1.
 
     An active-set method: controls at a limit that the gradient pushes outward are fixed, the others solved for; those that
@@ -35,10 +45,8 @@ def box_step(matrix: Tensor, gradient: Tensor, at: Tensor, diagonal: Tensor | No
     definite in their own precision are factorised in float64; where that fails, too, the step is 0.
 
     Args:
-        matrix: `(mesh, control, control)`.
-        gradient: `(mesh, control)`.
-        at: the current controls, `(mesh, control)` in [0, 1].
-        diagonal: added to those of the matrices, `(mesh, control)`, such as damping.
+        at: the current controls in [0, 1].
+        diagonal: added to those of the matrices, such as damping.
     """
     compiled = kernels_for(matrix, gradient, at)
     if compiled is not None:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from functools import partial
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from riginv.solvers.band import second_difference_bands, second_differences, spans, usual_steps
@@ -19,17 +20,17 @@ TRIES = 4  # of increasing damping on one linearisation
 
 def solve_clip(
     objective: Objective,
-    coordinates: Tensor,
-    start: Tensor,
+    coordinates: Float[Tensor, "frame coordinate"],
+    start: Float[Tensor, "frame control"],
     smoothness: float,
     steps: int = 12,
     mean_steps: int = 0,
     window: int = WINDOW,
     lookahead: int = LOOKAHEAD,
     tolerance: float = 1e-4,
-    weights: Tensor | None = None,
-    numbers: Tensor | None = None,
-) -> Tensor:
+    weights: Float[Tensor, " frame"] | None = None,
+    numbers: Shaped[Tensor, " frame"] | None = None,
+) -> Float[Tensor, "frame control"]:
     """Minimise the objective of all frames plus half of `smoothness` times the squared second differences of the controls.
 
     Long clips are solved in windows, so that memory is bounded. A window continues the last two kept frames of the one before,
@@ -37,15 +38,15 @@ def solve_clip(
     so the result equals a solve without windows.
 
     Args:
-        coordinates: `(frame, coordinate)`; frames with NaN or infinite values are interpolated.
-        start: `(frame, control)`, as fractions of the controls' ranges.
+        coordinates: frames with NaN or infinite values are interpolated.
+        start: as fractions of the controls' ranges.
         smoothness: mm^2, as the mean squared vertex distance, for one control with a second difference of its whole range.
         steps: Gauss-Newton steps, at most.
         mean_steps: further steps, at most, on the mean distance in place of the mean squared distance.
         window, lookahead: frames.
         tolerance: a window has converged once a step reduces its objective by less than this fraction.
-        weights: of each frame's distance, `(frame,)`: lower for less reliable frames, 0: interpolated. None: 1.
-        numbers: frame numbers `(frame,)`, ascending, for second differences by time, with none across long gaps; None: no frame
+        weights: of each frame's distance: lower for less reliable frames, 0: interpolated. None: 1.
+        numbers: frame numbers, ascending, for second differences by time, with none across long gaps; None: no frame
             is missing.
 
     Returns:
@@ -154,12 +155,14 @@ class _Window:
         return band_box_step(hessian.double(), added, near, far, gradient, at, self.objective.run_tasks)
 
 
-def smoothed(solution: Solution, blur: float, numbers: Tensor | None = None) -> Tensor:
+def smoothed(
+    solution: Solution, blur: float, numbers: Shaped[Tensor, " frame"] | None = None
+) -> Float[Tensor, "frame control"]:
     """The controls `(frame, control)` of a clip, blurred over time, without skipped frames.
 
     Args:
         blur: standard deviation of the Gaussian, frames; 0: none.
-        numbers: frame numbers `(frame,)`: curves are not blurred across long gaps; None: no frame is missing.
+        numbers: frame numbers: curves are not blurred across long gaps; None: no frame is missing.
     """
     if not len(solution.units):
         return solution.units

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.rig.batches import generator_at
@@ -25,7 +26,7 @@ class Distance(NamedTuple):
     curvature: Tensor | None = None
 
 
-def squared_distance(residual: Tensor) -> Distance:
+def squared_distance(residual: Float[Tensor, "mesh coordinate"]) -> Distance:
     """Half the square of residuals `(mesh, coordinate)`: half the sum of the vertices' squared distances."""
     return Distance(0.5 * residual.square().sum(dim=1), residual)
 
@@ -42,12 +43,14 @@ class MeanDistance:
         vertices: the number of random vertices that represent all.
     """
 
-    def __init__(self, frame: Tensor, corner_mm: float = CORNER_MM, vertices: int = VERTICES) -> None:
+    def __init__(
+        self, frame: Float[Tensor, "coordinate vertex 3"], corner_mm: float = CORNER_MM, vertices: int = VERTICES
+    ) -> None:
         picked = torch.randperm(frame.shape[1], generator=generator_at(0, "mean distance"))[:vertices]
         self.frame, self.corner_mm = frame[:, picked.to(frame.device)].flatten(1), corner_mm
         self.each = frame.shape[1] / len(picked)  # the number of vertices that one represents
 
-    def __call__(self, residual: Tensor) -> Distance:
+    def __call__(self, residual: Float[Tensor, "mesh coordinate"]) -> Distance:
         """The cost of residuals `(mesh, coordinate)`."""
         displacement = (residual @ self.frame).unflatten(1, (-1, 3))
         rounded = (displacement.square().sum(dim=2) + self.corner_mm**2).sqrt()

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.solvers.levenberg_marquardt import TOLERANCE, Solution, levenberg_marquardt
@@ -18,7 +19,7 @@ PROMISING = 1.05  # a neighbour's solution is tried where it costs at most this 
 
 def solve_meshes(
     objective: Objective,
-    coordinates: Tensor,
+    coordinates: Float[Tensor, "mesh coordinate"],
     starts: int = 3,
     steps: int = 60,
     tolerance: float = TOLERANCE,
@@ -27,7 +28,6 @@ def solve_meshes(
     """Solve from several starts, and keep the best solution of each mesh; one that is exact is not solved again.
 
     Args:
-        coordinates: `(mesh, coordinate)`.
         starts: their number; the first is `first_start`, the others are random.
         steps, tolerance: as in `levenberg_marquardt`.
         descent_steps: if above 0, the second start is the first one after so many steps of gradient descent.
@@ -53,7 +53,9 @@ def solve_meshes(
     return _in_batches(objective, len(coordinates), solve)
 
 
-def refine_meshes(objective: Objective, coordinates: Tensor, start: Tensor, steps: int) -> Solution:
+def refine_meshes(
+    objective: Objective, coordinates: Float[Tensor, "mesh coordinate"], start: Float[Tensor, "mesh control"], steps: int
+) -> Solution:
     """Take at most `steps` from a start `(mesh, control)`, as fractions of the ranges, such as a network's output."""
 
     def solve(rows: Tensor) -> Solution:
@@ -64,7 +66,7 @@ def refine_meshes(objective: Objective, coordinates: Tensor, start: Tensor, step
 
 def solve_frames(
     objective: Objective,
-    coordinates: Tensor,
+    coordinates: Float[Tensor, "frame coordinate"],
     starts: int = 2,
     steps: int = 30,
     more_steps: int = 3,
@@ -77,7 +79,6 @@ def solve_frames(
     from neighbours' solutions that are promising. Last, frames that have not converged are continued.
 
     Args:
-        coordinates: `(frame, coordinate)`.
         starts, steps, descent_steps: for frames that start from scratch, as in `solve_meshes`; `steps` also for those that are
             continued in the end.
         more_steps: for frames that start from a neighbour's solution.

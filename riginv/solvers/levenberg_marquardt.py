@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.solvers.box_step import box_step, damping_diagonal, predicted_change
@@ -59,20 +60,20 @@ class Solution:
 
 def levenberg_marquardt(
     objective: Objective,
-    coordinates: Tensor,
-    start: Tensor,
+    coordinates: Float[Tensor, "mesh coordinate"],
+    start: Float[Tensor, "mesh control"],
     steps: int,
     tolerance: float = TOLERANCE,
-    weights: Tensor | None = None,
+    weights: Float[Tensor, " mesh"] | None = None,
 ) -> Solution:
     """Minimise the objective of each mesh from a start, within the controls' limits.
 
     Args:
-        coordinates: of the meshes, `(mesh, coordinate)`; those with NaN or infinite values are skipped.
-        start: `(mesh, control)`, as fractions of the ranges.
+        coordinates: of the meshes; those with NaN or infinite values are skipped.
+        start: as fractions of the ranges.
         steps: the greatest number of linearisations.
         tolerance: a mesh has converged once three consecutive steps reduce its objective by less than this fraction.
-        weights: of each mesh's distance against prior and sparsity, `(mesh,)`; None: 1.
+        weights: of each mesh's distance against prior and sparsity; None: 1.
     """
     coordinates = coordinates.to(start)
     given = (coordinates, start) if weights is None else (coordinates, start, weights)

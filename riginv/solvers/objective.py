@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.networks.features import RigFeatures
@@ -36,12 +37,12 @@ class GaussianPrior:
         """The same prior, times a factor, in a dtype."""
         return GaussianPrior(self.mean.to(dtype), (factor * self.precision).to(dtype))
 
-    def cost(self, units: Tensor) -> Tensor:
+    def cost(self, units: Float[Tensor, "mesh control"]) -> Float[Tensor, " mesh"]:
         """The cost `(mesh,)` of controls `(mesh, control)`."""
         away = units - self.mean.to(units)
         return 0.5 * (away * (away @ self.precision.to(units))).sum(dim=-1)
 
-    def gradient(self, units: Tensor) -> Tensor:
+    def gradient(self, units: Float[Tensor, "mesh control"]) -> Float[Tensor, "mesh control"]:
         """The gradient `(mesh, control)`."""
         return (units - self.mean.to(units)) @ self.precision.to(units)
 
@@ -131,25 +132,37 @@ class Objective:
         return (self.lower + self.span * units).to(rig.dtype).clamp(rig.lower, rig.upper)
 
     @torch.no_grad()
-    def cost(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Tensor:
+    def cost(
+        self,
+        units: Float[Tensor, "mesh control"],
+        coordinates: Float[Tensor, "mesh coordinate"],
+        weights: Float[Tensor, " mesh"] | None = None,
+    ) -> Float[Tensor, " mesh"]:
         """The objective `(mesh,)`, at least 0.
 
         Args:
-            weights: of each mesh's distance against the priors, `(mesh,)`; None: 1.
+            weights: of each mesh's distance against the priors; None: 1.
         """
         found = self.rig.rig.coefficients(self.lower + self.span * units)
         distance = self.distance(self._residual(found, coordinates)).cost
         return (distance if weights is None else weights * distance) + self._prior(units)[0]
 
     @torch.no_grad()
-    def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
+    def gradient(
+        self, units: Float[Tensor, "mesh control"], coordinates: Float[Tensor, "mesh coordinate"]
+    ) -> Float[Tensor, "mesh control"]:
         """The gradient `(mesh, control)` of the objective."""
         found, vjp = self.rig.rig.coefficients_and_vjp(self.lower + self.span * units)
         by_residual = self.distance(self._residual(found, coordinates)).gradient
         return self.span * vjp(by_residual @ self.map.T) + self._prior(units)[1]
 
     @torch.no_grad()
-    def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
+    def linearise(
+        self,
+        units: Float[Tensor, "mesh control"],
+        coordinates: Float[Tensor, "mesh coordinate"],
+        weights: Float[Tensor, " mesh"] | None = None,
+    ) -> Linearised:
         """The objective with its gradient and Gauss-Newton Hessian; weights as in `cost`."""
         found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
         distance, by_residual, relative = self.distance(self._residual(found, coordinates))

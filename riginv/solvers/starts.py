@@ -5,6 +5,7 @@ that a start there may get stuck. From random controls solvers get stuck in a ri
 """
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.rig.batches import generator_at
@@ -16,7 +17,7 @@ BATCH_SIZE = 128
 SEED = 20221206
 
 
-def first_start(objective: Objective, coordinates: Tensor) -> Tensor:
+def first_start(objective: Objective, coordinates: Float[Tensor, "mesh coordinate"]) -> Float[Tensor, "mesh control"]:
     """The first guess `(mesh, control)` from the rig's features, if it has any; else `start_by_derivative`."""
     if objective.features is None:
         return start_by_derivative(objective, coordinates)
@@ -25,7 +26,9 @@ def first_start(objective: Objective, coordinates: Tensor) -> Tensor:
     return objective.units(guess).nan_to_num(0.5).clamp(0, 1)
 
 
-def start_by_derivative(objective: Objective, coordinates: Tensor, offset: float = OFFSET) -> Tensor:
+def start_by_derivative(
+    objective: Objective, coordinates: Float[Tensor, "mesh coordinate"], offset: float = OFFSET
+) -> Float[Tensor, "mesh control"]:
     """Controls `(mesh, control)` at a small offset from neutral, on the side with the greater descent.
 
     Controls whose gradient is that of the prior alone stay neutral.
@@ -40,7 +43,9 @@ def start_by_derivative(objective: Objective, coordinates: Tensor, offset: float
     return torch.where((rise.abs() <= idle) & (fall.abs() <= idle), neutral, start)
 
 
-def start_at_random(objective: Objective, first: Tensor, number: int, spread: float = OFFSET) -> Tensor:
+def start_at_random(
+    objective: Objective, first: Float[Tensor, "mesh control"], number: int, spread: float = OFFSET
+) -> Float[Tensor, "mesh control"]:
     """Random controls `(mesh, control)` around neutral, or around the first start if it is from the rig's features.
 
     The draws depend on `number` and on each mesh's index.
@@ -53,12 +58,17 @@ def start_at_random(objective: Objective, first: Tensor, number: int, spread: fl
     return torch.where(first == neutral, neutral, (neutral + inward).clamp(0, 1))  # an idle control stays there
 
 
-def descend(rig: RigInMeshSpace, start: Tensor, coordinates: Tensor, steps: int, lr: float) -> Tensor:
+def descend(
+    rig: RigInMeshSpace,
+    start: Float[Tensor, "mesh control"],
+    coordinates: Float[Tensor, "mesh coordinate"],
+    steps: int,
+    lr: float,
+) -> Float[Tensor, "mesh control"]:
     """Adam on the squared distance to meshes, within the controls' limits.
 
     Args:
-        start: controls `(mesh, control)`.
-        coordinates: `(mesh, coordinate)`.
+        start: controls.
         lr: step size, as a fraction of a control's range.
 
     Returns:

@@ -184,7 +184,7 @@ class PoseStore:
         """
         sums = [crc32c(values[name]) for name in self.layout.checked]
         with self.location.writing():
-            self.arrays[LEDGER][chunk] = 0  # while it is written it is absent
+            self.arrays[LEDGER][chunk] = 0  # absent while it is written
             for name in self.layout.checked:
                 self.arrays[name][self.layout.slice_of(name, chunk)] = values[name]
             self.arrays[LEDGER][chunk] = np.array([self.layout.count(chunk), *sums], np.uint32)

@@ -1,1 +1,1 @@
-"""From a clip of meshes to controls over time."""
+"""Inversion of clips: meshes or scans to controls over time."""

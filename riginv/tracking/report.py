@@ -6,16 +6,15 @@ from pathlib import Path
 
 import roma
 import torch
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 from torch import Tensor
 
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import Bar
+from riginv.runs.tables import new_table
 from riginv.tracking.regions import STILL
 
 LISTED_FRAMES = 5
@@ -73,10 +72,8 @@ def show(
     """Print the errors of the frames, which frames to look at, and what was written."""
     console = Console()
     known = ~errors.mean_mm.isnan()
-    title = f"{escape(animation.source)}: {len(animation):,} frames at {animation.fps:g} a second, {measure} in mm"
-    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0))
-    for heading in ("", "mean", "median", "95th percentile", "maximum"):
-        table.add_column(heading, justify="right" if heading else "left")
+    title = f"{animation.source}: {len(animation):,} frames at {animation.fps:g} a second, {measure} in mm"
+    table = new_table(("", "mean", "median", "95th percentile", "maximum"), title, padding=2)
     for name, values in zip(rows, (errors.mean_mm, errors.max_mm)):
         table.add_row(name, *_figures(values[known]))
     if errors.neutral_mm is not None:

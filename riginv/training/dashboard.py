@@ -6,13 +6,13 @@ from typing import Any
 import lightning as L
 import torch
 from hydra.core.hydra_config import HydraConfig
-from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
 from torch.utils.tensorboard.summary import hparams
 
 from riginv.launch.sweep_hparams import NAMED_COLUMNS, RESULT
 from riginv.runs.tables import sets_of
 from riginv.training.module import RigModule
+from riginv.training.pictures import validation_sets, writer_of
 
 MEAN, NEUTRAL, OPTIMUM = (f"{name}mean_vertex_error_mm" for name in ("", "neutral_", "optimum_"))
 Layout = dict[str, dict[str, list[Any]]]
@@ -25,18 +25,19 @@ class Dashboard(L.Callback):
         self.neutral_mm: dict[str, float] = {}
 
     @rank_zero_only
-    def on_train_start(self, trainer: L.Trainer, module: RigModule) -> None:
+    def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        assert isinstance(module, RigModule)
         self.neutral_mm = neutral_errors(trainer, module)
-        module.logger.experiment.add_custom_scalars(layout(list(self.neutral_mm)))
-        self._log_neutral(trainer, module)
+        writer_of(trainer).add_custom_scalars(layout(list(self.neutral_mm)))
+        self._log_neutral(trainer)
 
     @rank_zero_only
-    def on_validation_end(self, trainer: L.Trainer, module: RigModule) -> None:
-        self._log_neutral(trainer, module)
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        self._log_neutral(trainer)
 
-    def _log_neutral(self, trainer: L.Trainer, module: RigModule) -> None:
+    def _log_neutral(self, trainer: L.Trainer) -> None:
         for name, error in self.neutral_mm.items():
-            module.logger.experiment.add_scalar(f"val/{name}/{NEUTRAL}", error, trainer.global_step)
+            writer_of(trainer).add_scalar(f"val/{name}/{NEUTRAL}", error, trainer.global_step)
 
 
 def layout(names: list[str]) -> Layout:
@@ -61,32 +62,35 @@ def neutral_errors(trainer: L.Trainer, module: RigModule) -> dict[str, float]:
     """The mean vertex error of neutral controls on each validation set, mm."""
     space = module.rig.space
     return {
-        name: float((space.decode(batch["coordinates"].to(module.device)) - space.rest_vertices).norm(dim=2).mean())
-        for name, batch in trainer.datamodule.validation.items()
+        name: float((space.decode(batch["coordinates"]) - space.rest_vertices).norm(dim=2).mean())
+        for name, batch in validation_sets(trainer, module).items()
     }
 
 
 @rank_zero_only
-def log_choices(logger: TensorBoardLogger, config: dict[str, Any]) -> None:
+def log_choices(trainer: L.Trainer, config: dict[str, Any]) -> None:
     """Log a plain config: all of it to hparams.yaml, the named columns and what the command line set to HPARAMS."""
     choices = _flat(config)
-    logger.log_hyperparams(choices)
+    assert trainer.logger is not None
+    trainer.logger.log_hyperparams(choices)
     typed = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
     keys = {*NAMED_COLUMNS, *(override.lstrip("+").partition("=")[0] for override in typed)}
     _, begun, ended = hparams({key: choices[key] for key in choices if key in keys}, {})
     for summary in (begun, ended):  # without the first of the three, which would fix the columns by this run alone
-        logger.experiment.file_writer.add_summary(summary)
+        writer_of(trainer).file_writer.add_summary(summary)  # type: ignore[attr-defined]  # torch annotates it as None
 
 
-def log_results(logger: TensorBoardLogger, metrics: dict[str, float], step: int) -> None:
+def log_results(trainer: L.Trainer, metrics: dict[str, float]) -> None:
     """Log every final metric, and the optimum of each set as a line through its chart."""
-    names = sets_of(metrics)
-    logger.log_metrics({f"{RESULT}/{key}": value for key, value in metrics.items() if key.split("/")[0] in names}, step)
+    writer, names = writer_of(trainer), sets_of(metrics)
+    for key, value in metrics.items():
+        if key.split("/")[0] in names:
+            writer.add_scalar(f"{RESULT}/{key}", value, trainer.global_step)
     for name in names:
         if (optimum := metrics.get(f"{name}/{OPTIMUM}")) is not None:
-            for end in (0, step):
-                logger.experiment.add_scalar(f"val/{name}/{OPTIMUM}", optimum, end)
-    logger.save()
+            for step in (0, trainer.global_step):
+                writer.add_scalar(f"val/{name}/{OPTIMUM}", optimum, step)
+    writer.flush()
 
 
 def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from lightning.pytorch.loggers import TensorBoardLogger
 from PIL import Image
+from torch.utils.tensorboard import SummaryWriter
 
 from riginv.meshes.rendering import Pair, comparison
 from riginv.rig.batches import PoseBatch
@@ -25,15 +26,28 @@ class PosePictures(L.Callback):
         self.every_n_validations, self.validations = every_n_validations, 0
 
     def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        assert isinstance(module, RigModule) and isinstance(module.logger, TensorBoardLogger)
+        assert isinstance(module, RigModule)
         self.validations += 1
         if self.validations % self.every_n_validations and trainer.global_step < trainer.max_steps:
             return
-        data: PoseDataModule = trainer.datamodule  # type: ignore[attr-defined]  # set by fit
-        for name, batch in data.validation.items():
-            moved = {key: cast(torch.Tensor, values).to(module.device) for key, values in batch.items()}
-            picture = worst_and_median(module, cast(PoseBatch, moved))
-            module.logger.experiment.add_image(f"poses/{name}", np.asarray(picture), trainer.global_step, dataformats="HWC")
+        for name, batch in validation_sets(trainer, module).items():
+            picture = worst_and_median(module, batch)
+            writer_of(trainer).add_image(f"poses/{name}", np.asarray(picture), trainer.global_step, dataformats="HWC")
+
+
+def writer_of(trainer: L.Trainer) -> SummaryWriter:
+    """The TensorBoard writer of a trainer."""
+    assert isinstance(trainer.logger, TensorBoardLogger)
+    return trainer.logger.experiment
+
+
+def validation_sets(trainer: L.Trainer, module: RigModule) -> dict[str, PoseBatch]:
+    """The validation sets of a training by name, each as one batch on the module's device."""
+    data: PoseDataModule = trainer.datamodule  # type: ignore[attr-defined]  # set by fit
+    return {
+        name: cast(PoseBatch, {key: cast(torch.Tensor, values).to(module.device) for key, values in batch.items()})
+        for name, batch in data.validation.items()
+    }
 
 
 @torch.no_grad()

@@ -1,1 +1,1 @@
-"""Results to look at: a page that needs no network, and a picture."""
+"""Views of a result: a self-contained HTML page, a contact sheet, TensorBoard events."""

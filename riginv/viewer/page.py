@@ -1,4 +1,4 @@
-"""The result of an inversion as one HTML file that needs no network: target, recovered, error, curves, frames to look at."""
+"""The result of an inversion as a self-contained HTML page: target and recovered meshes, errors, curves, flagged frames."""
 
 import base64
 import gzip
@@ -19,28 +19,28 @@ from riginv.meshes.rendering import HEAT_STOPS
 from riginv.runs.files import write_text
 from riginv.viewer.thinning import Thinned, thin
 
-Targets = Callable[[Sequence[int]], Tensor]  # rows of the animation to their target meshes (row, vertex, 3), mm, NaN: unknown
+Targets = Callable[[Sequence[int]], Tensor]  # rows of the animation to target meshes (row, vertex, 3), mm
 
 HERE = Path(__file__).parent
 SLOT = re.compile(r"/\*(TITLE|STYLE|SCRIPT|FACTS|MESHES|VALUES|FACES|COLORS)\*/")
-MOST_VERTICES = 20_000
-MOST_NUMBERS = 18_000_000  # of all meshes together: about 20 MB of file
-MOST_FRAMES = 1200
+MAX_VERTICES = 20_000
+MAX_NUMBERS = 18_000_000  # of all meshes together: about 20 MB of file
+MAX_FRAMES = 1200
 WORST = 20  # frames in the list
-STEP_MM = 0.02  # positions are kept in whole steps, finer where the mesh is small
-LARGEST = 32_000  # of the whole numbers
+STEP_MM = 0.02  # quantisation of positions, finer for small meshes
+LARGEST = 32_000  # of the quantised integers
 UNKNOWN = -32_768
-BATCH_SIZE = 64  # meshes at a time
+BATCH_SIZE = 64  # meshes
 
 
 class ClipSource(NamedTuple):
-    """What was read of the clip, in words.
+    """The description of the clip in words.
 
     Attributes:
-        line: all of it in short.
-        rows: all of it in full: what it is, and the value.
-        warnings: whole sentences about what can hardly be meant.
-        notes: whole sentences about what was guessed or mended.
+        line: a summary.
+        rows: labels and values.
+        warnings: sentences about implausible values.
+        notes: sentences about what was guessed or repaired.
     """
 
     line: str
@@ -51,12 +51,12 @@ class ClipSource(NamedTuple):
 
 @dataclass(frozen=True)
 class PageContents:
-    """What a page holds of an inversion.
+    """The contents of a page.
 
     Attributes:
-        frames: how many meshes, of `all_frames`; between them the page interpolates. Curves and errors are all there.
-        vertices: how many, of `all_vertices`.
-        note: the same in words, and how coarse positions are.
+        frames: number of meshes, of `all_frames`; the page interpolates between them. All curves and errors are included.
+        vertices: number of vertices, of `all_vertices`.
+        note: the same in words, and the precision of positions.
     """
 
     frames: int
@@ -77,16 +77,16 @@ def write_viewer(
     """Write the page.
 
     Args:
-        targets: the meshes that were asked for, by the rows of the animation, in the rig's space (rigid motion removed).
-        advance: told how many meshes of `PageContents.frames` were added.
-        clip: what was read of the clip.
+        targets: target meshes by rows of the animation, without rigid motion; NaN where a vertex is not known.
+        advance: reports the number of meshes added.
+        clip: description of the clip.
 
     Returns:
-        what it holds; a long clip is shown in fewer meshes, a large mesh in fewer vertices.
+        the contents; long clips are reduced to fewer meshes, large meshes to fewer vertices.
     """
     rig = animation.rig
-    thinned = thin(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), MOST_VERTICES)
-    rows = shown_rows(animation, errors, min(MOST_FRAMES, max(2, MOST_NUMBERS // (6 * len(thinned.kept)))))
+    thinned = thin(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), MAX_VERTICES)
+    rows = shown_rows(animation, errors, min(MAX_FRAMES, max(2, MAX_NUMBERS // (6 * len(thinned.kept)))))
     both, top_mm = _meshes(animation, targets, rows, thinned, advance)
     middle = (np.nanmax(both, axis=(0, 1, 2)) + np.nanmin(both, axis=(0, 1, 2))) / 2
     both -= middle
@@ -121,20 +121,20 @@ def write_viewer(
         "COLORS": _packed(b"" if colors is None else _bytes(colors.cpu().numpy()[thinned.kept])),
     }
     page = (HERE / "page.html").read_text(encoding="utf-8")
-    page = SLOT.sub(lambda slot: parts[slot[1]], page)  # in one pass: what is put in is never looked at again
+    page = SLOT.sub(lambda slot: parts[slot[1]], page)  # in one pass, so that inserted text is not searched
     write_text(path, page)
     return PageContents(len(rows), count, kept, len(rig.rest_vertices), note)
 
 
-def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int]:
-    """The rows whose meshes are shown: all, or evenly spread ones and the worst among those with flags and without."""
+def shown_rows(animation: Animation, errors: FrameErrors, limit: int) -> list[int]:
+    """Rows whose meshes are shown: all, or evenly spread ones, the worst ones and flagged ones."""
     count = len(animation)
-    if count <= most:
+    if count <= limit:
         return list(range(count))
     rows = evaluated_rows(animation, errors)
     wanted = [row for each in [*errors.worst(WORST), *errors.flagged] if (row := rows[each]) is not None]
-    kept = set(wanted[: most // 4])
-    spread = np.linspace(0, count - 1, most - len(kept)).round().astype(int).tolist()
+    kept = set(wanted[: limit // 4])
+    spread = np.linspace(0, count - 1, limit - len(kept)).round().astype(int).tolist()
     return sorted(kept | set(spread))
 
 
@@ -142,7 +142,7 @@ def shown_rows(animation: Animation, errors: FrameErrors, most: int) -> list[int
 def _meshes(
     animation: Animation, targets: Targets, rows: list[int], thinned: Thinned, advance: Callable[[int], None] | None
 ) -> tuple[np.ndarray, float]:
-    """Targets and recovered meshes `(frame, 2, vertex, 3)`, mm, and the error that is to be red."""
+    """Target and recovered meshes `(frame, 2, vertex, 3)`, mm, and the error that is drawn red."""
     both = np.empty((len(rows), 2, len(thinned.kept), 3), np.float32)
     kept = torch.tensor(thinned.kept)
     for start in range(0, len(rows), BATCH_SIZE):
@@ -153,22 +153,22 @@ def _meshes(
         both[start : start + len(some), 1] = recovered[:, kept].cpu().numpy()
         if advance:
             advance(len(some))
-    apart = np.linalg.norm(both[:, 0] - both[:, 1], axis=-1)
-    known = apart[~np.isnan(apart)]
+    distance = np.linalg.norm(both[:, 0] - both[:, 1], axis=-1)
+    known = distance[~np.isnan(distance)]
     top = float(np.quantile(known, 0.995)) if len(known) else 0.0
     return both, max(float(f"{top:.2g}"), 1e-3)
 
 
 def evaluated_rows(animation: Animation, errors: FrameErrors) -> list[int | None]:
-    """For each frame that was judged its row in the animation; None where it has none."""
+    """The row in the animation of each evaluated frame; None where it has none."""
     if errors.frame_numbers is None:
         return list(range(len(animation)))
-    places = {number: row for row, number in enumerate(animation.frame_numbers.tolist())}
-    return [places.get(number) for number in errors.frame_numbers.tolist()]
+    row_of = {number: row for row, number in enumerate(animation.frame_numbers.tolist())}
+    return [row_of.get(number) for number in errors.frame_numbers.tolist()]
 
 
 def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
-    """What the page says in words and numbers."""
+    """The texts and numbers of the page."""
     rig = animation.rig
     made_by = [str(animation.made_by[key]) for key in ("method",) if key in animation.made_by]
     about = [
@@ -179,21 +179,21 @@ def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
     ]
     if animation.keys is not None:
         about.append(f"{sum(map(len, animation.keys)):,} keys")
-    mean, most = errors.mean_mm.double(), errors.max_mm.double()
+    axes = (errors.mean_mm.double(), errors.max_mm.double())
     return {
         "source": animation.source or rig.name,
         "about": " · ".join(about),
         "figures": _figures(errors),
         "fps": animation.fps,
         "numbers": animation.frame_numbers.tolist(),
-        "axis_mm": [_rounded(float(values.nan_to_num().quantile(0.999))) for values in (mean, most)],
+        "axis_mm": [_rounded(float(values.nan_to_num().quantile(0.999))) for values in axes],
         "controls": [{"name": c.name, "lower": c.lower, "upper": c.upper, "unit": c.unit} for c in rig.controls],
         "errors": _frame_facts(animation, errors),
     }
 
 
 def _figures(errors: FrameErrors) -> list[list[str]]:
-    """What stands in the page's head: a unit or a name, and a number."""
+    """The figures in the page's head: label and number."""
     values = errors.summary()
     named = {
         "mean_error_mm": "mm mean error",
@@ -206,9 +206,9 @@ def _figures(errors: FrameErrors) -> list[list[str]]:
 
 
 def _frame_facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
-    """The errors at each row of the animation; after resampling those of the nearest frame that was judged."""
+    """The errors at each row of the animation; after resampling those of the nearest evaluated frame."""
     nearest = np.linspace(0, len(errors.mean_mm) - 1, len(animation)).round().astype(int)
-    back = {int(place): row for row, place in reversed(list(enumerate(nearest.tolist())))}
+    back = {int(index): row for row, index in reversed(list(enumerate(nearest.tolist())))}
     return {
         "mean": [_rounded(value) for value in errors.mean_mm[nearest].tolist()],
         "max": [_rounded(value) for value in errors.max_mm[nearest].tolist()],
@@ -220,12 +220,12 @@ def _frame_facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
 
 
 def in_mm(value: float) -> str:
-    """An error as people read it, without its unit."""
+    """An error as text, without its unit."""
     return "<0.001" if 0 < value < 0.001 else f"{value:.3g}"
 
 
 def _rounded(value: float) -> float:
-    """Three digits; nothing known counts as 0."""
+    """A number with three digits; NaN becomes 0."""
     return float(f"{value:.3g}") if np.isfinite(value) else 0.0
 
 
@@ -239,8 +239,8 @@ def _note(frames: int, all_frames: int, vertices: int, all_vertices: int, step: 
 
 
 def _changes(rows: np.ndarray) -> bytes:
-    """Whole numbers `(row, number)` as the change of each row from the one before: all low bytes, then all high bytes."""
-    changes = np.diff(rows, axis=0, prepend=np.zeros_like(rows[:1])).astype("<i2")  # wraps around, and back when added up
+    """Integers `(row, number)` as differences between rows: all low bytes, then all high bytes."""
+    changes = np.diff(rows, axis=0, prepend=np.zeros_like(rows[:1])).astype("<i2")  # wraps around, and back when summed
     planes = changes.reshape(-1).view(np.uint8).reshape(-1, 2)
     return np.ascontiguousarray(planes.T).tobytes()
 

@@ -15,12 +15,12 @@ WORST, SPREAD = 3, 3  # frames
 
 @torch.no_grad()
 def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: Targets) -> None:
-    """Write a PNG: for each frame target, recovered, and the error as heat, one scale for all.
+    """Write a PNG with target mesh, recovered mesh and a heat map of the error for each frame, on one scale.
 
-    Unknown vertices are drawn where the rig has them.
+    Unknown vertices are drawn at their recovered positions.
 
     Args:
-        targets: the meshes that were asked for, by the rows of the animation, as for `write_viewer`.
+        targets: as for `write_viewer`.
     """
     rows = sheet_rows(animation, errors)
     recovered = animation.rig(animation.controls[list(rows)])
@@ -42,12 +42,12 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
 
 
 def sheet_rows(animation: Animation, errors: FrameErrors) -> dict[int, str]:
-    """The rows that are drawn, and why: the worst that lie some way apart, then evenly spread ones."""
-    rows, apart = evaluated_rows(animation, errors), max(1, len(animation) // 20)
+    """The rows that are drawn, and why: the worst with some distance between them, then evenly spread ones."""
+    rows, distance = evaluated_rows(animation, errors), max(1, len(animation) // 20)
     chosen: dict[int, str] = {}
-    for judged in errors.worst(len(rows)):
-        row = rows[judged]
-        if row is not None and all(abs(row - other) >= apart for other in chosen):
+    for index in errors.worst(len(rows)):
+        row = rows[index]
+        if row is not None and all(abs(row - other) >= distance for other in chosen):
             chosen[row] = f"worst {len(chosen) + 1}"
         if len(chosen) == WORST:
             break

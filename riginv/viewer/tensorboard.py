@@ -1,4 +1,4 @@
-"""An inversion in TensorBoard: the error and every control by frame, and the contact sheet."""
+"""An inversion as TensorBoard events: errors and controls by frame, and the contact sheet."""
 
 from pathlib import Path
 
@@ -9,22 +9,22 @@ from torch.utils.tensorboard import SummaryWriter
 
 from riginv.animation.animation import Animation, FrameErrors
 
-MOST_POINTS = 1000  # of a curve: TensorBoard shows no more by itself
+MAX_POINTS = 1000  # of a curve, as many as TensorBoard shows by default
 
 
 def write_tensorboard(folder: Path, animation: Animation, errors: FrameErrors, sheet: Path | None = None) -> None:
     """Write events whose steps are frame numbers.
 
     Args:
-        folder: where `tensorboard --logdir` finds them.
-        sheet: a PNG to show beside the curves, as of `write_sheet`.
+        folder: for `tensorboard --logdir`.
+        sheet: PNG of `write_sheet`.
     """
-    judged = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
+    evaluated = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
     with SummaryWriter(str(folder)) as writer:
-        for row in _spread(len(judged)):
+        for row in _spread(len(evaluated)):
             for name, values in (("mean_vertex_error_mm", errors.mean_mm), ("max_vertex_error_mm", errors.max_mm)):
-                writer.add_scalar(f"errors/{name}", float(values[row]), int(judged[row]))
-            writer.add_scalar("errors/flags", len(errors.flags[row]), int(judged[row]))
+                writer.add_scalar(f"errors/{name}", float(values[row]), int(evaluated[row]))
+            writer.add_scalar("errors/flags", len(errors.flags[row]), int(evaluated[row]))
         controls = animation.controls.detach().cpu()
         for row in _spread(len(animation)):
             for control, value in zip(animation.rig.controls, controls[row].tolist()):
@@ -35,4 +35,4 @@ def write_tensorboard(folder: Path, animation: Animation, errors: FrameErrors, s
 
 
 def _spread(count: int) -> list[int]:
-    return sorted(set(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(int).tolist()))
+    return sorted(set(np.linspace(0, count - 1, min(count, MAX_POINTS)).round().astype(int).tolist()))

@@ -70,8 +70,8 @@ class Joint(NamedTuple):
 
     name: str
     parent: int
-    translation: Sequence[float]
-    rotation: Sequence[float] = (0.0, 0.0, 0.0)
+    translation: Sequence[float] | np.ndarray
+    rotation: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)
 
 
 class Group(NamedTuple):
@@ -80,8 +80,8 @@ class Group(NamedTuple):
     Translations are in mm, angles in degrees.
     """
 
-    controls: Sequence[int]
-    attributes: Sequence[int]
+    controls: Sequence[int] | np.ndarray
+    attributes: Sequence[int] | np.ndarray
     values: np.ndarray
 
 

@@ -122,7 +122,7 @@ COMMANDS: dict[str, tuple[list[str], Callable]] = {
     "inspect": ([*TOY, "clip=CLIP"], before_inspecting),
 }
 
-UNTYPED = ("invert", "inspect", "reproduce")  # not yet typed
+UNTYPED = ("reproduce",)  # not yet typed
 
 WORDS = [
     "",

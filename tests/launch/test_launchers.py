@@ -16,7 +16,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
-from hydra_plugins.riginv_launchers.joblib_launcher import JoblibLauncher, shared_out
+from hydra_plugins.riginv_launchers.joblib_launcher import JoblibLauncher, share_cores
 from riginv.config.messages import CONFIGS
 from riginv.errors import InputError
 from riginv.launch.apart import Job, run_apart
@@ -103,11 +103,11 @@ def test_a_sweep_that_is_killed_takes_its_jobs_with_it(tmp_path):
 
 
 def test_jobs_that_run_at_once_share_the_cores():
-    assert shared_out(cores=2, jobs=6, wanted=-1) == (2, 1)
-    assert shared_out(cores=16, jobs=6, wanted=2) == (2, 8)
-    assert shared_out(cores=16, jobs=3, wanted=-1) == (3, 5)
-    assert shared_out(cores=2, jobs=6, wanted=4) == (4, 1)
-    assert shared_out(cores=8, jobs=1, wanted=-1) == (1, 8)
+    assert share_cores(cores=2, jobs=6, wanted=-1) == (2, 1)
+    assert share_cores(cores=16, jobs=6, wanted=2) == (2, 8)
+    assert share_cores(cores=16, jobs=3, wanted=-1) == (3, 5)
+    assert share_cores(cores=2, jobs=6, wanted=4) == (4, 1)
+    assert share_cores(cores=8, jobs=1, wanted=-1) == (1, 8)
 
 
 class Missing(JobsLauncher):

@@ -13,8 +13,8 @@ from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.objective import Objective
 from riginv.tracking.alternation import interpolate_controls
 from tests.solvers.test_solvers import moving
+from tests.support.inverting import inverted
 from tests.support.toys import ToyRig
-from tests.tracking.test_inversion import inverted
 
 FAR = 200  # frames, of a gap that is too long to be smooth across
 

@@ -81,3 +81,16 @@ def the(kind):
     found = [thing for thing in bpy.data.objects if thing.type == kind]
     return max(found, key=lambda thing: len(getattr(thing.data, "vertices", [])))
 """
+
+
+def has_usd():
+    try:
+        import pxr  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def near(found, expected, mm):
+    assert found.shape == expected.shape
+    assert np.abs(found - expected).max() < mm

@@ -9,7 +9,11 @@ import torch
 import trimesh
 import yaml
 
+from riginv.clips.clip import Clip
+from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
+from riginv.clips.sequence import MeshSequence
+from riginv.clips.units import resolve_units
 from riginv.rig.interface import RigBackend
 from tests.support.avatars import AvatarWriter
 
@@ -118,3 +122,11 @@ def write_animated_glb(path: Path, meshes: np.ndarray, faces: np.ndarray, fps: f
     times, ends = np.arange(len(meshes)) / fps, [0.0, (len(meshes) - 1) / fps]
     avatar.animation("take", (node, "weights", times, np.eye(len(meshes))), (node, "translation", ends, slides))
     return avatar.write(path)
+
+
+def opened(path, rig, **options) -> MeshSequence:
+    return open_sequence(str(path), rig, reading_options(**options))
+
+
+def as_clip(sequence, rig, unit="auto", up="auto", fps=None, **frames) -> Clip:
+    return Clip(sequence, resolve_units(sequence, rig, reading_options(unit=unit, up=up, fps=fps)), **frames)

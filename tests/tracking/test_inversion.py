@@ -1,70 +1,19 @@
-"""From meshes to controls: rigid motion, missing vertices and what users want of controls, against what is known to be true."""
+"""From meshes to controls: rigid motion, missing vertices, smoothness, flags."""
 
-from typing import Any
-
-import numpy as np
 import pytest
 import roma
 import torch
 
-from riginv.clips.clip import Clip
-from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, Polygons
-from riginv.clips.units import resolve_units
-from riginv.config.typed import convert
 from riginv.errors import InputError
 from riginv.rig.batches import generator_at
-from riginv.rig.interface import LinearRig
-from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.tracking.alternation import WindowInverter, interpolate_controls, interpolate_motion
 from riginv.tracking.anchors import Anchors
-from riginv.tracking.assembly import build_parts, build_solver
+from riginv.tracking.assembly import build_solver
 from riginv.tracking.constraints import resolve_constraints
 from riginv.tracking.estimators import SolverEstimator
-from riginv.tracking.fixed_controls import FixedControlsRig
-from riginv.tracking.options import ControlOptions, SolverOptions, TrackingOptions, VertexOptions
-from riginv.tracking.penalties import PenalisedObjective
-from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
 from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
-from riginv.tracking.run import Inversion, invert_clip, invert_smoothly
 from riginv.tracking.stability import has_root_controls, stability_weights
-from tests.support.clips import performance
-from tests.support.toys import ToyRig
-
-GROUPS = {"controls": ControlOptions, "solver": SolverOptions, "vertices": VertexOptions}
-
-
-class Given(MeshSequence):
-    """Meshes that are at hand."""
-
-    def __init__(self, meshes: torch.Tensor, faces: torch.Tensor, numbers: np.ndarray | None = None) -> None:
-        numbers = np.arange(len(meshes)) if numbers is None else numbers
-        super().__init__("given.npz", numbers, meshes.shape[1], Polygons.triangles(faces.numpy()), 30.0, 1.0, "y")
-        self.meshes = meshes.float().numpy()
-
-    def read(self, start: int, stop: int) -> np.ndarray:
-        return self.meshes[start:stop]
-
-
-def options(**changes: Any) -> TrackingOptions:
-    groups = {name: convert(value, GROUPS[name], name) for name, value in changes.items() if name in GROUPS}
-    return TrackingOptions(**{"method": "levenberg_marquardt", "motion": "keep", **changes, **groups})
-
-
-def inverted(rig: LinearRig, meshes: torch.Tensor, numbers: np.ndarray | None = None, **changes: Any) -> Inversion:
-    frames = changes.pop("frames", {})
-    settings, sequence = options(**changes), Given(meshes, rig.faces, numbers)
-    clip = Clip(sequence, resolve_units(sequence, rig, ReadingOptions(unit="mm", up="y")), **frames)
-    parts = build_parts(settings, clip, rig, rig, None)
-    arguments = (clip, parts.inverter, parts.evaluator, settings.window, lambda what, frames: None)
-    if parts.method == "clip":
-        return invert_smoothly(*arguments, settings.solver)
-    return invert_clip(*arguments)
-
-
-@torch.no_grad()
-def error_mm(rig: LinearRig, found: Inversion, meshes: torch.Tensor) -> float:
-    return float((rig(found.controls) - meshes).norm(dim=2).mean())
+from tests.support.inverting import error_mm, inverted, options
 
 
 def tumbled(meshes: torch.Tensor, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -75,16 +24,6 @@ def tumbled(meshes: torch.Tensor, seed: int = 0) -> tuple[torch.Tensor, torch.Te
     motion[:, :3, :3] = roma.rotvec_to_rotmat(axes * torch.rand(count, 1, generator=generator) * torch.pi / 2)
     motion[:, :3, 3] = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1) * 1000
     return apply_motion(motion, meshes), motion
-
-
-@pytest.fixture(scope="module")
-def rig() -> ToyRig:
-    return ToyRig(arkit=True)
-
-
-@pytest.fixture(scope="module")
-def meshes(rig) -> torch.Tensor:
-    return torch.tensor(performance(rig), dtype=torch.float32)
 
 
 @pytest.fixture(scope="module")
@@ -192,129 +131,6 @@ def test_excluded_frames_do_not_disturb_their_neighbours(rig, meshes):
     assert error_mm(rig, found, meshes) < 0.2
 
 
-def test_a_weighted_space_is_weighted_least_squares(rig, meshes):
-    """The encoded distance equals the weighted distance of vertices, constant aside."""
-    weights = torch.rand(len(rig.rest_vertices), generator=generator_at(0, "weights"))
-    space = weighted_space(rig, weights)
-    inside = RigInMeshSpace(rig, space)
-    controls = torch.rand(5, len(rig.controls), generator=generator_at(0, "controls"))
-    with torch.no_grad():
-        short = (inside(controls) - space.encode(meshes[:1])).square().sum(dim=1)
-        whole = (weights[:, None] * (rig(controls) - meshes[0]).square()).sum(dim=(1, 2))
-    assert torch.allclose(short - short[0], whole - whole[0], rtol=1e-3, atol=0.05)
-
-
-def test_vertices_without_weight_may_be_anything(rig, meshes, tmp_path):
-    spoiled, gone = meshes.clone(), list(range(0, 40))
-    spoiled[:, gone] += 50
-    (tmp_path / "gone.txt").write_text(" ".join(map(str, gone)))
-    vertices = {"regions": {"gone": str(tmp_path / "gone.txt")}, "weights": {"gone": 0}}
-    assert error_mm(rig, inverted(rig, spoiled, vertices=vertices), meshes) < 0.2
-    assert error_mm(rig, inverted(rig, spoiled), meshes) > 1
-
-
-def test_regions_have_names(face, body, toy):
-    regions = regions_of(face)
-    assert {"mouth", "eye", "jaw", "brow", "still"} <= regions.keys()
-    assert sum(members.int() for members in regions.values()).max() == 1
-    labels = label(regions, len(face.rest_vertices))
-    assert labels[int(face.arkit_deltas()["mouthSmileLeft"].norm(dim=1).argmax())] == "mouth"
-    assert "upperleg01.L" in regions_of(body) and regions_of(toy.rig) == {}
-
-
-@pytest.mark.parametrize(
-    "content, name, message",
-    [
-        ("1 2 three", "a.txt", "cannot be read"),
-        ("1 2 9999", "a.txt", "found int64 of shape"),
-        ("{}", "a.json", "found"),
-        ("[1, 2", "a.json", "cannot be read"),
-        (None, "none.txt", "no such file"),
-    ],
-)
-def test_a_region_that_is_none_is_refused(content, name, message, rig, tmp_path):
-    if content is not None:
-        (tmp_path / name).write_text(content)
-    with pytest.raises(InputError, match=message):
-        vertex_weights(rig, VertexOptions({"mine": 0}, regions={"mine": str(tmp_path / name)}))
-    with pytest.raises(InputError, match="has no such region"):
-        vertex_weights(rig, VertexOptions({"elbow": 0}))
-    with pytest.raises(InputError, match="fewer than three"):
-        vertex_weights(rig, VertexOptions(default=0.0))
-
-
-def constraints(rig, **changes):
-    return resolve_constraints(rig, convert(changes, ControlOptions, "controls"))
-
-
-def test_held_controls_stay_and_the_others_make_up_for_them(rig, meshes):
-    found = inverted(rig, meshes, controls={"freeze": ["bump0"], "hold": {"side": -0.5}})
-    names = rig.control_names
-    assert (found.controls[:, names.index("bump0")] == 0).all() and (found.controls[:, names.index("side")] == -0.5).all()
-    free = inverted(rig, meshes)
-    assert error_mm(rig, free, meshes) < 0.03 < error_mm(rig, found, meshes)
-
-
-def test_a_held_rig_is_the_rig(rig):
-    held = torch.rand(len(rig.controls), generator=generator_at(0, "held"))
-    part = FixedControlsRig(rig, torch.tensor([1, 3, 6]), held)
-    free = torch.rand(4, 3, generator=generator_at(0, "free"))
-    whole = held.repeat(4, 1)
-    whole[:, [1, 3, 6]] = free
-    assert torch.equal(part(free), rig(whole))
-    _, jacobian = part.coefficient_jacobian(free)
-    _, expected = rig.coefficient_jacobian(whole)
-    assert torch.allclose(jacobian.dense(), expected.dense()[:, :, [1, 3, 6]])
-
-
-def test_the_gradient_of_preferences_is_that_of_their_cost(rig):
-    """Against finite differences in float64, for every kind of preference at once."""
-    rig = ToyRig().double()
-    penalties = constraints(
-        rig, weights={"bump*": 50.0}, symmetric=[["bump0", "bump1"]], exclusive=[["bump2", "side"], ["bump3", "all"]]
-    ).penalties
-    objective = PenalisedObjective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), 1e-2, 1e-2, penalties)
-    objective.exclusive_penalty, objective.symmetric_penalty = 20.0, 30.0
-    units = 0.2 + 0.6 * torch.rand(3, 7, generator=generator_at(0, "units"), dtype=torch.float64)
-    _, gradient, _ = objective._prior(units)
-    step = 1e-6
-    for column in range(7):
-        ahead, behind = units.clone(), units.clone()
-        ahead[:, column] += step
-        behind[:, column] -= step
-        derivative = (objective._prior(ahead)[0] - objective._prior(behind)[0]) / (2 * step)
-        assert torch.allclose(derivative, gradient[:, column], rtol=1e-4, atol=1e-4)
-
-
-def test_symmetric_pairs_move_alike_and_exclusive_ones_do_not_meet(rig, meshes):
-    free = inverted(rig, meshes).controls
-    apart = (free[:, 0] - free[:, 1]).abs().max()
-    tied = inverted(rig, meshes, controls={"symmetric": [["bump0", "bump1"]], "symmetric_mm2": 1e3}).controls
-    assert apart > 0.1 > 20 * (tied[:, 0] - tied[:, 1]).abs().max()
-    both = (free[:, 2] * free[:, 3]).max()
-    single = inverted(rig, meshes, controls={"exclusive": [["bump2", "bump3"]], "exclusive_mm2": 100.0}).controls
-    assert both > 0.05 and (single[:, 2] * single[:, 3]).max() < 1e-3
-
-
-def test_dear_controls_are_used_less_and_sparse_ones_fewer(rig, meshes):
-    free = inverted(rig, meshes).controls.abs()
-    dear = inverted(rig, meshes, controls={"weights": {"bump0": 1e7}}).controls.abs()
-    assert dear[:, 0].mean() < 0.5 * free[:, 0].mean() and dear[:, 4].mean() > 0.5 * free[:, 4].mean()
-    sparse = inverted(rig, meshes, solver={"sparsity": 0.3}).controls.abs()
-    assert (sparse > 1e-3).sum() < (free > 1e-3).sum()
-
-
-def test_static_controls_have_one_value_and_it_is_nearly_the_best(rig, meshes):
-    found = inverted(rig, meshes, controls={"static": ["bump4"]})
-    value = found.controls[:, 4]
-    assert (value == value[0]).all()
-    errors = [
-        error_mm(rig, inverted(rig, meshes, controls={"hold": {"bump4": float(share)}}), meshes)
-        for share in np.linspace(0, 1, 11)
-    ]
-    assert error_mm(rig, found, meshes) < 1.1 * min(errors)
-
-
 def test_a_whole_clip_is_smoother_than_its_frames(rig, meshes):
     noisy = meshes + 0.5 * torch.randn(meshes.shape, generator=generator_at(0, "capture"))
     rough = [
@@ -322,55 +138,6 @@ def test_a_whole_clip_is_smoother_than_its_frames(rig, meshes):
         for method in ("clip", "levenberg_marquardt")
     ]
     assert rough[0] < rough[1]
-
-
-def test_names_that_nobody_knows_follow_the_policy(rig, tmp_path):
-    for options in ({"freeze": ["jaw*"]}, {"weights": {"jaw": 2.0}}, {"symmetric": [["bump0", "jaw"]]}, {"hold": {"jaw": 0}}):
-        with pytest.raises(InputError, match="toy' has no such control"):
-            constraints(rig, **options)
-        assert bool(constraints(rig, **options, unknown="ignore_new").free.all())
-    mask = tmp_path / "mask.json"
-    mask.write_text('{"bump0": 0, "bump1": 1, "jaw": 1}')
-    for policy, message in (("error", "jaw"), ("ignore_missing", "jaw"), ("ignore_new", "does not name 5 of the 7 controls")):
-        with pytest.raises(InputError, match=message):
-            constraints(rig, mask=str(mask), unknown=policy)
-    assert constraints(rig, mask=str(mask), unknown="ignore_both").free.tolist() == [False] + 6 * [True]
-    with pytest.raises(InputError, match="controls.unknown is 'perhaps'"):
-        constraints(rig, unknown="perhaps")
-
-
-@pytest.mark.parametrize(
-    "name, content",
-    [
-        ("a.json", "[1, 2]"),
-        ("a.json", '{"bump0": "x"}'),
-        ("a.json", '{"bump0": -1}'),
-        ("a.json", "{"),
-        ("a.yaml", "bump0: !!python/object/apply:os.system ['true']"),
-        ("a.csv", "bump0\n"),
-    ],
-)
-def test_a_mask_that_is_none_is_refused(name, content, rig, tmp_path):
-    (tmp_path / name).write_text(content)
-    with pytest.raises(InputError, match=name):
-        constraints(rig, mask=str(tmp_path / name))
-
-
-def test_values_that_cannot_be_meant_are_refused(rig):
-    for options in (
-        {"hold": {"bump0": 2.0}},
-        {"weights": {"bump0": -1}},
-        {"symmetric": "both"},
-        {"activate": []},
-        {"freeze": "bump0"},
-    ):
-        with pytest.raises(InputError):
-            constraints(rig, **options)
-
-
-def test_sides_are_paired_by_their_names(face):
-    names, pairs = face.control_names, constraints(face, symmetric="auto").penalties.symmetric.tolist()
-    assert [names.index("browDownLeft"), names.index("browDownRight")] in pairs and len(pairs) > 20
 
 
 def test_frames_beyond_the_rig_are_flagged(rig, meshes):

@@ -8,15 +8,12 @@ import time
 from pathlib import Path
 
 import pytest
-import torch
 from hydra import compose, initialize_config_dir
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
-from riginv.networks.base import use_bfloat16
-from riginv.networks.inverse import StagedInverse
 from riginv.runs.run_folder import plain_config
 from riginv.training.config import TrainConfig
 from riginv.training.devices import Process, this_process
@@ -142,54 +139,6 @@ def test_processes_started_apart_need_a_folder_that_all_name(run, monkeypatch):
     for name, value in {"TORCHELASTIC_RUN_ID": "none", "RANK": "1", "LOCAL_RANK": "1", "WORLD_SIZE": "2"}.items():
         monkeypatch.setenv(name, value)
     refused(run("train", *TWO, "hydra.sweep.dir=x"), "name it with hydra.run.dir=DIR")
-
-
-def test_a_process_ends_with_the_one_that_watches_it():
-    code = "from riginv.launch.watched import end_with_watcher; import time; end_with_watcher(); time.sleep(60)"
-    gone = subprocess.Popen([sys.executable, "-c", "pass"])
-    gone.wait()
-    orphan = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "RIGINV_WATCHER": str(gone.pid)})
-    assert orphan.wait(timeout=30) == 1
-
-
-def test_bfloat16_stays_out_of_the_rig(face_in_space):
-    torch.manual_seed(0)
-    network = StagedInverse(face_in_space, hidden=(32,), corrections=1, width=16, gate=16)
-    coordinates = 10 * torch.randn(4, face_in_space.space.size)
-    network.calibrate(coordinates)
-    with torch.no_grad():
-        for part in network.learned_parts():
-            for weight in part.parameters():
-                weight.mul_(3)
-    exact = network.answers(coordinates)
-    use_bfloat16(network)
-    rounded = network.answers(coordinates)
-    for full, half in zip(exact, rounded):
-        assert 1e-6 < (full.controls - half.controls).abs().max() < 0.1  # bfloat16 it is
-        assert half.controls.dtype == half.coordinates.dtype == torch.float32
-        assert torch.equal(half.coordinates, face_in_space(half.controls))
-    assert torch.equal(network(torch.zeros(1, face_in_space.space.size)), face_in_space.rig.neutral_controls[None])
-    with torch.autocast("cpu", torch.bfloat16):
-        wrong = face_in_space(half.controls).float()
-    off = (face_in_space.space.decode(wrong) - face_in_space.space.decode(half.coordinates)).norm(dim=2)
-    assert off.max() > 0.01  # mm: what a rig in bfloat16 would be off by
-
-
-def test_training_as_on_a_gpu_in_bfloat16_ends_in_a_bundle_of_float32(run):
-    outcome = run("train", "trainer=gpu", "trainer.accelerator=cpu", "trainer.precision=bf16-mixed")
-    assert outcome.code == 0, outcome.text
-    weights = load_file(outcome.folder / "bundle/weights.safetensors")
-    assert {value.dtype for value in weights.values()} == {torch.float32}
-
-
-@pytest.mark.slow
-def test_compiled_training_leaves_the_same_bundle(run):
-    plain = run("train", "model.network.corrections=1", folder="plain")
-    compiled = run("train", "model.network.corrections=1", "trainer.compile=true", folder="compiled")
-    assert plain.code == compiled.code == 0, compiled.text
-    assert apart(plain.folder, compiled.folder) < 1e-3
-    resumed = run("train", "model.network.corrections=1", "trainer.compile=true", "resume=true", folder="compiled")
-    assert resumed.code == 0 and resumed.metrics == compiled.metrics
 
 
 @pytest.mark.slow

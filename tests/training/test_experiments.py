@@ -67,7 +67,7 @@ def test_the_surrogate_of_the_paper_has_the_papers_numbers():
     assert config["model"]["network"]["hidden"] == [1024, 1024]
     assert config["model"]["loss"]["_target_"].endswith("SquaredVertexLoss")
     assert config["data"]["stored_poses"] == 90_000 and config["judging"]["test_poses"] == 10_000
-    assert config["sampler"]["controls"]["most"] is None
+    assert config["sampler"]["controls"]["max_active"] is None
 
 
 def test_every_experiment_runs_a_few_steps_on_the_face(run):

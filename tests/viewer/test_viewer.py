@@ -182,8 +182,8 @@ def test_the_contact_sheet_shows_the_worst_and_the_rest(tmp_path, written):
     write_sheet(tmp_path / "sheet.png", animation, errors_of(animation), lambda rows: meshes[list(rows)])
     rows = sheet_rows(animation, errors_of(animation))
     assert next(iter(rows.items())) == (11, "worst 1") and rows[0] == "evenly spread" and len(rows) >= 4
-    picture = Image.open(tmp_path / "sheet.png")
-    assert picture.width == 3 * 240 and picture.height > len(rows) * 290  # each below its label
+    with Image.open(tmp_path / "sheet.png") as picture:
+        assert picture.width == 3 * 240 and picture.height > len(rows) * 290  # each below its label
 
 
 def test_tensorboard_reads_the_curves(tmp_path, written):

@@ -1,1 +1,1 @@
-"""Which controls go together, learned from takes or made up."""
+"""Priors on controls, learned from takes or from generated performances."""

@@ -1,1 +1,1 @@
-"""Scans of any topology, matched by the surface of the rig."""
+"""Inversion of scans of any topology, by distances between surfaces."""
