@@ -88,14 +88,14 @@ class PoseStore:
         with location.writing(), location.exclusive_lock("begin"):
             found = cls.find(location, read_only=False)
             if found is None and location.path is not None:
-                for partial in location.path.parent.glob(f".{location.path.name}.*.part"):
-                    discard(partial)
-                beside = location.path.with_name(f".{location.path.name}.{os.getpid()}.part")
+                for remains in location.path.parent.glob(f".{location.path.name}.*.part"):
+                    discard(remains)
+                partial = location.path.with_name(f".{location.path.name}.{os.getpid()}.part")
                 try:
-                    _make(LocalStore(beside), layout, facts, values)
-                    beside.replace(location.path)
+                    _make(LocalStore(partial), layout, facts, values)
+                    partial.replace(location.path)
                 finally:
-                    discard(beside)
+                    discard(partial)
             elif found is None:
                 _make(location.open(read_only=False), layout, facts, values)
             found = found or cls.find(location, read_only=False)

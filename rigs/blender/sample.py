@@ -73,10 +73,10 @@ def write_pairs(rig: RigBackend, controls: torch.Tensor, out: Path) -> None:
         "neutral": rig.neutral_controls.numpy(),
     }
     shape = (len(controls), *rig.rest_vertices.shape)
-    with exclusive_lock(out), atomic_write(out) as beside, contextlib.ExitStack() as stack:
-        folder = beside
+    with exclusive_lock(out), atomic_write(out) as partial, contextlib.ExitStack() as stack:
+        folder = partial
         if out.suffix:
-            folder = beside.with_name(f"{beside.name}.arrays")
+            folder = partial.with_name(f"{partial.name}.arrays")
             stack.callback(discard, folder)
         folder.mkdir()
         vertices = np.lib.format.open_memmap(folder / "vertices.npy", "w+", np.float32, shape)
@@ -87,7 +87,7 @@ def write_pairs(rig: RigBackend, controls: torch.Tensor, out: Path) -> None:
             for name, array in arrays.items():
                 np.save(folder / f"{name}.npy", array)
             return
-        with beside.open("wb") as file:
+        with partial.open("wb") as file:
             np.savez(file, vertices=vertices, **arrays)
 
 

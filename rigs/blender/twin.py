@@ -44,7 +44,7 @@ def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
     Raises:
         InputError: Blender failed.
     """
-    with tempfile.TemporaryDirectory(prefix="riginv-blend-") as folder, atomic_write(out) as beside:
+    with tempfile.TemporaryDirectory(prefix="riginv-blend-") as folder, atomic_write(out) as partial:
         saved, built = Path(folder) / "blueprint.npz", Path(folder) / "built.blend"
         blueprint.save(saved)
         command = script_command(interpreter, BUILDER, str(saved), str(built))
@@ -58,7 +58,7 @@ def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
         if done.returncode or not built.is_file():
             lines = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()]
             raise InputError(f"{interpreter} could not build {out}: {lines[-1] if lines else 'no output'}")
-        shutil.copyfile(built, beside)
+        shutil.copyfile(built, partial)
 
 
 def twin_file(rig: RigBackend, interpreter: str) -> Path:

@@ -53,7 +53,7 @@ def evaluate(config: DictConfig) -> None:
     given = read_inputs(Path(settings.inputs), file)
     with torch.no_grad():
         found: dict[str, Any] = dict(all_stages(file, given, settings))
-    with atomic_write(out) as beside, beside.open("wb") as target:
+    with atomic_write(out) as partial, partial.open("wb") as target:
         np.savez_compressed(target, **found)
     rows = ", ".join(f"{len(given[name])} rows of {name}" for name in ("gui", "raw") if name in given)
     Console().print(f"{out}: {rows}; {len(found)} arrays", highlight=False, markup=False, soft_wrap=True)

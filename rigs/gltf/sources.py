@@ -59,7 +59,7 @@ def bytes_of(path: Path, user: str) -> np.ndarray:
     except (OSError, ValueError):
         found = False
     if not found:
-        raise InputError(f"{path}: no such file, asked for by {user}")
+        raise InputError(f"{path}: no such file, needed by {user}")
     try:
         return np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
     except (OSError, ValueError) as error:

@@ -246,7 +246,7 @@ def places_in(value: Any) -> list[tuple[Any, Any]]:
         (["rig.unit_mm=0"], "rig.unit_mm is 0"),
         (["rig.joints=true", "rig.joint_limit_deg=-5"], "rig.joint_limit_deg is -5"),
         (["rig.joints=true"], "names no joint that moves a vertex; its joints are: none"),
-        (["rig.file=other.glb"], "error: other.glb: no such file, asked for by rig.file"),
+        (["rig.file=other.glb"], "error: other.glb: no such file, needed by rig.file"),
         (["rig.file=5"], "5: no such file"),
         (["rig.file=."], ".: no such file"),
     ],

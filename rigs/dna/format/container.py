@@ -228,5 +228,5 @@ def _section_bytes(file: DnaFile) -> bytes:
 def write_dna(path: str | Path, file: DnaFile) -> None:
     """Write a file atomically."""
     data = dna_bytes(file)
-    with atomic_write(Path(path)) as beside:
-        beside.write_bytes(data)
+    with atomic_write(Path(path)) as partial:
+        partial.write_bytes(data)

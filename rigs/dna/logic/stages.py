@@ -66,7 +66,7 @@ class Logic(Stage):
         definition, behavior = file.need(Definition), file.need(Behavior)
         self.layout = layout = Layout.of(file)
         if not 0 <= lod < max(layout.lod_count, 1):
-            raise layout.wrong(f"level of detail {lod} was asked for, the file has {layout.lod_count}")
+            raise layout.wrong(f"level of detail {lod} was requested, the file has {layout.lod_count}")
         table = behavior.controls.table
         self.table = ConditionTable(layout, "the GUI table", table, len(table.inputs), layout.gui, layout.raw)
         learned, operations = file.find(MachineLearning), file.find(MachineLearningOperations)
