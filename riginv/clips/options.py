@@ -106,8 +106,3 @@ class FrameOptions:
 
 def _is_positive(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0
-
-
-def clip_options(config: Mapping[str, Any]) -> tuple[ReadingOptions, FrameOptions]:
-    """The groups `reading` and `frames` of a config."""
-    return ReadingOptions(**config["reading"]), FrameOptions(**config["frames"])
