@@ -138,9 +138,3 @@ def test_a_command_names_it_and_leaves_nothing(run):
     outcome = run("train", "data=5")
     refused(outcome, "data is 5, expected values with names")
     assert not outcome.folder.exists()
-
-
-def test_a_command_names_it_and_leaves_nothing(run):
-    outcome = run("train", "data=5")
-    refused(outcome, "data is 5, expected values with names")
-    assert not outcome.folder.exists()
