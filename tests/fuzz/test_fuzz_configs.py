@@ -17,8 +17,6 @@ from omegaconf import DictConfig, OmegaConf
 from riginv.check import CheckConfig
 from riginv.clips.open import open_clip
 from riginv.compare import CompareConfig
-from riginv.config.building import DOES_NOT_FIT
-from riginv.config.diagnosis import wrong_kind
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.typed import to_typed
 from riginv.contact_sheet import ContactSheetConfig
@@ -122,8 +120,6 @@ COMMANDS: dict[str, tuple[list[str], Callable]] = {
     "inspect": ([*TOY, "clip=CLIP"], before_inspecting),
 }
 
-UNTYPED = ("reproduce",)  # not yet typed
-
 WORDS = [
     "",
     "null",
@@ -181,14 +177,12 @@ def replaced(config: dict, path: tuple, value: Any) -> dict:
     return config
 
 
-def goes_on(name: str, config: dict, usual: dict, folder: Path) -> str | None:
+def goes_on(name: str, config: dict, folder: Path) -> str | None:
     """None where the command would begin its work, else its one sentence; anything else is raised."""
     try:
         COMMANDS[name][1](OmegaConf.create(config), folder)
     except Exception as error:
         sentence = explain(error, name)
-        if name in UNTYPED and isinstance(error, DOES_NOT_FIT):
-            sentence = sentence or wrong_kind(config, usual)
         if sentence is None:
             raise
         assert sentence and "\n" not in sentence and len(sentence) < 2000, sentence
@@ -198,12 +192,12 @@ def goes_on(name: str, config: dict, usual: dict, folder: Path) -> str | None:
 
 def explore(name: str, composed: dict[str, Any], cases: int, folder: Path) -> tuple[int, int]:
     whole = OmegaConf.to_container(composed[name], resolve=True)
-    assert goes_on(name, whole, whole, folder) is None
+    assert goes_on(name, whole, folder) is None
     everywhere, counts = places(whole), [0, 0]
 
     def case(found: Any) -> None:
         path, value = found
-        refused = goes_on(name, replaced(whole, path, value), whole, folder) is not None
+        refused = goes_on(name, replaced(whole, path, value), folder) is not None
         counts[refused] += 1
 
     how = settings(max_examples=cases, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
