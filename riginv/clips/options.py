@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
+from riginv.config.typed import convert
 from riginv.config.values import Bound
 from riginv.errors import InputError
 
@@ -109,5 +110,9 @@ def _is_positive(value: Any) -> bool:
 
 
 def clip_options(config: Mapping[str, Any]) -> tuple[ReadingOptions, FrameOptions]:
-    """The groups `reading` and `frames` of a config."""
-    return ReadingOptions(**config["reading"]), FrameOptions(**config["frames"])
+    """The groups `reading` and `frames` of a plain config.
+
+    Raises:
+        InputError: a value is invalid.
+    """
+    return convert(config["reading"], ReadingOptions, "reading"), convert(config["frames"], FrameOptions, "frames")

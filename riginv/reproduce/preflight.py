@@ -7,6 +7,7 @@ import os
 import shutil
 from pathlib import Path
 
+from riginv.clips.options import clip_options
 from riginv.config.aliases import upgraded
 from riginv.config.building import ClassSpec, build, class_of
 from riginv.errors import InputError
@@ -103,8 +104,9 @@ def check_capture(config: Config, rig: LinearRig) -> tuple[str | None, MeshSet |
     """The hash of what the clip of a config's `capture` holds, None where none is given; and the captured data.
 
     Raises:
-        InputError: the clip cannot be read, or is none of the rig.
+        InputError: the clip cannot be read, or is none of the rig; or a value of `reading` or `frames` is invalid.
     """
+    clip_options(config)
     meshes = recording(rig, config)
     return content_key(meshes) if config["capture"] else None, meshes
 
