@@ -23,7 +23,7 @@ from tests.support.toys import BlackBox, ToyRig
 
 def test_tables(toy_written):
     folder, animation = toy_written
-    rows = list(csv.reader((folder / "curves.csv").open(newline="")))
+    rows = list(csv.reader((folder / "curves.csv").read_text().splitlines()))
     assert rows[0][:4] == ["frame", "seconds", "bump0", "bump1"]
     assert [int(row[0]) for row in rows[1:]] == NUMBERS.tolist()
     table = np.array([[float(value) for value in row] for row in rows[1:]])
@@ -36,7 +36,7 @@ def test_tables(toy_written):
     facts = json.loads((folder / "curves.json").read_text())
     assert facts["fps"] == 25.0 and facts["made_by"]["bundle"] == "0123abcd"
     assert facts["controls"][5] == {"name": "side", "lower": -1.0, "upper": 1.0, "neutral": 0.0, "unit": ""}
-    frames = list(csv.DictReader((folder / "frames.csv").open(newline="")))
+    frames = list(csv.DictReader((folder / "frames.csv").read_text().splitlines()))
     assert frames[3]["flags"] == "outside_reach;not_converged" and frames[1]["worst_region"] == "mouth"
     assert float(frames[-1]["max_error_mm"]) == pytest.approx(1.2)
 
@@ -45,7 +45,7 @@ def test_live_link(tmp_path, face):
     animation = moving(face, numbers=torch.arange(30, 42))
     write_formats(tmp_path / "a", animation, errors_of(animation), ["livelink"])
     write_formats(tmp_path / "b", animation, errors_of(animation), ["livelink"], swap_mouth=True)
-    plain, swapped = (list(csv.DictReader((tmp_path / name / "live_link.csv").open(newline=""))) for name in "ab")
+    plain, swapped = (list(csv.DictReader((tmp_path / name / "live_link.csv").read_text().splitlines())) for name in "ab")
     assert plain[0]["Timecode"] == "00:00:01:12.000" and plain[0]["BlendShapeCount"] == "61"
     assert len(plain[0]) == 63 and len(plain) == 12
     assert [row["MouthLeft"] for row in plain] == [row["MouthRight"] for row in swapped]

@@ -213,7 +213,8 @@ def test_a_clip_of_curves_judges(run, rig, controls, tmp_path):
     )
     outcome = run("compare", *TOY, f"capture={path}", "methods=[neutral,levenberg_marquardt]", "poses=4")
     assert outcome.code == 0, outcome.text
-    rows = {(row["method"], row["set"]): row for row in csv.DictReader((outcome.folder / "compare.csv").open())}
+    table = csv.DictReader((outcome.folder / "compare.csv").read_text().splitlines())
+    rows = {(row["method"], row["set"]): row for row in table}
     assert float(rows["levenberg_marquardt", "capture"]["mean_vertex_error_mm"]) < 0.2
     neutral = float(rows["neutral", "capture"]["mean_vertex_error_mm"])
     assert neutral == pytest.approx(float((posed(rig, controls) - rig.rest_vertices).norm(dim=2).mean()), rel=1e-4)

@@ -242,7 +242,7 @@ def test_invert_says_what_neutral_and_the_best_would_be(run, rig, meshes, tmp_pa
     outcome = run("invert", *TOY, "look.sheet=false", "clip=take.npz", "out=o", "motion=keep")
     assert outcome.code == 0, outcome.text
     assert "neutral pose" in outcome.text and "Lowest possible mean error on 8 frames" in outcome.text
-    rows = list(csv.DictReader((tmp_path / "o/frames.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "o/frames.csv").read_text().splitlines()))
     neutral = (rig.rest_vertices - meshes).norm(dim=2).mean(dim=1)
     np.testing.assert_allclose([float(row["neutral_error_mm"]) for row in rows], neutral, rtol=1e-4)
     least = [row for row in rows if row["least_error_mm"]]
