@@ -31,13 +31,13 @@ class CompareConfig:
 
     rig: ClassSpec[RigBackend]
     true_rig: ClassSpec[RigBackend] | None
-    methods: dict[str, ClassSpec[Method]] | None
     reading: ReadingOptions
     frames: FrameOptions
     seed: NonNegativeInt
     capture: str | None
     poses: PositiveInt
     mesh_space: MeshSpaceConfig
+    methods: dict[str, ClassSpec[Method]] | None = None  # methods=[] leaves the key out
     resume: bool = False
 
 
