@@ -161,6 +161,7 @@ def test_a_neutral_of_several_objects_says_so(tmp_path, own_cache):
     assert ShapesRig(str(folder)).notes == ("2 objects in neutral.obj (head, teeth) were read as one mesh, in this order.",)
 
 
+@pytest.mark.slow  # a speed, which a busy machine does not show
 def test_unusual_files_are_read_fast_too(face):
     """Objects between vertices, NaN, Fortran's exponents: not line by line, which goes at 3 MB a second."""
     plain = several_objects(face.rest_vertices.numpy(), face.faces.numpy(), [2000, 5000])
