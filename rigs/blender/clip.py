@@ -2,22 +2,18 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
-from riginv.rig.interface import RigBackend
 from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.interpreter import find_interpreter, script_command
-from rigs.blender.pool import PoseLostError, WorkerPool
+from rigs.worker_clip import Source, WorkerClip
 
 TIMEOUT_S = 300.0  # for a chunk of frames, or for the import
 FORMATS = {".abc": "Alembic", ".fbx": "FBX"}
 BEGINNINGS = {".abc": (b"Ogawa", b"\x89HDF"), ".fbx": (b"Kaydara FBX Binary", b"; FBX")}
 
 
-class BlenderClip(MeshSequence):
+class BlenderClip(WorkerClip):
     """Meshes of an .abc or .fbx, as Blender evaluates it; several are concatenated in the order of the scene.
 
     Args:
@@ -31,57 +27,11 @@ class BlenderClip(MeshSequence):
         InputError: no Blender, no such file, mesh or animation, or Blender cannot import it.
     """
 
-    def __init__(self, path: str, options: ReadingOptions, vertices: int | None = None) -> None:
+    def _source(self, path: str, options: ReadingOptions) -> Source:
         file = Path(path).expanduser().absolute()
         _check(path, file)
-        load = {
-            "file": str(file),
-            "meshes": options.mesh_names,
-            "animation": options.animation,
-            "fps": options.fps,
-            "vertices": vertices,
-        }
-        self.pool = WorkerPool(script_command(find_interpreter(options.interpreter), "play.py"), load, 1, TIMEOUT_S)
-        self.path = path
-        try:
-            facts, arrays = self.pool.describe()
-        except (WorkerRefusedError, PoseLostError) as error:
-            self.pool.close()
-            raise self._failure(error) from None
-        faces = Polygons(arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64))
-        super().__init__(
-            path,
-            arrays["frames"],
-            facts["vertices"],
-            faces if len(faces) else None,
-            facts["fps"] or None,
-            facts["unit_mm"] or None,
-            "y",
-            SourceFacts(
-                FORMATS[file.suffix.lower()],
-                tuple(facts["meshes"]),
-                tuple(facts["other_meshes"]),
-                facts["animation"],
-                tuple(facts["other_animations"]),
-                facts["rate_source"],
-                tuple(facts["notes"]),
-            ),
-        )
-
-    @classmethod
-    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "BlenderClip":
-        """Open a clip of a rig, whose number of vertices selects the meshes unless the user names them.
-
-        Raises:
-            InputError: the file cannot be read, or it is not clear which meshes are meant.
-        """
-        return cls(path, options, None if options.vertices is not None else len(rig.rest_vertices))
-
-    def read(self, start: int, stop: int) -> np.ndarray:
-        try:
-            return self.pool.evaluate(["frame"], np.arange(start, stop, dtype=np.float32)[:, None])
-        except (WorkerRefusedError, PoseLostError) as error:
-            raise self._failure(error) from None
+        command = script_command(find_interpreter(options.interpreter), "play.py")
+        return Source(command, TIMEOUT_S, file, FORMATS[file.suffix.lower()])
 
     def _failure(self, error: Exception) -> InputError:
         text = " ".join(str(error).split())

@@ -94,14 +94,14 @@ class UsdScene:
             "other_meshes": [str(path) for path in self.contents.mesh_paths if str(path) not in paths][:MOST_NAMED],
             "animation": ", ".join(read),
             "other_animations": others[:MOST_NAMED],
-            "rate": grid.fps,
+            "fps": grid.fps,
             "rate_source": grid.source,
             "notes": notes,
             "vertices": sum(mesh.vertex_count for mesh in meshes),
             "unit_mm": mm,
             "up": up,
         }
-        return facts, {"numbers": grid.numbers, "sizes": sizes, "corners": corners}
+        return facts, {"frames": grid.numbers, "sizes": sizes, "corners": corners}
 
     def evaluate(self, names: list[str], controls: np.ndarray) -> Answer:
         """The vertices of frames."""

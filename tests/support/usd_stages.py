@@ -156,5 +156,5 @@ class SameProcess:
 
 def opened(path: Path, vertices: int | None = None, **options: Any) -> UsdClip:
     """A stage as a clip, read in this process."""
-    with mock.patch("rigs.usd.clip.WorkerPool", SameProcess):
+    with mock.patch("rigs.worker_clip.WorkerPool", SameProcess):
         return UsdClip(str(path), ReadingOptions(**options), vertices)

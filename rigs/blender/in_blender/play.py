@@ -103,7 +103,7 @@ class ClipScene:
         return fitting[0]
 
     def describe(self) -> Answer:
-        """Frames and faces, what was read and left out; frames a second and mm to a unit, 0 where the file does not say."""
+        """Frames and faces, what was read and left out; frames a second and mm to a unit, where the file states them."""
         self.frame(0)
         sizes, corners = faces(self.meshes)
         facts = {
@@ -114,8 +114,9 @@ class ClipScene:
             "rate_source": self.frames.source,
             "notes": [*self.notes, *self.frames.notes],
             "vertices": sum(mesh.vertex_count for mesh in self.meshes),
-            "fps": self.frames.fps,
-            "unit_mm": METRE if self.is_fbx else 0.0,
+            "fps": self.frames.fps or None,
+            "unit_mm": METRE if self.is_fbx else None,
+            "up": "y",
         }
         return facts, {"frames": self.frames.numbers, "sizes": sizes, "corners": corners}
 

@@ -1,0 +1,108 @@
+"""Clips that a worker process reads: Blender's formats and USD."""
+
+from abc import abstractmethod
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from riginv.clips.options import ReadingOptions
+from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
+from riginv.errors import InputError
+from riginv.rig.interface import RigBackend
+from riginv.runs.worker_process import WorkerRefusedError
+from rigs.blender.pool import PoseLostError, WorkerPool
+
+
+class Source(NamedTuple):
+    """What reads a file.
+
+    Attributes:
+        command: of the worker.
+        timeout_s: for a chunk of frames, or for opening the file.
+        file: absolute path, for the worker.
+        format: its name for users.
+    """
+
+    command: list[str]
+    timeout_s: float
+    file: Path
+    format: str
+
+
+class WorkerClip(MeshSequence):
+    """Meshes that a worker's script describes and then evaluates frame by frame.
+
+    Args:
+        path: of the file, as messages name it.
+        options: `mesh`, `animation` and `fps`, for the script.
+        vertices: number of vertices of the clip's rig, where known.
+
+    Raises:
+        InputError: no such file, mesh or animation, or the worker cannot be started or cannot read the file.
+    """
+
+    def __init__(self, path: str, options: ReadingOptions, vertices: int | None = None) -> None:
+        source = self._source(path, options)
+        load = {
+            "file": str(source.file),
+            "meshes": options.mesh_names,
+            "animation": options.animation,
+            "fps": options.fps,
+            "vertices": vertices,
+        }
+        self.path = path
+        self.pool = WorkerPool(source.command, load, 1, source.timeout_s)
+        try:
+            facts, arrays = self.pool.describe()
+        except (WorkerRefusedError, PoseLostError) as error:
+            self.pool.close()
+            raise self._failure(error) from None
+        sizes, corners = arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64)
+        if (sizes < 0).any() or sizes.sum() != len(corners):
+            raise InputError(f"{path}: its faces need {sizes.sum()} corners and have {len(corners)}: export it again")
+        super().__init__(
+            path,
+            arrays["frames"],
+            facts["vertices"],
+            Polygons(sizes, corners) if len(sizes) else None,
+            facts["fps"],
+            facts["unit_mm"],
+            facts["up"],
+            SourceFacts(
+                source.format,
+                tuple(facts["meshes"]),
+                tuple(facts["other_meshes"]),
+                facts["animation"],
+                tuple(facts["other_animations"]),
+                facts["rate_source"],
+                tuple(facts["notes"]),
+            ),
+        )
+
+    @classmethod
+    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "WorkerClip":
+        """Open a clip of a rig, whose number of vertices selects the meshes unless the user names them.
+
+        Raises:
+            InputError: the file cannot be read, or it is not clear which meshes are meant.
+        """
+        return cls(path, options, None if options.vertices is not None else len(rig.rest_vertices))
+
+    def read(self, start: int, stop: int) -> np.ndarray:
+        try:
+            return self.pool.evaluate(["frame"], np.arange(start, stop, dtype=np.float32)[:, None])
+        except (WorkerRefusedError, PoseLostError) as error:
+            raise self._failure(error) from None
+
+    @abstractmethod
+    def _source(self, path: str, options: ReadingOptions) -> Source:
+        """What reads a file.
+
+        Raises:
+            InputError: the file or the program is missing, or the file is of another format.
+        """
+
+    @abstractmethod
+    def _failure(self, error: Exception) -> InputError:
+        """The sentence for a worker that refuses the file, or that is lost."""
