@@ -66,11 +66,21 @@ def skinning_basis(
     vertices, joints = weights.shape
     offsets = rest_vertices[None] - (0 if centres is None else centres[:, None])
     points = torch.cat([offsets.expand(joints, vertices, 3), offsets.new_ones(joints, vertices, 1)], dim=2)
-    weighted = (weights.T[..., None] * points).transpose(1, 2)  # (joint, column, vertex)
-    basis = weighted.new_zeros(joints, 3, 4, vertices, 3)
+    return matrix_basis(weights.T[..., None] * points)
+
+
+def matrix_basis(points: Float[Tensor, "item vertex column"]) -> Float[Tensor, "coefficient vertex 3"]:
+    """The basis of matrices `(3, column)`, one for each item, that act on its points; their entries row by row."""
+    items, vertices, columns = points.shape
+    basis = points.new_zeros(items, 3, columns, vertices, 3)
     for axis in range(3):
-        basis[:, axis, :, :, axis] = weighted
-    return basis.reshape(NUMBERS * joints, vertices, 3)
+        basis[:, axis, :, :, axis] = points.transpose(1, 2)
+    return basis.reshape(items * 3 * columns, vertices, 3)
+
+
+def by_axis(deltas: Float[Tensor, "target vertex 3"]) -> Float[Tensor, "row vertex 3"]:
+    """Deltas as three rows each, one for every axis of space."""
+    return (deltas[:, None] * torch.eye(3).to(deltas)[:, None]).flatten(0, 1)
 
 
 def skin(

@@ -12,7 +12,7 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
-from riginv.geometry.skinning import NUMBERS
+from riginv.geometry.skinning import NUMBERS, by_axis, matrix_basis
 from rigs.dna.logic.layout import Stage
 from rigs.dna.model import Model, Pose
 
@@ -111,29 +111,16 @@ def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:
     offsets = model.skin.rest[None] - centres[:, None]
     points = np.concatenate([offsets, np.ones((*offsets.shape[:2], 1))], axis=2) * weights.T[..., None]
     rotated = deltas[pairs[:, 1]] * weights.T[pairs[:, 0], :, None]
-    basis = np.concatenate([_by_axis(deltas), _rows(points), _rows(rotated)]).astype(np.float32)
+    moved = (matrix_basis(torch.from_numpy(part).float()) for part in (points, rotated))
+    basis = torch.cat([by_axis(torch.from_numpy(deltas).float()), *moved])
     joints = [f"joint {int(model.joints[joint])}" for joint in moving]
     names = [
         *(f"{name}.{axis}" for name in names for axis in "xyz"),
         *(f"{joint}.{row}{column}" for joint in joints for row in range(3) for column in range(4)),
         *(f"{joints[j]}.{row}{column} {names[c]}" for j, c in pairs for row in range(3) for column in range(3)),
     ]
-    return LinearMap(torch.tensor(basis), names, Coefficients(moving, centres, pairs), 0)
+    return LinearMap(basis, names, Coefficients(moving, centres, pairs), 0)
 
 
 def _fits(coefficients: int, vertices: int) -> bool:
     return coefficients <= MOST_COEFFICIENTS and 3 * coefficients * vertices <= MOST_NUMBERS
-
-
-def _by_axis(deltas: np.ndarray) -> np.ndarray:
-    """Deltas `(channel, vertex, 3)` as three rows each, one for each axis."""
-    return (deltas[:, None] * np.eye(3)[:, None]).reshape(-1, *deltas.shape[1:])
-
-
-def _rows(points: np.ndarray) -> np.ndarray:
-    """Basis `(item * 3 * column, vertex, 3)` of the entries of matrices, row by row, that act on `(item, vertex, column)`."""
-    items, vertices, columns = points.shape
-    rows = np.zeros((items, 3, columns, vertices, 3), np.float32)
-    for axis in range(3):
-        rows[:, axis, :, :, axis] = points.transpose(0, 2, 1)
-    return rows.reshape(items * 3 * columns, vertices, 3)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.geometry.kinematics import compose
-from riginv.geometry.skinning import NUMBERS
+from riginv.geometry.skinning import NUMBERS, matrix_basis
 from rigs.gltf.accessors import MOST_NUMBERS
 from rigs.gltf.avatar import Avatar, blend_transforms, check_distances, transform_vectors
 
@@ -127,9 +127,10 @@ def frame_basis(avatar: Avatar, frames: Frames) -> FrameBasis:
             f"{4e-9 * needed:.1f} GB: choose fewer with rig.joint_include=[NAME] or rig.include=[MESH]"
         )
     with_ones = np.concatenate([points, weights[:, :, None]], axis=2)
-    rows = np.concatenate([_rows(with_ones), _rows(_weighted_deltas(avatar, frames, pairs))])
-    check_distances(avatar.file, rows)
-    return FrameBasis(torch.tensor(rows), torch.tensor(pairs))
+    parts = with_ones, _weighted_deltas(avatar, frames, pairs)
+    rows = torch.cat([matrix_basis(torch.from_numpy(part).float()) for part in parts])
+    check_distances(avatar.file, rows.numpy())
+    return FrameBasis(rows, torch.tensor(pairs))
 
 
 def _pairs(avatar: Avatar, weights: np.ndarray) -> np.ndarray:
@@ -161,12 +162,3 @@ def _weighted_deltas(avatar: Avatar, frames: Frames, pairs: np.ndarray) -> np.nd
                 if pair is not None:
                     result[pair, here] = transform_vectors(blend, change)
     return result
-
-
-def _rows(points: np.ndarray) -> np.ndarray:
-    """Basis `(item * 3 * column, vertex, 3)` of the entries of matrices, row by row, that act on `(item, vertex, column)`."""
-    items, vertices, columns = points.shape
-    rows = np.zeros((items, 3, columns, vertices, 3), np.float32)
-    for axis in range(3):
-        rows[:, axis, :, :, axis] = points.transpose(0, 2, 1)
-    return rows.reshape(items * 3 * columns, vertices, 3)

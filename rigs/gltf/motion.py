@@ -51,11 +51,6 @@ class JointMotion(nn.Module):
         return torch.cat([weights.repeat_interleave(AXES, dim=1), matrices.flatten(1), products.flatten(1)], dim=1)
 
 
-def by_axis(deltas: Tensor) -> Tensor:
-    """Deltas `(target, vertex, 3)` as three rows each, `(3 target, vertex, 3)`, one for every axis of space."""
-    return (deltas[:, None] * torch.eye(AXES)[:, None]).flatten(0, 1)
-
-
 def coefficient_names(frames: Frames, pairs: Tensor, targets: list[str]) -> list[str]:
     """Names of the coefficients of `JointMotion`: joint, row and column, and the target, if any."""
     full = [f"{row}{column}" for row in range(3) for column in range(NUMBERS // 3)]

@@ -7,11 +7,12 @@ import torch
 from torch import Tensor
 
 from riginv.errors import InputError
+from riginv.geometry.skinning import by_axis
 from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.rig.interface import Control, LinearRig
 from rigs.gltf.avatar import read_avatar
 from rigs.gltf.frames import frame_basis, joint_frames
-from rigs.gltf.motion import ANGLES, AXES, JointMotion, by_axis, coefficient_names
+from rigs.gltf.motion import ANGLES, AXES, JointMotion, coefficient_names
 from rigs.gltf.selection import mesh_names
 
 SHOWN = 9  # targets shown as expressions
