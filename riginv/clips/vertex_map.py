@@ -6,7 +6,7 @@ import numpy as np
 
 from riginv.clips.sequence import MeshSequence
 from riginv.errors import InputError
-from riginv.runs.array_files import check_npy
+from riginv.runs.array_files import load_numbers, whole_numbers
 
 UNKNOWN = -1
 
@@ -37,16 +37,7 @@ class MappedVertices(MeshSequence):
 def read_vertex_map(path: Path, vertices: int) -> np.ndarray:
     """Indices `(rig vertex,)` of a clip's vertices."""
     expected = f"expected for each vertex of the rig a number from 0 to {vertices - 1}, or -1"
-    try:
-        if path.suffix == ".npy":
-            check_npy(path)
-            found = np.load(path, allow_pickle=False)
-        else:
-            found = np.array([int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()])
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, named by reading.vertices") from None
-    except (OSError, ValueError, EOFError, OverflowError) as error:
-        raise InputError(f"{path}: {expected}; it cannot be read: {str(error)[:120]}") from None
+    found = load_numbers(path, "reading.vertices", expected, whole_numbers)
     if found.dtype.kind not in "iu" or found.ndim != 1 or not found.size or found.min() < -1 or found.max() >= vertices:
         raise InputError(f"{path}: {expected}; found {found.dtype} of shape {found.shape}")
     return found.astype(np.int64)

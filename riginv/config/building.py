@@ -46,7 +46,7 @@ class ClassSpec(Generic[T]):
         """The class that a config names; its arguments are compared with the annotations of the class.
 
         Raises:
-            InputError: it does not exist, is of another kind, has no such argument, or an argument is not what it must be.
+            InputError: it does not exist, is of another type, has no such argument, or an argument is not what it must be.
         """
         if not isinstance(config, Mapping):
             raise InputError(f"{key} is {config!r:.80}, expected values with names, the class among them as _target_")
@@ -98,7 +98,7 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
         only: packages whose classes may be named, for an untrusted file: no class may be named within; None: any.
 
     Raises:
-        InputError: the class does not exist, is of another kind, may not be named, or does not take the arguments.
+        InputError: the class does not exist, is of another type, may not be named, or does not take the arguments.
     """
     if not isinstance(config, Mapping):
         raise InputError(f"a config must name a class as _target_: package.module.Class, found {config!r:.80}")

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from riginv.geometry.kernels.library import Kernels, is_transformed, kernels_for, plain_rows, pure_gradients, pure_torch
+from riginv.geometry.kernels.library import Kernels, kernels_for, plain_rows, pure_gradients, pure_torch
 
 ITERATIONS = 24  # of bracketed Newton, at most; typical curves need 4, vertical tangents more
 PLAIN = 3  # Newton steps without bracketing that come first
@@ -115,7 +115,7 @@ class _CompiledCurves(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         inputs, table, derivatives = ctx.saved_tensors
-        if torch.is_grad_enabled() or is_transformed([gradient]):
+        if torch.is_grad_enabled():
             return pure_gradients(lambda given: evaluate_curves(table, given), inputs, gradient), None, None
         return gradient * derivatives, None, None
 

@@ -144,7 +144,7 @@ def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
         kind: `inverse` or `forward`, where only that will do.
 
     Raises:
-        InputError: there is no bundle, a file is missing, truncated or altered, or it is of another kind or format.
+        InputError: there is no bundle, a file is missing, truncated or altered, or it is of another type or format.
     """
     folder = Path(str(folder))
     if not is_file(folder / SUMS) and is_file(folder / "bundle" / SUMS):

@@ -114,7 +114,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
         refine: steps of Levenberg-Marquardt that follow the network, through the rig that it was trained on.
 
     Raises:
-        InputError: the bundle is missing, damaged, of another kind or made for another rig.
+        InputError: the bundle is missing, damaged, of another type or made for another rig.
     """
     bundle = read_bundle(folder, kind="inverse")
     if rig is not None:

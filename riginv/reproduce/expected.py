@@ -11,7 +11,7 @@ import lightning as L
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.training.assembly import build_module, build_sampler, calibrate, lightning_arguments
 from riginv.training.config import TrainConfig
-from riginv.training.data import PoseDataModule
+from riginv.training.data import PoseDataModule, bare_trainer
 
 WARM, TIMED = 3, 8  # steps
 THROUGH = 0.6  # additional time of a training step through a surrogate, as a share of a training step of the surrogate
@@ -39,17 +39,7 @@ def measured_step_s(settings: TrainConfig, rig: RigInMeshSpace) -> float:
     sampler = build_sampler(settings, rig)
     calibrate(settings.seed, module, sampler)
     clock, steps = StepClock(), WARM + TIMED + 1
-    trainer = L.Trainer(
-        **{**lightning_arguments(settings.trainer), "max_steps": steps},
-        max_epochs=-1,
-        callbacks=[clock],
-        logger=False,
-        enable_checkpointing=False,
-        enable_model_summary=False,
-        enable_progress_bar=False,
-        num_sanity_val_steps=0,
-        limit_val_batches=0,
-    )
+    trainer = bare_trainer(**{**lightning_arguments(settings.trainer), "max_steps": steps}, callbacks=[clock])
     trainer.fit(module, PoseDataModule(sampler, {}, settings.data.batch_size, steps + 1, settings.seed))
     return clock.step_s
 

@@ -76,4 +76,4 @@ def show_rig(rig: RigBackend, config: Mapping[str, Any] | None = None, console: 
         console: None: standard error.
     """
     doubt = size_doubt(rig, (config or {}).get("unit_mm"))
-    show_lines([rig_line(rig)], getattr(rig, "notes", ()), [doubt] if doubt else [], console)
+    show_lines([rig_line(rig)], rig.notes, [doubt] if doubt else [], console)

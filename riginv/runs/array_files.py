@@ -9,7 +9,7 @@ import struct
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, Any, NamedTuple
@@ -42,6 +42,33 @@ def check_npy(path: Path) -> None:
     check_regular(path)
     with path.open("rb") as file:
         _check_header(str(path), file, path.stat().st_size, alone=True)
+
+
+def load_numbers(path: Path, key: str, expected: str, parse: Callable[[str], Sequence[float]]) -> np.ndarray:
+    """The array in an .npy, or the numbers in a text file.
+
+    Args:
+        key: of the config, that names the file.
+        expected: what should be in it, for the message.
+        parse: a text to numbers; raises ValueError.
+
+    Raises:
+        InputError: it is missing or cannot be read.
+    """
+    try:
+        if path.suffix == ".npy":
+            check_npy(path)
+            return np.load(path, allow_pickle=False)
+        return np.array(parse(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file, named by {key}") from None
+    except (OSError, ValueError, EOFError, OverflowError, RecursionError) as error:
+        raise InputError(f"{path}: {expected}; it cannot be read: {str(error)[:120]}") from None
+
+
+def whole_numbers(text: str) -> list[int]:
+    """The whole numbers in a text, between blanks or commas."""
+    return [int(word) for word in text.replace(",", " ").split()]
 
 
 def check_npz(path: Path) -> None:

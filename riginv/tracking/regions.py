@@ -1,7 +1,7 @@
 """Named regions of a rig's mesh: to weight vertices, and to tell where a frame's error is largest."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from torch import Tensor
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RANK_TOLERANCE, MeshSpace
-from riginv.runs.array_files import check_npy
+from riginv.runs.array_files import load_numbers, whole_numbers
 from riginv.tracking.options import VertexOptions
 
 STEMS = ("brow", "eye", "cheek", "nose", "mouth", "jaw", "tongue")  # of the names of ARKit's shapes
@@ -81,17 +81,7 @@ def read_region(path: Path, vertices: int) -> Tensor:
         InputError: the file is missing, or holds neither vertex indices nor weights of all vertices.
     """
     expected = f"expected vertex numbers from 0 to {vertices - 1}, or a float in [0, 1] for each of {vertices} vertices (.npy)"
-    try:
-        if path.suffix == ".npy":
-            check_npy(path)
-            values = np.load(path, allow_pickle=False)
-        else:
-            text = path.read_text(encoding="utf-8")
-            values = np.array(json.loads(text) if path.suffix == ".json" else _numbers(text))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, named by vertices.regions") from None
-    except (OSError, ValueError, EOFError, RecursionError) as error:
-        raise InputError(f"{path}: {expected}; it cannot be read: {str(error)[:120]}") from None
+    values = load_numbers(path, "vertices.regions", expected, json.loads if path.suffix == ".json" else whole_numbers)
     if values.dtype.kind == "f" and values.shape == (vertices,) and values.min() >= 0 and values.max() <= 1:
         return torch.tensor(values, dtype=torch.float32)
     if values.dtype.kind not in "iu" or values.ndim != 1 or not values.size or values.min() < 0 or values.max() >= vertices:
@@ -99,10 +89,6 @@ def read_region(path: Path, vertices: int) -> Tensor:
     result = torch.zeros(vertices)
     result[torch.tensor(values.astype(np.int64))] = 1.0
     return result
-
-
-def _numbers(text: str) -> Sequence[int]:
-    return [int(word) for word in text.replace(",", " ").split()]
 
 
 def weighted_space(rig: LinearRig, weights: Tensor) -> MeshSpace:

@@ -1,7 +1,7 @@
 """The stream of training batches, drawn as training goes, and the small fixed sets that are watched meanwhile."""
 
 from collections.abc import Callable, Iterator
-from typing import cast
+from typing import Any, cast
 
 import lightning as L
 import torch
@@ -90,3 +90,21 @@ class PoseDataModule(L.LightningDataModule):
 
 def _rows_of(poses: PoseBatch, rows: slice) -> PoseBatch:
     return cast(PoseBatch, {key: cast(torch.Tensor, values)[rows] for key, values in poses.items()})
+
+
+def bare_trainer(**arguments: Any) -> L.Trainer:
+    """Lightning's trainer that trains and does nothing else: no logs, checkpoints, progress bar or validation.
+
+    Args:
+        arguments: further arguments of `lightning.Trainer`.
+    """
+    return L.Trainer(
+        max_epochs=-1,
+        logger=False,
+        enable_checkpointing=False,
+        enable_model_summary=False,
+        enable_progress_bar=False,
+        num_sanity_val_steps=0,
+        limit_val_batches=0,
+        **arguments,
+    )

@@ -1,4 +1,4 @@
-"""Stores of poses: what a stranger reads there, and what is missing or damaged."""
+"""Stores of poses: what other programs read there, and what is missing or damaged."""
 
 import json
 import os
@@ -32,7 +32,7 @@ class NotANumber(ToyRig):
         return torch.where(controls[:, :1] > 0.5, torch.nan, found) if len(controls) > 1 else found
 
 
-def test_a_stranger_reads_what_the_rig_says(whole):
+def test_other_programs_read_what_the_rig_says(whole):
     group, rig = zarr.open_group(whole, mode="r"), ToyRig()
     controls = torch.from_numpy(group["controls"][:])
     assert group.metadata.zarr_format == 3 and group["controls"].metadata.dimension_names == ("pose", "control")

@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from functools import partial
 
-import lightning as L
 import torch
 from torch import Tensor, nn
 
@@ -17,7 +16,7 @@ from riginv.rig.batches import generator_at
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.sampling.meshes import MeshSampler
-from riginv.training.data import PoseDataModule
+from riginv.training.data import PoseDataModule, bare_trainer
 from riginv.training.holden import HoldenModule
 
 BATCH_SIZE = 1024  # meshes at a time
@@ -81,18 +80,7 @@ class HoldenNetwork(Method):
         self.network.calibrate(sample["coordinates"])
         module = HoldenModule(self.rig, self.network, self._optimizer, self._schedule)
         data = PoseDataModule(self.sampler, {}, self.batch_size, self.steps, seed)
-        trainer = L.Trainer(
-            accelerator="cpu",
-            max_steps=self.steps,
-            max_epochs=-1,
-            logger=False,
-            enable_checkpointing=False,
-            enable_model_summary=False,
-            enable_progress_bar=False,
-            num_sanity_val_steps=0,
-            limit_val_batches=0,
-        )
-        trainer.fit(module.train(), data)
+        bare_trainer(accelerator="cpu", max_steps=self.steps).fit(module.train(), data)
         self.network.eval()
 
     def invert(self, meshes: MeshSet) -> Tensor:
