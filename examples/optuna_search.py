@@ -18,8 +18,8 @@ from riginv.config.typed import to_typed
 from riginv.errors import InputError, NonFiniteLossError
 from riginv.launch.closed_output import filter_warnings
 from riginv.runs.run_folder import METRICS, find_run_folder, plain_config
+from riginv.tracking.rigs import build_rig, build_true_rig
 from riginv.train import fit
-from riginv.training.assembly import build_rig, build_true_rig
 from riginv.training.config import TrainConfig
 
 GOAL = "rig_poses/mean_vertex_error_mm"

@@ -1,5 +1,9 @@
 """python -m riginv.check: does a rig keep the contract?"""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "check")  # before the imports that take seconds
+
 import sys
 from dataclasses import dataclass
 
@@ -10,7 +14,6 @@ from rich.markup import escape
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
-from riginv.launch.command import command
 from riginv.rig.contract import ContractError, contract
 from riginv.rig.interface import RigBackend
 from riginv.rig.size import show_rig

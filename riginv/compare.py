@@ -1,5 +1,9 @@
 """python -m riginv.compare: every way of inverting a rig side by side, judged by the true rig on the same meshes."""
 
+from riginv.launch.command import answer_help, command, run_directory
+
+answer_help(__name__, "compare")  # before the imports that take seconds
+
 import time
 from dataclasses import dataclass
 
@@ -15,14 +19,13 @@ from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_sets
 from riginv.evaluation.optimum import find_optima
-from riginv.launch.command import command, run_directory
 from riginv.methods.base import Method, suited_methods
 from riginv.methods.comparison import ComparisonProgress, keep_rows, kept_rows, show, write_tables
 from riginv.methods.evaluation import evaluated_row
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import find_run_folder, plain_config
-from riginv.training.assembly import build_clip, build_rig, build_true_rig
+from riginv.tracking.rigs import build_clip, build_rig, build_true_rig
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,9 @@
 """python -m riginv.contact_sheet: what a rig looks like, as one picture."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "contact_sheet")  # before the imports that take seconds
+
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +17,6 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
-from riginv.launch.command import command
 from riginv.meshes.rendering import Camera, grid
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend

@@ -1,5 +1,9 @@
 """python -m riginv.evaluate: judge a bundle by the true rig, or one rig by another."""
 
+from riginv.launch.command import answer_help, command, run_directory
+
+answer_help(__name__, "evaluate")  # before the imports that take seconds
+
 from dataclasses import dataclass
 
 from omegaconf import DictConfig
@@ -15,12 +19,11 @@ from riginv.evaluation.evaluation_sets import random_poses
 from riginv.evaluation.models import evaluate_model, load_model, write_results
 from riginv.evaluation.results import EvaluationResult, evaluate_rig, make_true_rig
 from riginv.inference.inverse import Inverse
-from riginv.launch.command import command, run_directory
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.run_folder import METRICS, POSES, find_run_folder, plain_config
 from riginv.runs.tables import print_results
-from riginv.training.assembly import build_clip, build_true_rig
+from riginv.tracking.rigs import build_clip, build_true_rig
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,9 @@
 """python -m riginv.export_onnx: a trained inverse as one ONNX file, compared with itself in onnxruntime."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "export_onnx")  # before the imports that take seconds
+
 import contextlib
 import importlib.util
 import io
@@ -22,7 +26,6 @@ from riginv.config.values import PositiveInt
 from riginv.errors import InputError
 from riginv.geometry.curves import fixed_iterations
 from riginv.inference.inverse import Inverse, load_inverse
-from riginv.launch.command import command
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls

@@ -1,5 +1,9 @@
 """python -m riginv.inspect PATH: what a clip, a bundle or a store of poses holds, and whether a clip fits a rig."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "inspect")  # before the imports that take seconds
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +23,6 @@ from riginv.config.typed import to_typed
 from riginv.errors import InputError, printable
 from riginv.inference.bundle import DESCRIPTION, read_bundle
 from riginv.inference.inverse import load_inverse
-from riginv.launch.command import command
 from riginv.rig.interface import RigBackend
 from riginv.rig.size import show_rig
 from riginv.runs.console import show_lines

@@ -1,5 +1,9 @@
 """python -m riginv.invert: a clip of meshes in, animation curves out, evaluated frame by frame by the true rig."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "invert")  # before the imports that take seconds
+
 import importlib.metadata
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +25,6 @@ from riginv.config.values import Bound, NonNegativeInt
 from riginv.errors import InputError
 from riginv.inference.bundle import read_bundle
 from riginv.inference.inverse import Inverse, load_inverse
-from riginv.launch.command import command
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.size import show_rig
 from riginv.runs.checksums import SUMS, sha256
@@ -34,11 +37,11 @@ from riginv.tracking.correspondence import by_surface
 from riginv.tracking.options import AfterOptions, LookOptions, TrackingOptions
 from riginv.tracking.report import InversionProgress, show
 from riginv.tracking.results import write_curves, write_views
+from riginv.tracking.rigs import build_rig, build_true_rig
 from riginv.tracking.run import invert_clip, invert_smoothly
 from riginv.tracking.surfaces.assembly import build_scan_parts
 from riginv.tracking.surfaces.results import frame_errors, remarks_of, write_scan_table
 from riginv.tracking.surfaces.tracking import track_scans
-from riginv.training.assembly import build_rig, build_true_rig
 
 Formats = Annotated[Sequence[str], Bound("a list: formats=[csv,glb]", lambda value: True)]
 

@@ -1,5 +1,9 @@
 """python -m riginv.learn_prior: a prior on a rig's controls, learned from earlier takes."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "learn_prior")  # before the imports that take seconds
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +17,6 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import Bound, NonNegativeInt
 from riginv.invert import free_folder
-from riginv.launch.command import command
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.locks import exclusive_lock
@@ -21,7 +24,7 @@ from riginv.tracking.priors.files import save_prior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
 from riginv.tracking.priors.takes import read_take
-from riginv.training.assembly import build_rig
+from riginv.tracking.rigs import build_rig
 
 LISTED = 5  # controls with the largest standard deviations
 

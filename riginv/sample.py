@@ -1,5 +1,9 @@
 """python -m riginv.sample: poses of a rig, by the million, in a store that any process may go on with."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "sample")  # before the imports that take seconds
+
 import sys
 import time
 from typing import Any
@@ -9,7 +13,6 @@ from omegaconf import DictConfig
 
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
-from riginv.launch.command import command
 from riginv.store.checking import examine
 from riginv.store.filling import FillResult, SampleConfig, fill
 from riginv.store.location import StoreLocation

@@ -1,5 +1,9 @@
 """python -m riginv.train: from a config to an evaluated, bundled model."""
 
+from riginv.launch.command import answer_help, command, run_directory
+
+answer_help(__name__, "train")  # before the imports that take seconds
+
 from dataclasses import replace
 from typing import Any
 
@@ -12,25 +16,14 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.evaluation.models import evaluate_model, load_model, surrogate_config, write_results
 from riginv.inference.bundle import is_damaged, write_bundle
-from riginv.launch.command import command, run_directory
 from riginv.launch.starter import run_in_processes
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig.size import show_rig
 from riginv.runs.run_folder import BUNDLE, SURROGATE, RunFolder, find_run_folder, plain_config
-from riginv.training.assembly import (
-    as_surrogate,
-    build_clip,
-    build_data,
-    build_module,
-    build_rig,
-    build_trainer,
-    build_true_rig,
-    calibrate,
-    needs_surrogate,
-    speed_up,
-)
+from riginv.tracking.rigs import build_clip, build_rig, build_true_rig
+from riginv.training.assembly import as_surrogate, build_data, build_module, build_trainer, calibrate, needs_surrogate, speed_up
 from riginv.training.config import TrainConfig
 from riginv.training.dashboard import log_choices, log_results
 from riginv.training.devices import part, this_process

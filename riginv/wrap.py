@@ -1,5 +1,9 @@
 """python -m riginv.wrap: the mesh of a rig fitted to a scan of somebody's neutral face."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "wrap")  # before the imports that take seconds
+
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +19,6 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
-from riginv.launch.command import command
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines

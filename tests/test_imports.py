@@ -3,6 +3,7 @@
 import ast
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,26 @@ def test_rooms_are_small_and_lightning_has_one_name(path):
     assert len(path.read_text().splitlines()) <= 300
     assert path.name != "utils.py"
     assert not any(module.startswith("pytorch_lightning") for module in imported(path))
+
+
+SLOW_TO_IMPORT = {"torch", "lightning", "torchmetrics", "torch._dynamo", "trimesh", "tensorboard"}
+
+
+@pytest.mark.parametrize(
+    "arguments, needed",
+    [
+        (["-m", "riginv.train", "--help"], set()),
+        (["-m", "riginv.invert", "rig=body", "--help"], set()),
+        (["-m", "rigs.blender.export", "--help"], set()),
+        (["-c", "import riginv.invert, riginv.inference.inverse"], {"torch"}),
+    ],
+    ids=lambda value: " ".join(value[1:]) if isinstance(value, list) else "",
+)
+def test_nothing_slow_is_imported_before_it_is_needed(arguments, needed):
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *arguments], cwd=ROOT, check=True, capture_output=True, encoding="utf-8"
+    )
+    assert {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()} & SLOW_TO_IMPORT == needed
 
 
 def test_nothing_is_loaded_that_could_run_code():

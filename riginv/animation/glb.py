@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from riginv.animation.animation import Animation
@@ -83,6 +82,8 @@ def _add_joints(document: GlbDocument, animation: Animation, skeleton: Skeleton,
 
 
 def _primitive(document: GlbDocument, rig: RigBackend) -> dict:
+    import trimesh  # half a second, and only for formats=[glb]
+
     vertices, faces = rig.rest_vertices.cpu().double().numpy(), rig.faces.cpu().numpy()
     normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)

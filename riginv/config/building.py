@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 
-from torch import nn
-
 from riginv.config.aliases import present_argument, present_class
 from riginv.config.values import check_value, did_you_mean
 from riginv.errors import InputError, in_short
@@ -205,15 +203,21 @@ def check_arguments(found: type, config: Mapping[str, Any], prefix: str, may_nam
 def _check_argument(value: Any, hint: Any, key: str, may_name: tuple[str, ...] | None) -> None:
     inner = get_args(hint)
     if isinstance(value, Mapping) and "_target_" in value and may_name is not None:
-        named = class_of(value["_target_"], may_name, hint if inspect.isclass(hint) and issubclass(hint, nn.Module) else None)
+        named = class_of(value["_target_"], may_name, hint if _is_network(hint) else None)
         check_arguments(named, value, f"{key}.", may_name)
     elif isinstance(value, Mapping) and get_origin(hint) is Mapping:
         for name, one in value.items():
             _check_argument(one, inner[1], f"{key}.{name}", may_name)
-    elif inspect.isclass(hint) and issubclass(hint, nn.Module) and not isinstance(value, hint):
+    elif _is_network(hint) and not isinstance(value, hint):
         raise InputError(f"{key} is {value!r:.80}, expected a class as _target_: a {hint.__module__}.{hint.__name__}")
     else:
         check_value(value, hint, key)
+
+
+def _is_network(hint: Any) -> bool:
+    from torch import nn  # takes seconds, and --help needs none
+
+    return inspect.isclass(hint) and issubclass(hint, nn.Module)
 
 
 def _names(found: type) -> set[str] | None:

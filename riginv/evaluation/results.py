@@ -10,7 +10,7 @@ from torch import Tensor
 
 from riginv.config.building import ClassSpec
 from riginv.errors import InputError
-from riginv.meshes.metrics import VertexError, mean_distance, roughness
+from riginv.meshes.metrics import mean_distance, roughness
 from riginv.meshes.rendering import Pair
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import MeshSet
@@ -70,6 +70,8 @@ def evaluate_rig(rig: RigBackend, poses: MeshSet) -> EvaluationResult:
 
 @torch.no_grad()
 def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor], Tensor]) -> EvaluationResult:
+    from riginv.meshes.vertex_error import VertexError  # torchmetrics takes two seconds, and inverting a clip needs none
+
     found, neutral, errors, curves = VertexError(), VertexError(), [], []
     for start, vertices in meshes.batches(BATCH_SIZE):
         controls = controls_of(start, vertices)

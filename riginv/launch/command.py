@@ -31,6 +31,7 @@ from riginv.runs.locks import unlock_folders
 from riginv.runs.run_folder import discard_if_empty, register_folder_resolvers
 
 PATHS = {"inspect": "clip"}  # the key of the path that a command takes by itself
+ANSWERED_BY_HYDRA = ("--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i")
 OVERRIDE = re.compile(r"~|\+{0,2}[A-Za-z_][\w./@:-]*=")  # what Hydra takes for KEY=VALUE
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
 
@@ -55,6 +56,17 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
         return main
 
     return decorate
+
+
+def answer_help(module: str, config_name: str) -> None:
+    """Answer --help and its kin, and end: to be called before a command imports torch, which takes seconds.
+
+    Args:
+        module: `__name__` of the command. Nothing happens where it is not `__main__`, or where a run is asked for.
+    """
+    if module == "__main__" and any(argument in ANSWERED_BY_HYDRA for argument in sys.argv[1:]):
+        command(config_name)(lambda config: None)()
+        sys.exit()
 
 
 def _run(job: "_Job", config_name: str) -> None:

@@ -10,7 +10,6 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.markup import escape
 
-from riginv.launch.sweep_hparams import write_columns
 from riginv.launch.sweep_record import FAILED, FAILURE, FINISHED, JOBS
 from riginv.launch.sweep_rows import (
     CSV,
@@ -37,6 +36,8 @@ class SweepTable(Callback):
         rows = sweep_rows(folder)
         try:
             write_tables(folder, rows)
+            from riginv.launch.sweep_hparams import write_columns  # tensorboard; Hydra loads this file for every command
+
             write_columns(folder, [row["folder"] for row in rows if row["state"] == FINISHED], error_columns(rows))
         except OSError as error:  # Hydra would warn, and end as if all were well
             Console(stderr=True).print(f"[bold red]error:[/] the table cannot be written: {escape(str(error))}", soft_wrap=True)

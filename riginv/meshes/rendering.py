@@ -2,14 +2,16 @@
 
 import copy
 import re
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import trimesh
 from PIL import Image, ImageDraw
 from torch import Tensor
 
 from riginv.rig.interface import RigBackend
+
+if TYPE_CHECKING:
+    import trimesh
 
 BACKGROUND = np.array([0.93, 0.93, 0.94])
 CLAY = np.array([0.80, 0.62, 0.53])
@@ -63,6 +65,8 @@ class Camera:
             colors: `(vertex, 3)` in [0, 1]; None: clay.
             smooth: supersampling: rays along each side of a pixel.
         """
+        import trimesh  # half a second, which commands that draw nothing need not wait for
+
         points = (vertices.detach().cpu().double().numpy() - self.middle) @ self.rotation.T / self.half_height
         triangles = faces.cpu().numpy()
         mesh = trimesh.Trimesh(points, triangles, process=False)
@@ -90,7 +94,7 @@ class Camera:
         return origin, _unit(np.stack([across.ravel(), up.ravel(), np.zeros(across.size)], axis=1) - origin)
 
 
-def is_angular(mesh: trimesh.Trimesh) -> bool:
+def is_angular(mesh: "trimesh.Trimesh") -> bool:
     """Whether a mesh has mostly hard edges, like a box."""
     return len(mesh.face_adjacency_angles) > 0 and float(np.median(mesh.face_adjacency_angles)) > HARD_EDGE
 

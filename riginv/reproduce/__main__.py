@@ -1,5 +1,9 @@
 """python -m riginv.reproduce: the tables, figures and claims of the paper."""
 
+from riginv.launch.command import answer_help, command, run_directory
+
+answer_help(__name__, "reproduce")  # before the imports that take seconds
+
 import time
 
 from omegaconf import DictConfig
@@ -7,7 +11,6 @@ from rich.console import Console
 
 from riginv.clips.description_text import show_clip
 from riginv.config.typed import to_typed
-from riginv.launch.command import command, run_directory
 from riginv.reproduce.expected import measured
 from riginv.reproduce.plan import Plan, is_open_ended, timed_trainings
 from riginv.reproduce.preflight import check_capture, check_folder, choose_true_rig, code_hashes, find_folder

@@ -13,7 +13,8 @@ from riginv.config.building import ClassSpec
 from riginv.evaluation.evaluation_sets import random_poses
 from riginv.evaluation.results import BATCH_SIZE
 from riginv.geometry.neighbours import evenly
-from riginv.meshes.metrics import VertexError, mean_distance
+from riginv.meshes.metrics import mean_distance
+from riginv.meshes.vertex_error import VertexError
 from riginv.reproduce.inversion import read_controls
 from riginv.reproduce.rigs import rig_in_space, trained_rig, true_rig
 from riginv.reproduce.sets import CONTROLS_FILE, VERTICES_FILE, SampledPoses, Subset, mesh_sets

@@ -8,12 +8,13 @@ import hashlib
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import google_crc32c
 import numpy as np
-import torch
-from torch import Tensor
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 END, END_SIZE = b"PK\x05\x06", 22  # the end of a zip archive without a comment
 MARK, DIGITS = b"riginv sha256 ", 64
@@ -33,8 +34,10 @@ def text_sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def tensors_sha256(tensors: Mapping[str, Tensor]) -> str:
+def tensors_sha256(tensors: "Mapping[str, Tensor]") -> str:
     """The SHA-256 of named tensors with their types and shapes, in hexadecimal."""
+    import torch  # takes seconds, and --help needs none
+
     digest = hashlib.sha256()
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())

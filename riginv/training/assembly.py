@@ -10,27 +10,21 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.strategies import DDPStrategy
 from omegaconf import DictConfig, open_dict
 
-from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.performance import simulated_performance
-from riginv.config.building import ClassSpec, build
-from riginv.config.typed import MeshSpaceConfig
+from riginv.config.building import build
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses, random_sets, watched
-from riginv.evaluation.results import check_same_controls, make_true_rig
 from riginv.networks.base import compile_parts, use_bfloat16
 from riginv.networks.inverse import InverseNetwork
 from riginv.networks.surrogate import SurrogateNetwork
 from riginv.rig.batches import generator_at
-from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
-from riginv.rig.mesh_sets import MeshSet, StoredMeshes
+from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.run_folder import RunFolder
 from riginv.runs.threads import Workers
 from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise, select_for_rig
 from riginv.sampling.noise import CaptureNoise
-from riginv.store.training import reading_store, rig_of_store
-from riginv.tracking.capture import open_capture
+from riginv.store.training import reading_store
 from riginv.training.checkpoints import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.training.config import ModelConfig, TrainConfig, TrainerConfig
 from riginv.training.dashboard import Dashboard
@@ -45,21 +39,6 @@ CALIBRATION_MESHES = 1024
 BFLOAT16 = "bf16-mixed"
 
 
-def build_rig(spec: ClassSpec[RigBackend], mesh_space: MeshSpaceConfig, store: str | None = None) -> LinearRig:
-    """The rig to train on or to solve through; one that does not end in a linear map gets a basis fitted to random poses.
-
-    Args:
-        store: of poses of the rig, whose basis is taken instead; None: poses are sampled.
-
-    Raises:
-        InputError: it cannot be built or posed.
-    """
-    rig = spec.build()
-    if isinstance(rig, LinearRig):
-        return rig
-    return rig_of_store(store, rig) if store else BlackBoxRig.sampled(rig, mesh_space.samples, mesh_space.residual_mm)
-
-
 def needs_surrogate(model: ModelConfig, rig: LinearRig) -> bool:
     """Whether the model can only be trained through a surrogate: no gradient passes through the rig, or it cannot be posed."""
     return not model.module.target_class.can_train_on(rig)
@@ -71,40 +50,6 @@ def as_surrogate(config: DictConfig) -> DictConfig:
     with open_dict(first):
         first.model = first.surrogate
     return first
-
-
-def build_true_rig(spec: ClassSpec[RigBackend] | None, rig: RigBackend) -> RigBackend:
-    """The rig that evaluates: the one that the config names, or what a surrogate was trained on, or the rig itself.
-
-    Raises:
-        InputError: it cannot be built, or has other controls or vertices than the rig.
-    """
-    if spec is not None:
-        return make_true_rig(spec, rig)
-    true_rig = rig.true_rig()
-    check_same_controls(rig, true_rig)
-    return true_rig
-
-
-def build_clip(
-    capture: str | None, reading: ReadingOptions, frames: FrameOptions, rig: LinearRig, true_rig: RigBackend
-) -> MeshSet | None:
-    """The clip to evaluate on: the one given, or else the rig's own motion, or a simulated performance; None where it has none.
-
-    Raises:
-        InputError: the clip cannot be read or is none of the rig, or the rig's motion holds what is no number.
-    """
-    if capture:
-        return open_capture(capture, true_rig if true_rig.held_out is None else rig, rig, reading, frames)
-    motion = true_rig.motion()
-    if motion is None:
-        return simulated_performance(true_rig)
-    broken = (~motion.vertices.isfinite().all(dim=2).all(dim=1)).nonzero()[:, 0]
-    if len(broken):
-        raise InputError(
-            f"rig '{true_rig.name}': frame {int(broken[0])} of its motion '{motion.name}' holds NaN or infinite values"
-        )
-    return StoredMeshes(motion.name, motion.vertices, motion.fps)
 
 
 def build_module(settings: TrainConfig, rig: RigInMeshSpace, true_rig: RigBackend) -> RigModule:

@@ -14,7 +14,7 @@ from torchmetrics import MeanMetric
 
 from riginv.errors import InputError, NonFiniteLossError
 from riginv.geometry.kernels.library import why_not
-from riginv.meshes.metrics import VertexError
+from riginv.meshes.vertex_error import VertexError
 from riginv.networks.base import RigNetwork
 from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig, RigBackend

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from PIL import Image
-from torch.utils.tensorboard import SummaryWriter
 
 from riginv.animation.animation import Animation, FrameErrors
 
@@ -20,6 +19,8 @@ def write_tensorboard(folder: Path, animation: Animation, errors: FrameErrors, s
         sheet: PNG of `write_sheet`.
     """
     evaluated = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
+    from torch.utils.tensorboard import SummaryWriter  # only for formats=[tensorboard]
+
     with SummaryWriter(str(folder)) as writer:
         for row in _spread(len(evaluated)):
             for name, values in (("mean_vertex_error_mm", errors.mean_mm), ("max_vertex_error_mm", errors.max_mm)):

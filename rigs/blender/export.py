@@ -1,5 +1,9 @@
 """python -m rigs.blender.export: a default rig as a .blend that an animator can open and pose."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "export_blender")  # before the imports that take seconds
+
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +13,6 @@ from rich.console import Console
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
-from riginv.launch.command import command
 from riginv.rig.interface import RigBackend
 from rigs.blender.interpreter import find_interpreter
 from rigs.blender.twin import blueprint_of, write_blend

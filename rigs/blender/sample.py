@@ -4,6 +4,10 @@ The table is an .npz, or a folder of .npy files, with the arrays controls `(pose
 mm, float32; rest_vertices `(vertex, 3)`; faces `(face, 3)`; control_names, lower, upper, neutral `(control,)`.
 """
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "sample_blender")  # before the imports that take seconds
+
 import contextlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +23,6 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
-from riginv.launch.command import command
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls

@@ -1,5 +1,9 @@
 """python -m rigs.dna.copy: read a DNA file and write it again, as a check that nothing is lost."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "copy_dna")  # before the imports that take seconds
+
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +12,6 @@ from rich.console import Console
 
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
-from riginv.launch.command import command
 from rigs.dna.format import read_dna, write_dna
 
 

@@ -3,6 +3,10 @@
 For comparison with an engine: everything is in the file's units, axes and rotation sequence.
 """
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "evaluate_dna")  # before the imports that take seconds
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +21,6 @@ from torch import Tensor
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError, in_short
-from riginv.launch.command import command
 from riginv.runs.array_files import check_npz
 from riginv.runs.files import atomic_write
 from rigs.dna.format import DnaFile, read_dna

@@ -1,5 +1,9 @@
 """python -m rigs.dna.export: write a rig as a DNA file, which is read back and compared first."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "export_dna")  # before the imports that take seconds
+
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +15,6 @@ from rich.console import Console
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
-from riginv.launch.command import command
 from riginv.rig.contract import random_controls
 from riginv.rig.interface import RigBackend
 from rigs.dna.draft import Draft

@@ -1,5 +1,9 @@
 """python -m rigs.dna.gui: convert curves of raw controls to curves of GUI controls by the exact inverse of the table."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "gui_dna")  # before the imports that take seconds
+
 import csv
 import io
 from dataclasses import dataclass
@@ -14,7 +18,6 @@ from riginv.animation.table import write_rows
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
-from riginv.launch.command import command
 from riginv.runs.files import read_text
 from rigs.dna.format import read_dna
 from rigs.dna.format.layers import Definition

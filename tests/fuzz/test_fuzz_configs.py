@@ -33,15 +33,8 @@ from riginv.reproduce.settings import ReproduceConfig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import RunFolder, plain_config, register_folder_resolvers
 from riginv.tracking.assembly import build_parts
-from riginv.training.assembly import (
-    build_clip,
-    build_module,
-    build_rig,
-    build_sampler,
-    build_trainer,
-    build_true_rig,
-    needs_surrogate,
-)
+from riginv.tracking.rigs import build_clip, build_rig, build_true_rig
+from riginv.training.assembly import build_module, build_sampler, build_trainer, needs_surrogate
 from riginv.training.config import TrainConfig
 from tests.support.clips import performance, write_npz
 from tests.support.toys import ToyRig

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from riginv.meshes.metrics import VertexError, roughness
+from riginv.meshes.metrics import roughness
+from riginv.meshes.vertex_error import VertexError
 from riginv.training.losses import SquaredVertexLoss, VertexDistanceLoss
 
 

