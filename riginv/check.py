@@ -1,4 +1,4 @@
-"""python -m riginv.check: does a rig keep the contract?"""
+"""python -m riginv.check: check a rig against the contract."""
 
 from riginv.launch.command import answer_help, command
 

@@ -1,4 +1,4 @@
-"""python -m riginv.compare: every way of inverting a rig side by side, judged by the true rig on the same meshes."""
+"""python -m riginv.compare: compare methods of rig inversion on the same meshes, with errors on the true rig."""
 
 from riginv.launch.command import answer_help, command, run_directory
 
@@ -57,7 +57,7 @@ def compare(config: DictConfig) -> None:
     true_rig = build_true_rig(settings.true_rig, rig)
     if true_rig.held_out is not None:
         raise InputError(
-            f"rig '{true_rig.name}' is a table of recorded poses, and compare needs a rig that can be posed to judge"
+            f"rig '{true_rig.name}' is a table of recorded poses; compare needs a rig that can be posed, to compute errors"
         )
     specs = settings.methods or {}
     methods, left_out = suited_methods(specs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))

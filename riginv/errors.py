@@ -1,4 +1,4 @@
-"""The one exception that means: the user can mend this."""
+"""Exceptions with messages for users."""
 
 import unicodedata
 
@@ -17,7 +17,7 @@ class NonFiniteLossError(RuntimeError):
 
 
 def in_short(error: BaseException, most: int = 150) -> str:
-    """What a library said, in one short line: some quote whole files."""
+    """An exception's message in one line, cut to `most` characters."""
     return " ".join(str(error).split())[:most] or type(error).__name__
 
 

@@ -1,4 +1,4 @@
-"""python -m riginv.evaluate: judge a bundle by the true rig, or one rig by another."""
+"""python -m riginv.evaluate: evaluate a bundle on the true rig, or one rig against another."""
 
 from riginv.launch.command import answer_help, command, run_directory
 

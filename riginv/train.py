@@ -31,7 +31,7 @@ from riginv.training.summary import show
 
 
 def train(config: DictConfig) -> None:
-    """Train a network on a rig, evaluate it by the true rig, and leave a bundle, metrics and a table behind."""
+    """Train a network on a rig, evaluate it on the true rig, write bundle and metrics, and print a table."""
     settings = to_typed(config, TrainConfig)
     process = this_process(settings.trainer, settings.data.batch_size)
     folder = find_run_folder(run_directory(), plain_config(config), settings.resume, process.rank == 0, upgraded)
@@ -52,10 +52,10 @@ def train(config: DictConfig) -> None:
 
 
 def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigBackend, last: bool = True) -> None:
-    """From a rig to an evaluated, bundled model in a run's folder.
+    """Train one model in a run's folder, write its bundle, and evaluate it.
 
     Args:
-        last: whether no other model is trained after it by the same processes.
+        last: whether this is the last model that these processes train; then their process group is destroyed.
     """
     is_inverse = settings.model.module.target_class.kind == "inverse"
     clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig) if is_inverse else None

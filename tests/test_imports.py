@@ -1,4 +1,4 @@
-"""The house's rules: imports run one way, rooms stay small, nothing that runs code is loaded."""
+"""Architecture rules: import order of packages, file length, no unsafe loading."""
 
 import ast
 import re
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-# From the ground up: a module may import from its own floor (within one package) and from floors below.
+# Lowest layer first: a module may import from its own package and from lower layers.
 FLOORS = [
     {"errors"},
     {"runs"},

@@ -79,5 +79,5 @@ def test_a_newcomer_in_an_empty_directory_gets_through(command, tmp_path):
     done = subprocess.run(["bash", "-c", command], cwd=tmp_path / "riginv", capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     if command == MAIN:
-        assert "Judged by the true rig, face" in done.stdout
+        assert "Evaluated on the true rig, face" in done.stdout
         assert list((tmp_path / "riginv/runs/face-inverse").glob("*/metrics.json"))

@@ -24,7 +24,7 @@ def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simul
     """A clip of a rig with ARKit or other blendshapes: each shape rises and falls now and then, smoothly.
 
     Returns:
-        the clip, or None for a rig without shapes to add: it has no clip, and is judged on its random poses alone.
+        the clip, or None for a rig without shapes to add: it is evaluated on random poses alone.
 
     Raises:
         InputError: fewer than one frame is asked for.

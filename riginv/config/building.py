@@ -1,4 +1,4 @@
-"""From configs to objects, without letting a config name what it should not.
+"""Builds objects from configs, from allowed classes only.
 
 A config names a class (`_target_`) and gives its arguments. What is built must be of the kind that is asked for: a rig, a
 network. Configs that a user names may name any such class, and within it classes of its own package, of riginv, rigs and
@@ -32,7 +32,7 @@ class ClassSpec(Generic[T]):
     Attributes:
         target_class: the class itself.
         config: as the config says it: `_target_` and the arguments, plain values.
-        key: where it stands in the config, for messages: `model.network`.
+        key: its key in the config, for messages: `model.network`.
     """
 
     target_class: type[T]
@@ -118,7 +118,7 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
         if only is None:
             raise
         raise InputError(
-            f"{target} cannot be built from what the file says of it: {in_short(error)}; damaged, or not made by riginv"
+            f"{target} cannot be built from its config: {in_short(error)}; the file is damaged, or not made by riginv"
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""Folders of configs that a command is given: they choose rigs and numbers, and never what Hydra itself runs.
+"""Checks of config folders given on the command line: their files must not make Hydra instantiate objects.
 
 Hydra makes objects of what stands under `hydra` before riginv sees a config: callbacks, launchers, log handlers; and it sets
 environment variables. A file of such a folder may choose among launchers and sweepers that are installed, and no more.

@@ -27,7 +27,7 @@ CONFIGS = PACKAGE / "conf" if (PACKAGE / "conf").is_dir() else PACKAGE.parent / 
 
 
 def explain(error: BaseException, config_name: str) -> str | None:
-    """The sentence that says what to mend, or None for a fault of ours."""
+    """The message for a user's mistake, or None for a bug."""
     causes = list(_causes(error))
     for cause in causes:
         if isinstance(cause, InputError | NonFiniteLossError):

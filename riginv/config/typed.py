@@ -10,8 +10,8 @@
 
     settings = to_typed(config, SampleConfig)
 
-Why no schema of OmegaConf (`OmegaConf.structured`): it knows neither ranges, nor choices, nor the classes of others, and would
-take 1 for true. So there is one comparison with annotations for the fields of a config and for the arguments of a class.
+OmegaConf's structured configs are not used: they support neither ranges, nor choices, nor third-party classes, and accept 1 for
+true. One check against annotations serves both the fields of a config and the arguments of a class.
 """
 
 import dataclasses
@@ -155,7 +155,7 @@ def _object(values: Any, kind: type, key: str) -> Any:
         if name in values and name != rest:
             found[name] = convert(values[name], hints[name], _joined(key, name))
         elif name != rest and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            raise InputError(f"{_joined(key, name)} is missing, expected {in_words(hints[name])}: leave it as it was")
+            raise InputError(f"{_joined(key, name)} is missing, expected {in_words(hints[name])}: restore it")
     return kind(**found)
 
 

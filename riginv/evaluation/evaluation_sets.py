@@ -1,4 +1,4 @@
-"""The sets that every trained model is judged on: fixed, the same for every model and every seed of training."""
+"""Evaluation sets: fixed, the same for every model and training seed."""
 
 import torch
 
@@ -36,7 +36,7 @@ def random_poses(true_rig: RigBackend, count: int, purpose: str = "test") -> Pos
 
 
 def watched(sets: list[MeshSet], space: MeshSpace, count: int) -> dict[str, PoseBatch]:
-    """Up to `count` meshes of each set, evenly spread, in mesh coordinates: what training looks at now and then."""
+    """Validation sets: up to `count` evenly spaced meshes of each set, in mesh coordinates."""
     result = {}
     for mesh_set in sets:
         rows = evenly(count, len(mesh_set)).tolist()

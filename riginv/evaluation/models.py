@@ -1,4 +1,4 @@
-"""Judging what a bundle holds: the same for a model just trained and for one trained long ago."""
+"""Evaluation of a bundle's model; the same code for a model just trained and for a loaded one."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from riginv.runs.tables import NO_RIG
 
 
 def surrogate_config(folder: str | Path) -> dict[str, str]:
-    """What builds the rig that a surrogate's bundle, or the run that holds it, stands for."""
+    """The config of the surrogate rig in a bundle, or in the run that holds it."""
     return {"_target_": "rigs.surrogate.SurrogateRig", "bundle": str(folder)}
 
 
@@ -43,11 +43,10 @@ def load_model(folder: str | Path, rig: RigBackend | None = None, refine: int = 
 def evaluate_model(
     model: Inverse | LinearRig, true_rig: RigBackend, poses: int, clip: MeshSet | None
 ) -> list[EvaluationResult]:
-    """Judge an inverse on the random test sets and a clip, or a surrogate on random poses, by the true rig.
+    """Evaluate an inverse on the random test sets and a clip, or a surrogate on random poses, on the true rig.
 
-    Of a rig that is known by recorded poses alone, those that were held out judge; what an inverse finds is then made into
-    meshes by the surrogate, which is judged beside it. Where gradients pass through the true rig, the best possible is found
-    on a few meshes of each set, too.
+    For a recorded rig the held-out poses are the test set; the surrogate poses the predicted controls, and is itself
+    evaluated too. For a differentiable true rig the optimum is computed on a few meshes of each set.
 
     Args:
         poses: meshes in each random test set.

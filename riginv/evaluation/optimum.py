@@ -1,4 +1,4 @@
-"""The best that any controls can do, on a few meshes of a set: what tells how far from it a result is."""
+"""The optimum: the least vertex error that many-start Levenberg-Marquardt finds, on a few meshes of a set."""
 
 import hashlib
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Optimum:
 
     Attributes:
         rows: which meshes `(mesh,)`.
-        errors_mm: the mean vertex error of each, as the true rig judges, `(mesh,)`.
+        errors_mm: the mean vertex error of each on the true rig, `(mesh,)`.
     """
 
     rows: Tensor
@@ -54,10 +54,10 @@ class Optimum:
 
 
 def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]:
-    """The optimum of each set, by its name, kept between runs; none for rigs that no gradient passes through.
+    """The optimum of each set, by name, cached; empty for rigs that are not differentiable.
 
-    Exact for rigs that end in a linear map, in whose mesh space the least squared error is sought. The squared error and the
-    mean distance that is reported differ a little: a result may come out a hair better than its optimum.
+    It minimises the squared error in mesh space, which is exact for linear rigs. The reported mean distance differs from that
+    objective, so a result may be slightly better than its optimum.
     """
     if not (isinstance(true_rig, LinearRig) and true_rig.differentiable):
         return {}

@@ -1,4 +1,4 @@
-"""Judging by the true rig: errors are measured on what it makes of the controls, never on a network's own surrogate."""
+"""Evaluation on the true rig: errors are those of its meshes at the predicted controls, never those of a surrogate."""
 
 import math
 from collections.abc import Callable
@@ -20,15 +20,15 @@ BATCH_SIZE = 128  # meshes at a time
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """What came of one test set.
+    """The result on one evaluation set.
 
     Attributes:
-        metrics: by `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (what predicting neutral would cost),
-            and for a clip `roughness`; who knows more about the set may add to them.
+        metrics: by `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (the error of neutral controls),
+            and for a clip `roughness`; `evaluate_model` adds the optimum.
         errors_mm: the mean vertex error of each mesh, `(mesh,)`.
         meshes: the set.
-        rig: what made the results: the true rig, or a surrogate that was itself on trial.
-        controls: what it made them of, `(mesh, control)`.
+        rig: the rig that made the meshes: the true rig, or the surrogate being evaluated.
+        controls: the predicted controls, `(mesh, control)`.
     """
 
     metrics: dict[str, float]
@@ -49,7 +49,7 @@ class EvaluationResult:
 
 
 def evaluate_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, meshes: MeshSet) -> EvaluationResult:
-    """How well the controls that were found for meshes bring these back.
+    """Evaluate an inverse: errors of the true rig's meshes at the controls that it predicts.
 
     Args:
         invert: meshes `(batch, vertex, 3)`, mm, to controls `(batch, control)`.
@@ -58,12 +58,12 @@ def evaluate_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, m
 
 
 def evaluate_controls(true_rig: RigBackend, meshes: MeshSet, controls: Tensor) -> EvaluationResult:
-    """How well controls `(mesh, control)` that were found for the meshes of a set bring these back."""
+    """Evaluate controls `(mesh, control)` predicted for the meshes of a set: errors of the true rig's meshes at them."""
     return _judge(true_rig, meshes, lambda start, vertices: controls[start : start + len(vertices)])
 
 
 def evaluate_rig(rig: RigBackend, poses: MeshSet) -> EvaluationResult:
-    """How far a rig, such as a surrogate, lies from poses of the true rig, given the controls that made them."""
+    """Evaluate a rig, such as a surrogate: its vertex errors at the controls of poses of the true rig."""
     assert poses.controls is not None
     return evaluate_controls(rig, poses, poses.controls)
 
@@ -103,12 +103,12 @@ def make_true_rig(spec: ClassSpec[RigBackend], rig: RigBackend) -> RigBackend:
 
 
 def check_same_controls(rig: RigBackend, true_rig: RigBackend) -> None:
-    """Raises InputError where a rig cannot be judged by another: their controls or their vertices differ."""
+    """Raises InputError where two rigs have different controls or vertices."""
     if rig.control_names != true_rig.control_names:
         ours, theirs = set(rig.control_names), set(true_rig.control_names)
         differing = sorted(ours ^ theirs)[:3] or ["their order"]
         raise InputError(
-            f"rig '{rig.name}' with {len(rig.controls)} controls cannot be judged by '{true_rig.name}' with "
+            f"rig '{rig.name}' with {len(rig.controls)} controls cannot be evaluated on '{true_rig.name}' with "
             f"{len(true_rig.controls)}: {', '.join(differing)} differ"
         )
     if len(rig.rest_vertices) != len(true_rig.rest_vertices):

@@ -98,7 +98,7 @@ def write_bundle(
     rig_config: Mapping[str, Any],
     training: Mapping[str, Any],
 ) -> None:
-    """Write a bundle whole or not at all.
+    """Write a bundle atomically.
 
     Args:
         kind: `inverse` or `forward`.
@@ -138,7 +138,7 @@ def write_bundle(
 
 
 def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
-    """Read a bundle and check that it is whole.
+    """Read a bundle and verify its checksums.
 
     Args:
         kind: `inverse` or `forward`, where only that will do.
@@ -244,6 +244,6 @@ def is_damaged(folder: Path) -> bool:
     try:
         read_bundle(folder)
     except InputError as error:
-        print(f"{str(error).partition(';')[0]}: it is made again, from where training stood last", file=sys.stderr, flush=True)
+        print(f"{str(error).partition(';')[0]}: it is written again from the last checkpoint", file=sys.stderr, flush=True)
         return True
     return False

@@ -27,7 +27,7 @@ class QuickEncoder(nn.Module):
     """As `MeshSpace.encode`, in bfloat16 where a CPU multiplies such numbers: three times as fast as float32.
 
     What is rounded are displacements, by 1 part in 256 each. Spread over thousands of vertices that cancels: mesh coordinates
-    come out within 0.2 % of their size. A network does not notice; a solver, or a rig that moves its mesh by metres, would.
+    come out within 0.2 % of their size. This is enough for a network, not for a solver or a mesh that moves by metres.
 
     Args:
         space: whose coordinates.
@@ -100,7 +100,7 @@ class Inverse(nn.Module):
 
     @functools.cached_property
     def objective(self) -> Objective:
-        """What the steps after the network minimise; made where the network is when they are first asked for."""
+        """The objective of refinement, created on first use, on the network's device."""
         return Objective(self.network.rig)
 
 
@@ -110,7 +110,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
     Args:
         folder: the bundle, or the run that holds it.
         rig: the rig, for one that is not part of riginv; else the bundle's own description builds it. An inverse that was
-            trained through a surrogate brings that along, and only asks whether it stands for this rig.
+            trained through a surrogate contains the surrogate; `rig` is then only compared with it.
         refine: steps of Levenberg-Marquardt that follow the network, through the rig that it was trained on.
 
     Raises:

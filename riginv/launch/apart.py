@@ -1,6 +1,6 @@
-"""A job of a sweep in a process of its own: it shares nothing with the others, and whatever kills it kills no other.
+"""Runs a job of a sweep in a subprocess, isolated from the other jobs.
 
-The process ends with the one that started it, even where that is killed.
+The subprocess exits when its parent does, even if the parent is killed.
 """
 
 import os
@@ -25,9 +25,9 @@ class Job:
         module: the command, as in `python -m MODULE`.
         arguments: its arguments.
         sweep: the sweep's folder.
-        number: its place in the sweep.
+        number: its index in the sweep, from 0.
         name: of its folder.
-        swept: what sets it apart.
+        swept: its swept overrides, as KEY=VALUE.
         directory: where the command was typed.
         can_resume: whether the command takes `resume=true`.
     """
@@ -42,7 +42,7 @@ class Job:
     can_resume: bool
 
     def record(self) -> JobRecord:
-        """How it stands now."""
+        """The job's record."""
         return read_record(self.sweep, self.number, self.name, self.swept)
 
 
@@ -50,8 +50,8 @@ def run_apart(job: Job, threads: int | None = None) -> None:
     """Run a job to its end in a process of its own; its record says how that went.
 
     Args:
-        job: one that finished already is left alone; one that was started before goes on.
-        threads: that it may use; None: as many as it likes.
+        job: skipped if finished; resumed if it was started before.
+        threads: number of threads that it may use; None: no limit.
     """
     record = job.record()
     if record.state == FINISHED:
@@ -83,9 +83,9 @@ def end_with_starter() -> None:
 
 
 def _why(said: str, code: int) -> str:
-    """The last thing that a failed process said, or the signal that killed it."""
+    """The last line of a failed process's output, or the signal that killed it."""
     if code < 0:
-        return f"its process was killed by signal {-code}{', perhaps for want of memory' if code == -9 else ''}"
+        return f"its process was killed by signal {-code}{', possibly out of memory' if code == -9 else ''}"
     *before, last = said.rstrip().splitlines() or [f"its process ended with code {code}"]
     if last.startswith("error: "):
         return last.removeprefix("error: ")

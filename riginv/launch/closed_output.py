@@ -1,4 +1,4 @@
-"""Ending without a traceback where whoever reads the output has stopped reading, as `head` does."""
+"""Quiet exit on a broken pipe (`| head`), and filters of known warnings."""
 
 import logging
 import os
@@ -26,7 +26,7 @@ def ends_with_its_reader() -> Iterator[None]:
 
 
 def _end_if_any(closed: list[TextIO]) -> None:
-    for stream in closed:  # what is still to be written goes nowhere: Python would complain of it when it ends
+    for stream in closed:  # discard unwritten output, which Python would flush with an error at exit
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), stream.fileno())
     if closed:
@@ -75,7 +75,7 @@ def _streams() -> list[TextIO]:
     return found
 
 
-# Each is known and meant; what it would tell is in the comment.
+# Known and harmless warnings, each with the reason.
 WARNINGS = (
     ".*isinstance\\(treespec, LeafSpec\\).*",  # lightning with torch 2.13
     ".*IterableDataset.*__len__.*",  # batches are drawn by number, in one process
@@ -91,7 +91,7 @@ WARNINGS = (
 
 
 def filter_warnings() -> None:
-    """Silence the messages above, and Lightning's account of the machine."""
+    """Silence the warnings above and Lightning's start-up messages."""
     for message in WARNINGS:
         warnings.filterwarnings("ignore", message=message)
     for name in ("lightning", "lightning.pytorch", "lightning.fabric", "lightning.pytorch.utilities.rank_zero"):

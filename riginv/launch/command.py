@@ -42,7 +42,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
         @functools.wraps(task)
         def main() -> None:
-            os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors through: `explain` says them better
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # pass exceptions on: `explain` formats them
             if is_watched():
                 end_with_watcher()
             end_with_starter()
@@ -104,7 +104,7 @@ def split_options(arguments: list[str]) -> tuple[list[str], list[str]]:
 
 
 def path_as_value(values: list[str], key: str | None) -> list[str]:
-    """Let a path stand alone on a command line, as in `riginv.inspect PATH`: it becomes the value of a key.
+    """Turn positional paths, as in `riginv.inspect PATH`, into KEY=PATH.
 
     Args:
         key: None for commands that take no path so.
@@ -124,9 +124,9 @@ def true_rig_choice(argument: str) -> str:
 
 
 class _Job:
-    """Runs a task, and keeps the error of one that failed, so that Hydra does not speak of it first.
+    """Runs a task and keeps its exception, so that Hydra does not print it first.
 
-    In a sweep a job that fails says why in its folder and lets the others go on; the table at the end counts it.
+    In a sweep a failed job writes failure.txt, and the others continue.
     """
 
     def __init__(self, task: Callable[[DictConfig], None], config_name: str) -> None:
@@ -135,7 +135,7 @@ class _Job:
 
     @property
     def module(self) -> str:
-        """Of the command, as in `python -m MODULE`."""
+        """The module of the command, as in `python -m MODULE`."""
         name, spec = self.task.__module__, sys.modules["__main__"].__spec__
         return spec.name if name == "__main__" and spec is not None else name
 
@@ -150,7 +150,7 @@ class _Job:
             self.error = error
 
     def run_in_sweep(self, config: DictConfig) -> None:
-        """Run a job of a sweep within this process; one that finished already is left alone, one that started goes on."""
+        """Run a job of a sweep in this process; skip it if finished, resume it if started."""
         folder, chosen = run_directory(), HydraConfig.get()
         sweep = Path(os.path.abspath(chosen.sweep.dir))
         overrides = list(chosen.overrides.task)
@@ -170,7 +170,7 @@ class _Job:
         record.ended(sweep, time.perf_counter() - began, why)
 
     def _work(self, config: DictConfig) -> None:
-        for package in OURS:  # what rigs tell of their files at length is of this level
+        for package in OURS:  # `verbose` shows the log messages of rigs about their files
             logging.getLogger(package).setLevel(logging.DEBUG if config.get("verbose") else logging.NOTSET)
         try:
             self.task(config)

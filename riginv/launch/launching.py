@@ -1,4 +1,4 @@
-"""What the launchers share: the jobs of a sweep as command lines, run apart, several at once, and none hides another.
+"""Base class of the sweep launchers: runs each job as a command line in its own process.
 
 A launcher is a plug-in of Hydra (`hydra_plugins/riginv_launchers`) that says where jobs run; `hydra/launcher=NAME` chooses it.
 """

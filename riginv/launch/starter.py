@@ -1,8 +1,7 @@
-"""Runs a command once for each device, and watches: where one process dies, the others are ended and the reason is said once.
+"""Launches a command once for each device, monitors the processes, and on failure ends all and prints the first error.
 
-Each is started in a session of its own, so that Ctrl-C reaches this one alone, which passes it on to the first process. That
-one prints on the terminal; what the others print is thrown away. Should this process be killed, all of them end by themselves
-(`riginv.launch.watched`): none is left waiting for another.
+Each process has its own session, so that Ctrl-C reaches only the launcher, which forwards it to rank 0. Only rank 0 prints. If
+the launcher is killed, all ranks exit (`riginv.launch.watched`).
 """
 
 import os
@@ -20,8 +19,8 @@ from riginv.launch.watched import REPORT, WATCHER, read_report
 
 COMMAND = "riginv.train"
 POLL_SECONDS = 0.1
-GRACE_SECONDS = 5.0  # for the others to say what they know, once one has failed
-STOP_SECONDS = 20.0  # for the first to end in its own words, once it was interrupted
+GRACE_SECONDS = 5.0  # for further reports, once a rank has failed
+STOP_SECONDS = 20.0  # for rank 0 to exit after Ctrl-C
 FOLLOWS = ("closed by peer", "reset by peer", "Broken pipe", "NCCL")  # in what a process says because another one has died
 
 
@@ -95,7 +94,7 @@ def _wait(processes: list[subprocess.Popen]) -> dict[int, int]:
 
 
 def _interrupt(first: subprocess.Popen) -> None:
-    """Let the first process end as a run of one process does; the others have nothing to say, and are killed afterwards."""
+    """Interrupt rank 0, which saves and exits; the other ranks are killed afterwards."""
     try:
         first.send_signal(signal.SIGINT)
         first.wait(STOP_SECONDS)
@@ -111,7 +110,7 @@ def _kill(processes: list[subprocess.Popen]) -> None:
 
 
 def _tell(died: dict[int, int], count: int, reports: Path) -> None:
-    """Say what ended a run: a sentence for the user first, then a process that was killed, then a fault of ours."""
+    """Raise or print the cause: a user's mistake first, then a killed process, then a bug."""
     told = {rank: report for rank in died if (report := read_report(reports / str(rank)))}
     for report in told.values():
         if report.explained:

@@ -1,4 +1,4 @@
-"""How far a sweep is whose jobs run apart: a bar, and a line for each job that has ended."""
+"""Progress bar of a sweep whose jobs run in subprocesses, with a line for each finished job."""
 
 import threading
 from collections.abc import Sequence
@@ -63,7 +63,7 @@ class SweepProgress(Bar):
 
 
 def duration(seconds: float) -> str:
-    """Seconds, minutes or hours, as one would say it."""
+    """A duration as text, such as `42 s`, `3.5 min`."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.1f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

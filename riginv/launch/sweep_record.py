@@ -25,9 +25,9 @@ class JobRecord:
     """How one job stands.
 
     Attributes:
-        number: its place in the sweep, from 0.
+        number: its index in the sweep, from 0.
         name: of its folder.
-        swept: what sets it apart, as KEY=VALUE.
+        swept: its swept overrides, as KEY=VALUE.
         state: waiting, running, finished or failed; still running, too, where everything was killed at once.
         starts: how often it was started.
         why: it failed, as one line.

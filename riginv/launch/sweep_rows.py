@@ -85,11 +85,11 @@ def text_columns(rows: Sequence[Row]) -> list[int]:
 
 
 def caption(rows: Sequence[Row]) -> str:
-    """What the columns hold, and how they are sorted; empty where nothing was judged."""
+    """What the columns hold, and how they are sorted; empty without errors."""
     by = {ranked_by([row for row in rows if row.get("rig") == rig]): None for rig in (row.get("rig") for row in rows)}
     names = [key.removesuffix(ERROR).replace("_", " ") for key in by if key]
     sorting = f"; sorted by that on {' or '.join(names)}" if names else ""
-    return f"Mean vertex error in mm, judged by the true rig{sorting}." if error_columns(rows) else ""
+    return f"Mean vertex error in mm on the true rig{sorting}." if error_columns(rows) else ""
 
 
 def _row(sweep: Path, record: JobRecord) -> Row:

@@ -1,7 +1,6 @@
-"""A process of a run that another one has started and watches (`riginv.launch.starter`): it speaks to that one alone.
+"""A rank process started by `riginv.launch.starter`: reports its exception to a file, and exits with its launcher.
 
-What ends it goes into a file of its own, so that of all that fail together one is heard. Where the process that watches dies,
-however it dies, this one ends too.
+The launcher prints one of the reports, as all ranks fail together.
 """
 
 import json
@@ -34,13 +33,13 @@ def is_watched() -> bool:
 
 
 def report(error: BaseException, message: str | None) -> None:
-    """Tell the process that watches what ends this one: a sentence, or where there is none the traceback."""
+    """Write the error to the launcher's report file: the message for the user, or the traceback."""
     told = Report(message or "".join(traceback.format_exception(error)), explained=message is not None)
     Path(os.environ[REPORT]).write_text(json.dumps(asdict(told)), encoding="utf-8")
 
 
 def read_report(path: Path) -> Report | None:
-    """What a process told at its end, if it could."""
+    """The report of a process, or None."""
     return Report(**json.loads(path.read_text(encoding="utf-8"))) if path.is_file() and path.stat().st_size else None
 
 

@@ -1,1 +1,1 @@
-"""Ways of inverting a rig, all behind one interface, so that `python -m riginv.compare` can put them side by side."""
+"""Methods of rig inversion behind one interface, for `python -m riginv.compare`."""

@@ -1,4 +1,4 @@
-"""What a way of inverting a rig must offer to be compared with others."""
+"""The interface of methods of rig inversion."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -14,18 +14,18 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 
 
 class Method(ABC):
-    """A way from meshes to controls. `conf/methods/NAME.yaml` names the class and its arguments under the key NAME.
+    """A method of rig inversion. `conf/methods/NAME.yaml` names the class and its arguments under the key NAME.
 
     A method of yours is a class and such a file, in a folder that `--config-dir` names: its class takes the rig in its mesh
     space first, then the arguments of the file.
 
     Args:
-        rig: the rig to invert, in its mesh space. It may be a surrogate: then another rig, the true one, judges.
+        rig: the rig to invert, in its mesh space. It may be a surrogate; errors are computed on the true rig.
 
     Attributes:
         rig: the same.
         seed: of whatever is drawn; set by `prepare`.
-        fingerprint: tells apart what a config does not, such as the weights that lie in a folder; `compare` then runs it again.
+        fingerprint: hash of what the config does not determine, such as a bundle's weights; when it changes, `compare` reruns.
         trained_seconds: what was spent on training before, as on a network that is loaded; `compare` adds it to its own.
         source: what is implemented: the paper, and what was changed and why.
     """
@@ -57,7 +57,7 @@ class Method(ABC):
         """
 
     def coordinates(self, meshes: MeshSet) -> Tensor:
-        """All meshes `(mesh, coordinate)` in mesh coordinates, read piece by piece: never all vertices at once."""
+        """All meshes `(mesh, coordinate)` in mesh coordinates, read in batches: never all vertices at once."""
         return encoded(meshes, self.rig.space)
 
 

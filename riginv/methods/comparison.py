@@ -92,7 +92,7 @@ def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
                 table.add_row(*(_shown(row, key) for key in HEADINGS if key != "set"))
         console.print(table)
     console.print(
-        "  Vertex errors, judged by the true rig, which was given the controls. Roughness: mean squared second difference "
+        "  Vertex errors on the true rig at the predicted controls. Roughness: mean squared second difference "
         "of the curves. Controls in use: how many are not at neutral, averaged over the meshes. Times optimum: the error "
         "over the least that Levenberg-Marquardt found from many starts, on a few of the meshes; "
         f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes.",

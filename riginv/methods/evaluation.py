@@ -62,7 +62,7 @@ def evaluated_row(
     training_seconds: float,
     optimum: Optimum | None = None,
 ) -> Row:
-    """Let a method invert a set, and let the true rig judge what it found.
+    """Invert a set with a method, and evaluate its controls on the true rig.
 
     Args:
         optimum: the best possible on some of the meshes, where it is known.

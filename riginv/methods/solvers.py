@@ -17,7 +17,7 @@ from riginv.solvers.objective import PRIOR, Objective
 
 
 class LevenbergMarquardt(Method):
-    """The least error of each mesh for itself; in a clip, neighbouring frames are where it starts.
+    """Levenberg-Marquardt on each mesh; in a clip, started from neighbouring frames.
 
     Args:
         starts: of meshes that are no clip.

@@ -24,8 +24,7 @@ CORRECTION_GAIN = 0.02  # of the last layer where a guess precedes the first MLP
 class Answer:
     """An estimate of the controls, with derived quantities that are computed on first use.
 
-    Those without a graph cost no automatic differentiation: training needs `raw` and a gradient of it alone
-    (`riginv.training.inverse`).
+    Training uses only `raw` and a gradient by it (`riginv.training.inverse`), so the rig is evaluated without autograd.
 
     Args:
         raw: the network's raw outputs `(batch, control)`, with its graph.

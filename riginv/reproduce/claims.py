@@ -9,7 +9,7 @@ from riginv.reproduce.tables import SMOOTHER, Results
 from riginv.reproduce.wording import MEAN
 
 HELD, NOT_HELD, DEPENDS, UNTESTED = "held", "not held", "depends", "not tested"
-SAME_SEEDS = 0.05  # a spread over seeds below this share of the mean counts as consistent
+SAME_SEEDS = 0.05  # a relative spread over seeds below this counts as consistent
 MOSTLY = 0.5
 Verdict = tuple[str, str]
 

@@ -14,7 +14,7 @@ from riginv.training.config import TrainConfig
 from riginv.training.data import PoseDataModule, bare_trainer
 
 WARM, TIMED = 3, 8  # steps
-THROUGH = 0.6  # additional time of a training step through a surrogate, as a share of a training step of the surrogate
+THROUGH = 0.6  # additional time of a training step through a surrogate, relative to a training step of the surrogate
 
 
 class StepClock(L.Callback):

@@ -64,7 +64,7 @@ class MeasureLipschitz(Task):
 class MeasureControls(Task):
     """The effect of each control, and its error in an inverse on poses of the rig (paper, Sec. 3.1.3).
 
-    Writes `controls.json`: name, mean effect on the vertices over its range, mm, and mean error as a share of its range.
+    Writes `controls.json`: name, mean effect on the vertices over its range, mm, and mean error as a fraction of its range.
     """
 
     @torch.no_grad()

@@ -1,4 +1,4 @@
-"""The contract that every rig must keep, ours or a user's: `check_rig(rig)` in a test, or `python -m riginv.check`."""
+"""The contract of the rig interface: `check_rig(rig)` in a test, or `python -m riginv.check`."""
 
 import copy
 from collections.abc import Callable, Iterator
@@ -113,4 +113,4 @@ def _gradients(rig: RigBackend, controls: Tensor) -> None:
         torch.autograd.gradcheck(probed, (inputs,), eps=1e-6, atol=1e-4, rtol=1e-3, nondet_tol=0.0)
     except RuntimeError as error:
         reason = str(error).splitlines()[0]
-        raise ContractError(f"rig '{rig.name}' says that it is differentiable, but its gradients are off: {reason}") from error
+        raise ContractError(f"rig '{rig.name}' has differentiable=True, but its gradients are wrong: {reason}") from error

@@ -41,9 +41,9 @@ class MeshSet(ABC):
 
     def named(self, name: str) -> "MeshSet":
         """The same set under another name."""
-        twin = copy.copy(self)
-        twin.name = name
-        return twin
+        renamed = copy.copy(self)
+        renamed.name = name
+        return renamed
 
     def batches(self, size: int = 128) -> Iterator[tuple[int, Tensor]]:
         """All meshes in order, `size` at a time: the index of the first of a batch, and their vertices."""

@@ -48,7 +48,7 @@ class PairTable:
         vertices: `(pose, vertex, 3)`, mm.
         rest_vertices: `(vertex, 3)`, mm.
         faces: `(face, 3)`.
-        described: the controls' names and limits.
+        described: the controls.
     """
 
     controls: Tensor

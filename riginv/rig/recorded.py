@@ -1,4 +1,4 @@
-"""A rig that is known only by recorded poses. It cannot be posed, so poses held out from training evaluate models of it."""
+"""Recorded rigs: tables of poses. They cannot be posed, so models are evaluated on held-out poses."""
 
 from typing import cast
 

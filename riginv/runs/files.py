@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Atomic writes and checked reads of files."""
 
 import json
 import os
@@ -20,7 +20,7 @@ MOST_YAML_VALUES = 300_000  # once everything that is referred to again has been
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Give a place beside `path` to write to, and rename it to `path` once it is complete."""
+    """Yield a temporary path beside `path`; rename it to `path` when the block succeeds, remove it otherwise."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -47,13 +47,13 @@ def discard(path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
+    """Write a text file atomically."""
     with atomic_write(path) as beside:
         beside.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file whole or not at all."""
+    """Write a JSON file atomically."""
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 

@@ -1,12 +1,12 @@
 """A run's folder: never overwritten silently, and found again by the command that made it.
 
 config.yaml            the resolved config
-checkpoints/last.ckpt  where training stood last, sealed with its own checksum; before.ckpt: where it stood before that
+checkpoints/last.ckpt  the last checkpoint, ending in its own SHA-256; before.ckpt: the one before
 .lock                  locked while a process is at work here
 events.*, hparams.yaml TensorBoard's
 bundle/                the trained model
 surrogate/             a run within the run, where the rig gives no gradients: the surrogate that was trained first
-metrics.json           how good it is; written last: a folder that has it is finished
+metrics.json           the errors of the evaluation; written last: its presence marks the run as finished
 """
 
 import datetime
@@ -44,7 +44,7 @@ class RunFolder:
     Attributes:
         path: where it lies.
         config: the plain config.
-        resumed: whether an earlier start of the same run is gone on with.
+        resumed: whether the folder holds an earlier start of the same run, which continues.
         written_here: by this process; of several that share a run only the first one writes.
         was_empty: whether nothing lay there when it was looked at.
     """
@@ -56,7 +56,7 @@ class RunFolder:
     was_empty: bool = False
 
     def begin(self) -> None:
-        """Make the folder this run's, by locking it and writing its config there; clear away what killed starts left.
+        """Lock the folder, remove partial files of killed processes, and write config.yaml.
 
         Raises:
             InputError: another process is at work there, or has begun a run there meanwhile.
@@ -73,7 +73,7 @@ class RunFolder:
 
     @property
     def checkpoint(self) -> Path | None:
-        """Where training stood last, if it got that far; one that is damaged does not count."""
+        """The last valid checkpoint, or None."""
         paths = [self.path / name for name in (CHECKPOINT, CHECKPOINT_BEFORE)]
         return next((path for path in paths if path.is_file() and has_valid_checksum(path)), None)
 
@@ -186,7 +186,7 @@ def default_run_folder(resume: bool, name: str, arguments: str) -> str:
 
 
 def folder_name(text: str) -> str:
-    """A text as the name of one folder: no separators, not too long, still unlike that of another text."""
+    """A text as a folder name: without separators, at most LONGEST characters, made unique by a hash if cut."""
     name = text.replace("/", "_").replace("\\", "_")
     return name if len(name) <= LONGEST else f"{name[: LONGEST - 9]}~{text_sha256(text)[:8]}"
 

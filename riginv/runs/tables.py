@@ -17,15 +17,15 @@ SETS = {
     ),
     "rig_poses": ("rig poses", "random poses of the rig, as in the paper"),
     "capture": ("capture", "the clip that was given"),
-    "simulated_performance": ("simulated performance", "no clip was given: capture=CLIP judges any that riginv.invert takes"),
+    "simulated_performance": ("simulated performance", "generated, as no clip was given (capture=CLIP)"),
     "held_out_pairs": ("held-out pairs", "recorded poses that training never saw"),
-    "surrogate": ("surrogate", "the surrogate's own error on the controls of those poses: no other error here is more certain"),
-    "walk": ("walk", "the walk that the rig brings, for no clip was given: capture=CLIP judges any that riginv.invert takes"),
+    "surrogate": ("surrogate", "the surrogate's own error on the same controls: a bound on the accuracy of the other rows"),
+    "walk": ("walk", "the rig's own walk, as no clip was given (capture=CLIP)"),
     "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
 }
 WITHIN_REACH_MM = 0.005  # a least error below this: the rig can make these meshes
-EXACT = "exact"  # in place of a multiple of it
-NO_RIG = "none"  # as the true rig, where poses that were recorded of it are all there is
+EXACT = "exact"  # shown instead of the ratio to the optimum
+NO_RIG = "none"  # the `true_rig` of a recorded rig in metrics.json
 COLUMNS = (
     ("mean_vertex_error_mm", "mean\nerror"),
     ("neutral_mean_vertex_error_mm", "neutral\nerror"),
@@ -67,7 +67,7 @@ def markdown_text(headings: Sequence[str], rows: Iterable[Sequence[str]], text_c
 
 
 def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] = ()) -> None:
-    """Show a model's metrics, one row for each test set, and who judged: its `true_rig`."""
+    """Print a model's metrics: one row for each evaluation set, and the true rig."""
     errors = [heading for _, heading in COLUMNS]
     headings = ["test set", *errors, "% of\nneutral", "times\noptimum", "rough-\nness"]
     table = new_table(headings, f"{title}: vertex errors in mm")
@@ -89,12 +89,12 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
     for name in sets_of(metrics):
         title, meaning = SETS.get(name, (name, ""))
         console.print(f"  [bold]{escape(title)}[/]: {meaning}", highlight=False, soft_wrap=True)
-    judge = f"Judged by the true rig, [bold]{escape(metrics['true_rig'])}[/], which was given the controls."
+    judge = f"Evaluated on the true rig, [bold]{escape(metrics['true_rig'])}[/], which was given the controls."
     if metrics["true_rig"] == NO_RIG:
-        judge = "There is no rig to judge by: the errors are of poses that training never saw, posed by a [bold]surrogate[/]."
+        judge = "The rig is recorded: errors are on held-out poses, with a [bold]surrogate[/] as the rig."
     console.print(f"  {judge}", highlight=False, soft_wrap=True)
     console.print(
-        "  Neutral error: that of the neutral mesh, whatever was asked for; % of neutral: the mean error in percent of it. "
+        "  Neutral error: the error of neutral controls; % of neutral: the mean error in percent of it. "
         "Mesh worst: the largest vertex error of a mesh, averaged over the meshes; all worst: the largest of all. "
         "Times optimum: the mean error over the least that a solver found from many starts, on a few of the meshes; "
         f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes. "
@@ -108,7 +108,7 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
 
 
 def _times_optimum(metrics: Mapping[str, Any], name: str) -> str:
-    """How many times the least possible error; of nothing there is no multiple."""
+    """The cell `times optimum`: a ratio, `exact`, or `-`."""
     ratio, best = (metrics.get(f"{name}/{key}") for key in ("optimum_ratio", "optimum_mean_vertex_error_mm"))
     return "-" if ratio is None or best is None else EXACT if best < WITHIN_REACH_MM else f"{ratio:.3g}"
 

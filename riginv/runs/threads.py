@@ -1,4 +1,4 @@
-"""Threads that compute: a few at a time, each for itself, as many as other processes leave cores for.
+"""A thread pool for tensor tasks, sized by the number of free cores.
 
 Operations here are small. Several threads within one operation wait for each other thousands of times a second, and where
 another process takes one's core all others wait for it too. So work is cut into parts, each part is computed by one thread, and

@@ -119,7 +119,7 @@ class ChunkMaker:
         write_json(file, dict(zip(self.rig.control_names, controls[row].tolist())))
         raise InputError(
             f"rig '{self.rig.name}' gives NaN or infinite values at pose {pose} (chunk {chunk}), whose controls are in {file}: "
-            f"mend the rig, or draw its controls with another sampler"
+            f"repair the rig, or choose another sampler"
         )
 
     def _rounded(self, values: Tensor, layout: Layout, chunk: int) -> np.ndarray:

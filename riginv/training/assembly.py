@@ -1,4 +1,4 @@
-"""From a config to the parts of a training run: each is built once and handed on."""
+"""Builds the objects of a training run from its config."""
 
 from typing import Any, cast
 
@@ -72,7 +72,7 @@ def build_workers(trainer: TrainerConfig) -> Workers | None:
 
 
 def build_sampler(settings: TrainConfig, rig: RigInMeshSpace) -> MeshSampler:
-    """What training sees, with capture noise and storage where the config asks for them."""
+    """The sampler of training meshes, with stored poses and capture noise as configured."""
     data, noise, stored = settings.data, settings.noise, settings.data.stored_poses
     recorded = rig.rig.poses_to_train_on(rig.space)
     if recorded is not None:
@@ -104,7 +104,7 @@ def build_data(settings: TrainConfig, module: RigModule, true_rig: RigBackend, c
 
 
 def calibrate(seed: int, module: RigModule, sampler: MeshSampler) -> None:
-    """Let the network set its fixed scales by a sample of what it will see."""
+    """Set the network's fixed scales from sampled training meshes."""
     sample = sampler.sample(CALIBRATION_MESHES, generator_at(seed, "calibration"))
     if module.kind == "inverse":
         cast(InverseNetwork, module.network).calibrate(sample["coordinates"])
@@ -171,12 +171,12 @@ def build_trainer(settings: TrainConfig, folder: RunFolder) -> tuple[L.Trainer, 
             logger=TensorBoardLogger(folder.path, name="", version="", default_hp_metric=False),
             callbacks=callbacks,
             plugins=plugins,
-            use_distributed_sampler=False,  # PoseDataModule shares out; Lightning would repeat meshes to even the shares
+            use_distributed_sampler=False,  # PoseDataModule splits batches; Lightning's sampler would repeat meshes
             enable_checkpointing=False,  # SaveLast does it
             enable_model_summary=False,
             enable_progress_bar=False,  # TrainingProgress is it
             num_sanity_val_steps=0,
-            inference_mode=False,  # a staged network asks the rig for gradients when it is used, too
+            inference_mode=False,  # a staged network needs gradients of the rig in inference, too
         )
     except (MisconfigurationException, ImportError, RuntimeError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0]

@@ -1,4 +1,4 @@
-"""Checkpoints that are whole or not there, and a clock that survives a stop."""
+"""Atomic checkpoints with checksums, and a clock of training time that is saved with them."""
 
 import signal
 import sys
@@ -28,7 +28,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None) -> None:
         with atomic_write(Path(path)) as beside:
-            with beside.open("wb") as file:  # of which torch passes on that the disk is full
+            with beside.open("wb") as file:  # given an open file, torch passes on OSError of a full disk
                 torch.save(checkpoint, file)
             append_checksum(beside)
             if Path(path).is_file():
@@ -43,7 +43,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
         check_regular(Path(path))
         try:
             found = torch.load(path, map_location=map_location or "cpu", weights_only=True)
-        except Exception as error:  # torch and its unpickler raise whatever comes to hand
+        except Exception as error:  # torch.load raises exceptions of many types
             raise InputError(f"{path}: no checkpoint of plain tensors and values ({in_short(error)}); {START_OVER}") from None
         missing = [key for key in PARTS if not isinstance(found, dict) or not isinstance(found.get(key), PARTS[key])]
         if missing:
@@ -52,7 +52,7 @@ class AtomicCheckpoints(TorchCheckpointIO):
 
 
 class SaveLast(L.Callback):
-    """Saves where training stands, every so many steps and at the end.
+    """Saves a checkpoint every `every_n_steps` steps and at the end.
 
     Args:
         folder: of the run.
@@ -63,7 +63,7 @@ class SaveLast(L.Callback):
         self.saved_step: int | None = None
 
     def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        if trainer.world_size > 1:  # Lightning would tell the others of the signal, who do not listen: all would wait for ever
+        if trainer.world_size > 1:  # else Lightning waits for a collective that other ranks never enter
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def on_train_batch_end(self, trainer: L.Trainer, *args: Any) -> None:

@@ -1,4 +1,4 @@
-"""The stream of training batches, drawn as training goes, and the small fixed sets that are watched meanwhile."""
+"""Lightning data module: training batches drawn from a sampler, and fixed validation sets."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, cast
@@ -13,9 +13,9 @@ from riginv.sampling.meshes import MeshSampler
 
 
 class StepIndices(IterableDataset):
-    """The numbers of the steps still to come in this epoch; a batch is drawn from its number alone.
+    """The indices of the remaining steps of this epoch; each batch is a function of its step index.
 
-    A run that goes on after a stop asks where it stands, and sees the very batches that it would have seen.
+    So a resumed run continues with the batches that an unbroken run would have drawn.
     """
 
     def __init__(self, steps_per_epoch: int, current_step: Callable[[], int]) -> None:
@@ -32,14 +32,13 @@ class StepIndices(IterableDataset):
 class PoseDataModule(L.LightningDataModule):
     """Draws every training batch from the sampler with a generator of its own; nothing is stored.
 
-    Where several processes train together each draws the whole batch and keeps its share: what is seen does not depend on how
-    many there are.
+    With several processes each draws the whole batch and keeps its rows, so that batches do not depend on their number.
 
     Args:
         sampler: what to train on.
-        validation: sets to watch, by name: all their meshes as one batch, in mesh coordinates.
+        validation: validation sets by name, each as one batch in mesh coordinates.
         batch_size: meshes in a training batch, those of all processes together.
-        steps_per_epoch: training steps between two looks at the validation sets.
+        steps_per_epoch: training steps between two validations.
         seed: of the training batches.
 
     Raises:
@@ -93,7 +92,7 @@ def _rows_of(poses: PoseBatch, rows: slice) -> PoseBatch:
 
 
 def bare_trainer(**arguments: Any) -> L.Trainer:
-    """Lightning's trainer that trains and does nothing else: no logs, checkpoints, progress bar or validation.
+    """A Lightning trainer without logs, checkpoints, progress bar and validation.
 
     Args:
         arguments: further arguments of `lightning.Trainer`.

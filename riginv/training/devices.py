@@ -1,6 +1,6 @@
-"""Which of a run's processes this one is: on several devices a run is one process for each (Lightning's DDP).
+"""Ranks of a distributed run (Lightning's DDP, one process for each device), and the config of the trainer.
 
-torchrun and srun start them; where nothing has, `riginv.launch.starter` does. The first process alone prints and writes.
+Processes are started by torchrun, srun, or `riginv.launch.starter`. Only rank 0 prints and writes.
 """
 
 import os
@@ -36,7 +36,7 @@ class TrainerConfig:
         num_nodes: machines.
         max_steps: None: until `stop_below_lr`.
         precision: bf16-mixed: the network computes in bfloat16; the rig and the losses do not.
-        threads: that compute a step on a CPU; auto: one or two, as other processes leave cores free.
+        threads: number of threads that compute a step on a CPU; auto: one or two, by the number of free cores.
         compile: whether the network is compiled (torch.compile).
         deterministic: of Lightning.
         starts_processes: whether the command starts a process for each device; False: they were started from outside.
@@ -79,7 +79,7 @@ class Process:
 
     @property
     def shows(self) -> bool:
-        """Whether it shows the result: the first does, or the one that has started it."""
+        """Whether this process prints the result: rank 0, or the process that started the ranks."""
         return self.rank == 0 and not is_watched()
 
 
@@ -101,8 +101,8 @@ def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
     environment = _environment(trainer, count)
     if count > 1 and _is_swept_over(environment):
         raise InputError(
-            f"trainer.devices={trainer.devices} cannot be part of a sweep (-m): every job would start processes of its own, "
-            f"beside those of the sweep, or each of these the whole sweep; sweep with trainer.devices=1, or with trainer=slurm "
+            f"trainer.devices={trainer.devices} cannot be part of a sweep (-m): each job would start its own "
+            f"processes, or each process would run the whole sweep; sweep with trainer.devices=1, or with trainer=slurm "
             f"through a launcher that starts all processes of a job (hydra/launcher=submitit_slurm)"
         )
     if environment is None:
@@ -114,9 +114,7 @@ def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
         )
     rank = int(os.environ["RANK"]) if is_watched() else environment.global_rank()
     if count > 1 and not is_watched() and not _folder_is_named():
-        raise InputError(
-            "several processes that were started apart need one folder: name it with hydra.run.dir=DIR, the same for all"
-        )
+        raise InputError("processes that were started separately need one folder: set hydra.run.dir=DIR, the same for all")
     return Process(rank, count, environment if count > 1 else None)
 
 
@@ -181,8 +179,8 @@ def over_processes(means: Tensor, count: int) -> tuple[Tensor, float]:
     """Means over the meshes of all processes, from those over the `count` meshes of this one.
 
     Returns:
-        The means, and what this process's loss has to be multiplied by: gradients are averaged over the processes, whatever
-        their shares of the batch, so that a larger share must count for more.
+        The means, and the factor for this process's loss: DDP averages gradients with equal weights, so losses of larger parts
+        of the batch are weighted up.
     """
     sums = torch.cat([means.double() * count, means.new_tensor([count], dtype=torch.float64)])
     torch.distributed.all_reduce(sums)

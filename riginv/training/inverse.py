@@ -16,11 +16,11 @@ from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
 
 
 class InverseModule(RigModule):
-    """Trains an inverse through a differentiable rig, from meshes alone.
+    """Trains an inverse with a loss on meshes, with gradients through a differentiable rig.
 
     Args:
-        loss: on every answer of the network.
-        sampled_vertices: the last answer is asked for the mean distance of so many vertices instead; 0: for the same loss.
+        loss: of the estimate of every stage.
+        sampled_vertices: the last stage's loss is the mean distance of this many vertices; 0: `loss`, as for the others.
 
     Raises:
         InputError: no gradient passes through the rig.
@@ -67,8 +67,8 @@ class InverseModule(RigModule):
 def value_and_gradient(loss: nn.Module, answer: Answer) -> tuple[Tensor, Tensor]:
     """The loss of an answer, and its gradient `(batch, control)` by the raw outputs, neither with a graph.
 
-    The rig is not differentiated anew: a loss that looks at the length of each error alone has the gradient that the network's
-    next stage sees, times a number for each mesh; that of any other loss is pulled through the rig.
+    For a `LengthLoss` the gradient is `answer.gradient` (already computed for the next stage) times a factor for each mesh; for
+    other losses it takes one more vector-Jacobian product.
     """
     if isinstance(loss, LengthLoss):
         share = 2 / len(answer.squares) * loss.derivatives(answer.squares)

@@ -11,13 +11,13 @@ EPSILON_MM = 0.01  # keeps the root's gradient finite where the error vanishes
 
 
 class LengthLoss(nn.Module, ABC):
-    """A loss that looks at nothing but the length of each mesh's error: its gradient is the error itself, times a number.
+    """A loss that depends only on the norm of each mesh's error, so that its gradient is the error times a scalar.
 
     Args:
-        vertex_count: of the full mesh, so that the value is that of the full mesh.
+        vertex_count: number of vertices of the mesh; scales the value to the full mesh.
 
     Attributes:
-        mean_of_meshes: the loss of a batch is the mean over its meshes, so that its parts can be computed apart.
+        mean_of_meshes: whether a batch's loss is the mean over its meshes, so that parts can be computed separately.
     """
 
     mean_of_meshes = True
@@ -52,7 +52,7 @@ class SquaredVertexLoss(LengthLoss):
 class VertexDistanceLoss(LengthLoss):
     """The root mean square distance of the vertices, mm, averaged over the meshes.
 
-    Unlike the squared error it asks as much of a nearly neutral mesh as of a wild one.
+    Unlike the squared error it weights nearly neutral and extreme meshes about equally.
     """
 
     def of_squares(self, squares: Tensor) -> Tensor:
@@ -63,13 +63,13 @@ class VertexDistanceLoss(LengthLoss):
 
 
 class MeanDistanceLoss(nn.Module):
-    """The mean distance of some vertices, mm: what is reported in the end, where the others stand in for it.
+    """The mean distance of a fixed random subset of vertices, mm: an estimate of the reported mean vertex error.
 
-    Squares let the worst places of a mesh decide for all others. Of vertices picked at random the mean is nearly that of all.
+    Squared losses are dominated by the largest errors of a mesh.
 
     Args:
         frame: of the mesh space, `(coordinate, vertex, 3)`.
-        vertices: how many are picked, once for all.
+        vertices: size of the subset, drawn once.
     """
 
     mean_of_meshes = True
@@ -87,9 +87,9 @@ class MeanDistanceLoss(nn.Module):
 
 
 class CoefficientLoss(nn.Module):
-    """How far coefficients are from those that are wanted, each in the mm that it moves the mesh by, mm.
+    """The root mean square error of coefficients, mm, each weighted by its effect on the mesh.
 
-    Where a rig has names for what it does, this teaches each of them apart; on the mesh alone they hide behind each other.
+    For rigs with named blendshapes: a loss on the mesh alone lets errors of overlapping shapes compensate each other.
 
     Args:
         linear_map: `(coefficient, coordinate)`, as of `riginv.rig.mesh_space.RigInMeshSpace`.

@@ -1,4 +1,4 @@
-"""What the Lightning modules share: an optimiser for the network alone, a guard, and validation in mm."""
+"""Base class of the Lightning modules: optimiser and schedule, logging, NaN check, validation in mm."""
 
 import functools
 from abc import ABC, abstractmethod
@@ -33,14 +33,14 @@ class RigModule(L.LightningModule, ABC):
     """Trains one network on poses in mesh coordinates.
 
     Args:
-        rig: the rig in mesh space, frozen: gradients pass through it, nothing in it learns.
-        network: what learns.
+        rig: the rig in mesh space, frozen.
+        network: the network to train.
         make_optimizer: from parameters to an optimiser.
         make_schedule: from the optimiser to its schedule; a plateau schedule watches the training loss, epoch by epoch.
 
     Attributes:
         kind: of bundle that it makes: `inverse` (meshes to controls) or `forward` (a surrogate).
-        true_rig: what validation asks; the rig itself unless another one is set.
+        true_rig: the rig that validation evaluates on; by default the rig itself.
         workers: threads that compute halves of a batch; None: batches are computed whole.
         stop_below_lr: training ends once the schedule has brought the learning rate below this (paper: 1e-6); None: never.
     """
@@ -60,7 +60,7 @@ class RigModule(L.LightningModule, ABC):
         self.rig, self.network = rig.requires_grad_(False), network
         self.true_rig = rig.rig
         self.make_optimizer, self.make_schedule = make_optimizer, make_schedule
-        self.epoch_loss = MeanMetric(nan_strategy="ignore", sync_on_compute=False)  # it is given the means of all processes
+        self.epoch_loss = MeanMetric(nan_strategy="ignore", sync_on_compute=False)  # gets means over all processes
         self.epoch_loss.persistent(True)  # so that a run stopped within an epoch still sees the whole of it
         self.errors: list[VertexError] = []
 
@@ -71,11 +71,11 @@ class RigModule(L.LightningModule, ABC):
 
     @abstractmethod
     def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
-        """The mean loss over the meshes of a batch, and the coordinates that were found for it, without a graph."""
+        """The mean loss of a batch, and the predicted mesh coordinates `(batch, coordinate)`, detached."""
 
     @property
     def losses(self) -> list[nn.Module]:
-        """All that `loss_and_found` asks."""
+        """The loss modules that `loss_and_found` uses."""
         return [self.loss]
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
@@ -95,7 +95,7 @@ class RigModule(L.LightningModule, ABC):
 
     @abstractmethod
     def results(self, batch: PoseBatch) -> Tensor:
-        """The meshes `(batch, vertex, 3)`, mm, that come of a batch; of controls it is the true rig that makes them."""
+        """The predicted meshes `(batch, vertex, 3)`, mm: for an inverse, the true rig at the predicted controls."""
 
     def setup(self, stage: str) -> None:
         if self.trainer.world_size > 1:
@@ -108,7 +108,7 @@ class RigModule(L.LightningModule, ABC):
             print(f"training on {self.workers.describe()}{f'; no compiled kernels: {missing}' if missing else ''}", flush=True)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Raises InputError where a checkpoint is of another network."""
+        """Raises InputError where the checkpoint's tensors do not match the network's."""
         expected, found = self.state_dict(), checkpoint["state_dict"]
         differing = sorted(
             str(name)

@@ -16,7 +16,7 @@ from riginv.training.module import RigModule
 
 
 class PosePictures(L.Callback):
-    """Shows, for each validation set, its worst and its median pose: what was asked for, what came out, and the error.
+    """Shows, for each validation set, its worst and its median mesh: target, result and error.
 
     Args:
         every_n_validations: how often; the last validation is always shown.

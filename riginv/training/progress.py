@@ -1,4 +1,4 @@
-"""The progress bar: how far, how long still, and the error in mm."""
+"""Progress bar of training, with errors in mm."""
 
 from typing import Any
 

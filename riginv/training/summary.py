@@ -1,4 +1,4 @@
-"""What a finished run reached, and what to do with it."""
+"""The table of a finished run, and the next commands."""
 
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ def show(folder: RunFolder, rig: str) -> None:
         notes=[
             f"The trained model:  {folder.path / BUNDLE}",
             f"Its worst poses:    {folder.path / POSES}",
-            f"Judge it again:     python -m riginv.evaluate bundle='{folder.path / BUNDLE}'{more}",
+            f"Evaluate again:     python -m riginv.evaluate bundle='{folder.path / BUNDLE}'{more}",
             f"Watch or compare:   tensorboard --logdir {folder.path.parent}",
         ],
     )
@@ -45,6 +45,6 @@ def checked(path: Path, metrics: dict[str, Any]) -> dict[str, Any]:
         expected = str if key == "true_rig" else float if key in needed else float | None
         if not fits(metrics.get(key), expected):
             raise InputError(
-                f"{path}: {key} is {metrics.get(key)!r:.80}: altered; remove the file, and resume=true makes it anew"
+                f"{path}: {key} is {metrics.get(key)!r:.80}: altered; delete the file and use resume=true to evaluate again"
             )
     return metrics

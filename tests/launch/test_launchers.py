@@ -56,7 +56,7 @@ def test_joblib_lets_no_job_hide_another(tmp_path):
     JoblibLauncher(n_jobs=2, threads=3).run_all(made)
     assert states(made) == ["finished", "failed", "failed", "failed", "finished", "finished"]
     assert [job.record().why for job in made[1:4]] == [
-        "its process was killed by signal 9, perhaps for want of memory",
+        "its process was killed by signal 9, possibly out of memory",
         "the mesh is not there",
         "KeyError: 'a fault of ours'",
     ]

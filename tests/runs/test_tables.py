@@ -21,4 +21,4 @@ def test_a_multiple_of_the_best_is_shown_where_there_is_one(capsys):
     assert row_of(text, "random combinations") == ["0.50", "2.00", "3.00", "4.00", "25%", "1.25", "-"]
     assert row_of(text, "rig poses") == ["0.084", "2.00", "3.00", "4.00", "4%", "exact", "-"]
     assert row_of(text, "capture") == ["0.20", "2.00", "3.00", "4.00", "10%", "-", "2.0e-04"]
-    assert "exact: that least is below 0.005 mm" in text and "Judged by the true rig, face" in text
+    assert "exact: that least is below 0.005 mm" in text and "Evaluated on the true rig, face" in text

@@ -69,7 +69,7 @@ def test_two_processes_train_what_one_trains_with_uneven_shares(run):
     assert one.code == two.code == 0, two.text
     assert apart(one.folder, two.folder) < 1e-4
     assert names(one.folder) == names(two.folder)
-    assert two.text.count("Judged by the true rig") == 1 and two.text.count("step 6/12") == 1
+    assert two.text.count("Evaluated on the true rig") == 1 and two.text.count("step 6/12") == 1
     alone, shared = curves(one.folder), curves(two.folder)
     assert alone.keys() == shared.keys()
     for tag, values in alone.items():
@@ -280,7 +280,7 @@ def test_processes_of_srun_train_what_one_process_trains(run, tmp_path):
     ]
     first, second = (task.communicate(timeout=300)[0] for task in tasks)
     assert [task.returncode for task in tasks] == [0, 0], first + second
-    assert "Judged by the true rig" in first and not second
+    assert "Evaluated on the true rig" in first and not second
     assert apart(one.folder, many) < 1e-4 and names(one.folder) == names(many)
 
 

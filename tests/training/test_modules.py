@@ -1,4 +1,4 @@
-"""Each module can learn 64 poses by heart, and refuses what it cannot train."""
+"""Each module can overfit 64 poses, and refuses rigs that it cannot train on."""
 
 import copy
 from functools import partial

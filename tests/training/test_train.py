@@ -1,4 +1,4 @@
-"""The train command: what a run leaves behind."""
+"""The train command and the files that it writes."""
 
 import re
 import shutil

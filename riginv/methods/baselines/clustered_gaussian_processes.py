@@ -24,7 +24,7 @@ class ClusteredGaussianProcesses(Method):
         clusters: of vertices, at most.
         drawn: poses that are drawn.
         poses: how many of these each cluster keeps, as far apart on its vertices as can be.
-        variance: the share of the variance of a cluster's vertices that its components keep.
+        variance: the fraction of the variance of a cluster's vertices that its components keep.
     """
 
     source = (

@@ -14,7 +14,7 @@ RIVAL = 0.5  # of a shape's best driver: a side that drives it less is not asked
 
 
 class Entry(NamedTuple):
-    """One shape that tells the weight of one side.
+    """A shape that determines the weight of one side.
 
     Attributes:
         shape, side: indices.
@@ -29,8 +29,8 @@ class Entry(NamedTuple):
 class ControlLookup:
     """Which shape tells which control, and by which curve; measured from the rig, one control at a time.
 
-    Each shape tells the side that drives it and drives the fewest shapes beside it; a control that is told by several takes
-    their mean, one that is told by none stays at neutral, and of two sides the greater wins.
+    Each shape is assigned to the side that drives it and the fewest other shapes. A control takes the mean over its shapes;
+    without any it stays neutral; of its two sides the one with the greater weight is used.
 
     Args:
         rig: one with blendshapes.

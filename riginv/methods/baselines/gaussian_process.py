@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 WIDTHS = (1.0, 4.0, 16.0)  # of the kernel, as multiples of the median distance
-NOISES = (1e-4, 1e-3, 1e-2)  # variance of the noise, as shares of the kernel's own scale
+NOISES = (1e-4, 1e-3, 1e-2)  # variance of the noise, relative to the kernel's scale
 
 
 class GaussianProcess:

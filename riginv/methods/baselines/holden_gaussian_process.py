@@ -21,7 +21,7 @@ class HoldenGaussianProcess(Method):
         sampler: the poses that it learns from; they must come with their controls.
         drawn: poses that are drawn.
         poses: of these, how many are kept, as far apart as can be: time grows with their cube, memory with their square.
-        variance: the share of the drawn poses' variance that the components keep.
+        variance: the fraction of the drawn poses' variance that the components keep.
     """
 
     source = (

@@ -52,7 +52,7 @@ class Majoriser:
         return distance.square().sum(dim=1) + self.sparsity * weights.sum(dim=1)
 
     def __call__(self, weights: Tensor, coordinates: Tensor, iterations: int, tolerance: float) -> Tensor:
-        """Weights `(mesh, side)` after so many steps, or when no mesh gains more than the share `tolerance` in one."""
+        """Weights `(mesh, side)` after so many steps, or when no mesh gains more than the fraction `tolerance` in one."""
         cost = self.cost(weights, coordinates)
         for _ in range(iterations):
             step = self._step(weights, coordinates)
@@ -97,7 +97,7 @@ class MajorisationMinimisation(Method):
         pairs: products of two controls that are kept, the strongest.
         iterations: steps, at most.
         sparsity: penalty on the sum of the weights, mm^2 of mean squared error for a weight of 1.
-        tolerance: steps end once no mesh of a batch gains more than this share of its objective in one.
+        tolerance: steps end once no mesh of a batch gains more than this fraction of its objective in one.
     """
 
     source = (

@@ -1,4 +1,4 @@
-"""Controls as the published solvers know them: one-sided weights in [0, 1]."""
+"""Controls as one-sided weights in [0, 1], as in the published solvers."""
 
 import torch
 from torch import Tensor
@@ -7,11 +7,11 @@ from riginv.rig.interface import RigBackend
 
 
 class Sides:
-    """The two ways out of neutral of every control; a control that is neutral at a limit has only one.
+    """The two directions of every control from neutral; a control that is neutral at a limit has one.
 
     Attributes:
         control: whose side it is, `(side,)`.
-        reach: how far the control goes that way, in its own unit, `(side,)`; negative for the way down.
+        reach: signed distance from neutral to the limit, in the control's unit, `(side,)`.
         groups: for each control its one or two sides.
     """
 

@@ -41,7 +41,7 @@ def as_controls(rig: RigInMeshSpace, away: Tensor) -> Tensor:
 def in_batches(coordinates: Tensor, size: int, solve: Callable[[Tensor], Tensor], controls: int) -> Tensor:
     """The answers `(mesh, control)` of `solve` for meshes `(mesh, coordinate)`, `size` of them at a time.
 
-    A mesh that holds NaN or infinite values is solved as the rest mesh, and spoils no other.
+    A mesh with NaN or infinite values is replaced by the rest mesh.
     """
     whole = torch.isfinite(coordinates).all(dim=1, keepdim=True)
     answers = [solve(piece) for piece in torch.where(whole, coordinates, 0.0).split(size) if len(piece)]

@@ -19,7 +19,7 @@ LARGEST = 1 << 28  # bytes of the numbers: 4,000 controls
 
 
 def save_prior(folder: Path, prior: ControlPrior, rig: LinearRig, frames: int) -> None:
-    """Write a prior as a folder, whole or not at all.
+    """Write a prior as a folder, atomically.
 
     Args:
         rig: whose controls they are; the folder holds its identity.

@@ -1,4 +1,4 @@
-"""A prior without any take: performances whose controls move together, made from what a rig tells of itself.
+"""The default prior: generated performances in which controls are co-activated, from a rig's expressions and names.
 
 Sources, as far as a rig has them: its named expressions, controls with ARKit's names (`riginv.tracking.priors.coactivation`),
 and controls that differ in their side alone. Draws of independent controls say nothing of what goes together.
