@@ -182,7 +182,10 @@ def _numbered(path: str, found: list[tuple[int, Path]], bridge: bool, notes: tup
     steps = np.diff(numbers)
     if len(steps) and (steps != steps[0]).any():
         numbers = _with_missing(path, numbers, int(steps.min()), bridge)
-        notes += (f"{len(numbers) - len(by_number)} frames have no file: neighbours stand in (reading.missing_frames=error).",)
+        notes += (
+            f"{len(numbers) - len(by_number)} frames have no file and are interpolated "
+            "(reading.missing_frames=error refuses them).",
+        )
     elif len(steps) and steps[0] > 1:
         notes += (f"There is a file at every {steps[0]} frames: time goes by their numbers.",)
     return FrameFiles(numbers, [by_number.get(int(number)) for number in numbers], notes)

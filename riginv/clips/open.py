@@ -80,7 +80,10 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) ->
         reader: Reader = found
         return reader(path, options) if rig is None else found.for_rig(path, options, rig)
     known = (*READERS, *(f".{name}" for name in options.readers), TABLE)
-    raise InputError(f"{path}: clips end in {', '.join(known)}; convert it to one of these")
+    raise InputError(
+        f"{path}: clips end in {', '.join(known)}; export the mesh from its program in one of these "
+        "(a .blend is a rig: rig=blender rig.file=...)"
+    )
 
 
 def _open_folder(path: str, options: ReadingOptions) -> MeshSequence:

@@ -42,7 +42,8 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
     if clip.vertex_count != rig_vertices:
         raise TopologyError(
             f"{clip.path}: {counts}, rig '{rig.name}' has {rig_vertices} vertices and {len(rig_faces)} faces: a clip must "
-            f"hold the rig's own mesh, its vertices in the same order{_meshes(clip)}",
+            f"hold the rig's own mesh, its vertices in the same order{_meshes(clip)}; riginv.invert rig=NAME "
+            f"correspondence=surface fits any mesh, reading.vertices=FILE names the rig's vertices in a larger mesh",
             same_count=False,
         )
     if not faces or not len(rig_faces):

@@ -138,8 +138,8 @@ def _guessed_mm(clip: Source, size: float, rig_mm: float, rig: str, limits: Size
         raise _absurd(clip, size * (clip.unit_mm or 1.0), rig_mm, rig, "its own numbers")
     other = f", not of {clip.unit_mm:g} mm as the file says" if clip.unit_mm else ""
     notes.append(
-        f"units of {best} guessed{other}: its mesh measures {length(size * UNITS[best])} so, that of rig '{rig}' "
-        f"{length(rig_mm)} (reading.unit={best} says it)"
+        f"units of {best} guessed{other}: its mesh is then {size * UNITS[best] / rig_mm:.2f} times as large as that of rig "
+        f"'{rig}' (reading.unit={best} confirms it)"
     )
     return UNITS[best]
 
@@ -157,7 +157,7 @@ def _up(clip: Source, reading: ReadingOptions, notes: list[str]) -> tuple[str, s
         return reading.up, AS_GIVEN
     if clip.up:
         return clip.up, AS_THE_FILE_SAYS
-    notes.append("y taken for up, as in most face and game software (reading.up=z if the clip lies on its back)")
+    notes.append("the file does not say which axis is up: y is assumed (reading.up=z if the clip lies on its back)")
     return "y", GUESSED
 
 
@@ -165,7 +165,9 @@ def _fps(clip: Source, reading: ReadingOptions, notes: list[str]) -> tuple[float
     if reading.fps is not None:
         return float(reading.fps), AS_GIVEN
     if clip.fps is None:
-        notes.append(f"{DEFAULT_FPS:g} frames a second taken, because the file does not say (reading.fps=...)")
+        notes.append(
+            f"the file does not say its frame rate: {DEFAULT_FPS:g} frames a second assumed; give yours, as reading.fps=24"
+        )
         return DEFAULT_FPS, GUESSED
     if not 0 < clip.fps <= 1e6:
         raise InputError(f"{clip.path}: {clip.fps:g} frames a second, expected a number above 0: give it with reading.fps=...")

@@ -150,7 +150,10 @@ def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
     if not is_file(folder / SUMS) and is_file(folder / "bundle" / SUMS):
         folder = folder / "bundle"  # a run's folder was named instead
     if not is_file(folder / SUMS):
-        raise InputError(f"{folder}: no bundle there (no {SUMS}); name the bundle/ folder of a finished run")
+        raise InputError(
+            f"{folder}: no bundle there (no {SUMS}); give the folder that riginv train named, such as "
+            "runs/face-inverse/TIME, or its bundle/"
+        )
     sums = _sums(folder)
     for name in {DESCRIPTION, WEIGHTS, SPACE} - {name for _, _, name in sums}:
         raise InputError(f"{folder / SUMS}: does not list {name}: truncated or altered; copy it again, or train it again")

@@ -59,7 +59,10 @@ class RecordedRig(LinearRig):
         return PoseBatch(coordinates=coordinates, controls=cast(Tensor, self.training_set.controls))
 
     def coefficients(self, controls: Tensor) -> Tensor:
-        raise InputError(f"{self.name}: recorded poses cannot be posed anew: train a surrogate of them with model=forward")
+        raise InputError(
+            f"{self.name}: a table of poses cannot be posed: train with rig=pairs rig.file=... model=inverse, then give "
+            "bundle=RUN in place of rig=pairs"
+        )
 
     def neutral_coefficients(self) -> Tensor:
         return self.basis.new_zeros(1, len(self.basis))

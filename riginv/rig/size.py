@@ -35,7 +35,7 @@ def size_doubt(rig: RigBackend, unit_mm: float | None = None) -> str:
         return ""
     remedy = "a rig's vertices must be in mm (rig.unit_mm, where the rig has it)"
     if unit_mm:
-        remedy = f"rig.unit_mm={unit_mm:g} says how many mm a unit of its file is{_units_that_fit(longest, unit_mm)}"
+        remedy = f"now a unit of its file counts as {unit_mm:g} mm (rig.unit_mm){_units_that_fit(longest, unit_mm)}"
     return (
         f"rig '{rig.name}' measures {length(longest)}, and faces measure 100 to 400 mm, bodies 0.5 to 3 m: if that is wrong, "
         f"every error in mm is wrong, too; {remedy}"

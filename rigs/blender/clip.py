@@ -30,7 +30,7 @@ class BlenderClip(WorkerClip):
     def _source(self, path: str, options: ReadingOptions) -> Source:
         file = Path(path).expanduser().absolute()
         _check(path, file)
-        command = script_command(find_interpreter(options.interpreter), "play.py")
+        command = script_command(find_interpreter(options.interpreter, "reading.interpreter"), "play.py")
         return Source(command, TIMEOUT_S, file, FORMATS[file.suffix.lower()])
 
     def _failure(self, error: Exception) -> InputError:
@@ -46,4 +46,4 @@ def _check(path: str, file: Path) -> None:
     with file.open("rb") as opened:
         start = opened.read(24)
     if not start.startswith(BEGINNINGS[file.suffix.lower()]):
-        raise InputError(f"{path}: this is no {file.suffix.lower()[1:]} file: it starts with {start[:8]!r}; export it again")
+        raise InputError(f"{path}: this is no {file.suffix.lower()[1:]} file, or a damaged one: copy it or export it again")

@@ -33,7 +33,7 @@ def export(config: DictConfig) -> None:
     out = Path(settings.out)
     if out.suffix.lower() != ".blend":
         raise InputError(f"out={out}: expected the name of a file that ends in .blend")
-    interpreter = find_interpreter(settings.interpreter)
+    interpreter = find_interpreter(settings.interpreter, "interpreter")
     rig = settings.rig.build()
     blueprint = blueprint_of(rig)
     write_blend(blueprint, out, interpreter)

@@ -12,8 +12,11 @@ VARIABLE = "RIGINV_BLENDER"
 SCRIPTS = Path(__file__).parent / "in_blender"
 
 
-def find_interpreter(given: str | None = None) -> str:
+def find_interpreter(given: str | None = None, key: str = "rig.interpreter") -> str:
     """The program given, or that of `$RIGINV_BLENDER`, or this Python where it has bpy.
+
+    Args:
+        key: of the config that gives it.
 
     Raises:
         InputError: there is none.
@@ -22,13 +25,14 @@ def find_interpreter(given: str | None = None) -> str:
     if named:
         found = shutil.which(named)
         if found is None:
-            source = "rig.interpreter" if given else VARIABLE
+            source = key if given else VARIABLE
             raise InputError(f"{source}={named}: there is no such program; name a Python that has bpy, or Blender itself")
         return found
     if importlib.util.find_spec("bpy") is None:
         raise InputError(
-            "no Blender here: pip install 'riginv[blender]' (Python 3.11), or name a Python that has bpy, or Blender itself, "
-            f"with rig.interpreter=PATH or the environment variable {VARIABLE}"
+            "Blender is not installed here. Remedies: pip install 'riginv[blender]' (Python 3.11 only), or name an installed "
+            "Blender (its program, or a Python with bpy): reading.interpreter=PATH for a clip, rig.interpreter=PATH for a rig, "
+            f"the environment variable {VARIABLE} for both"
         )
     return sys.executable
 

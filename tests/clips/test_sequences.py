@@ -161,7 +161,7 @@ def test_gaps_are_named_as_spans_and_long_ones_refused(tmp_path):
         numbers(folder)
     bridged = find_frames(str(folder), ".obj", bridge=True)
     assert len(bridged.numbers) == 1002 and sum(path is None for path in bridged.paths) == 994
-    assert bridged.notes == ("994 frames have no file: neighbours stand in (reading.missing_frames=error).",)
+    assert bridged.notes == ("994 frames have no file and are interpolated (reading.missing_frames=error refuses them).",)
     every_second = find_frames(str(touch(tmp_path / "b", "f.1.obj", "f.3.obj", "f.5.obj")), ".obj")
     assert every_second.numbers.tolist() == [1, 3, 5] and "every 2 frames" in every_second.notes[0]
     touch(folder, "f.20260101000000.obj")

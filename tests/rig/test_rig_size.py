@@ -61,7 +61,7 @@ def test_sizes_of_faces_and_bodies_are_not(size):
     ],
 )
 def test_the_units_that_would_fit_are_named(size, unit_mm, fits):
-    assert f"rig.unit_mm={unit_mm:g} says how many mm a unit of its file is: {fits}" in size_doubt(Scaled(size), unit_mm)
+    assert f"now a unit of its file counts as {unit_mm:g} mm (rig.unit_mm): {fits}" in size_doubt(Scaled(size), unit_mm)
 
 
 def avatar(path: Path, scale: float) -> Path:
