@@ -1,6 +1,7 @@
 """What the README and the docs say can be typed works."""
 
 import re
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -38,8 +39,8 @@ def test_every_command_composes(page):
     for command in commands(page):
         if "--config-dir" in command or "riginv.invert" in command:
             continue  # a reader's own folder
-        name, *arguments = command.removeprefix("python -m riginv.").split()
-        values = [true_rig_choice(argument.strip("'\"")) for argument in arguments if "=" in argument]
+        name, *arguments = shlex.split(command.removeprefix("python -m riginv."))
+        values = [true_rig_choice(argument) for argument in arguments if "=" in argument]
         first = (value if "=[" in value else value.partition(",")[0] for value in values)  # of a sweep, the first job
         composed(*first, command=name)
 

@@ -14,6 +14,7 @@ BATCH_SIZE = 128  # bounds the memory
 KEY_DISTANCE = 4  # step of the frames that are solved from scratch
 EXACT = 1e-5  # mm^2 of half the mean squared distance, 0.005 mm: below it no other start is tried
 DESCENT_RATE = 0.03  # as a fraction of a control's range
+MEAN_STEPS, MEAN_RATE, MEAN_CORNER_MM = 100, 0.02, 0.01  # of the descent on the mean distance: ten times the steps gain 0.2 %
 PROMISING = 1.05  # a neighbour's solution is tried where it costs at most this multiple of the frame's own
 
 
@@ -62,6 +63,16 @@ def refine_meshes(
         return levenberg_marquardt(objective, coordinates[rows], start[rows], steps)
 
     return _in_batches(objective, len(coordinates), solve)
+
+
+def descend_mean_distance(
+    objective: Objective, coordinates: Float[Tensor, "mesh coordinate"], start: Float[Tensor, "mesh control"]
+) -> Float[Tensor, "mesh control"]:
+    """Gradient descent on the mean vertex distance from a solution of least squares; both as fractions of the ranges."""
+    distance, controls = objective.by_mean_distance(MEAN_CORNER_MM).distance, objective.to_controls(start)
+    batches = zip(controls.split(BATCH_SIZE), coordinates.to(controls).split(BATCH_SIZE))
+    found = [descend(objective.rig, one, target, MEAN_STEPS, MEAN_RATE, distance, anneal=True) for one, target in batches]
+    return objective.units(torch.cat(found))
 
 
 def solve_frames(

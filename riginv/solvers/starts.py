@@ -4,12 +4,16 @@ A control that is neutral inside its range often drives two shapes, one on eithe
 that a start there may get stuck. From random controls solvers get stuck in a rig's saturations instead.
 """
 
+import math
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.solvers.distance import Distance, squared_distance
 from riginv.solvers.objective import Objective
 
 OFFSET = 0.02  # from neutral, as a fraction of a control's range
@@ -64,12 +68,16 @@ def descend(
     coordinates: Float[Tensor, "mesh coordinate"],
     steps: int,
     lr: float,
+    distance: Callable[[Tensor], Distance] = squared_distance,
+    anneal: bool = False,
 ) -> Float[Tensor, "mesh control"]:
-    """Adam on the squared distance to meshes, within the controls' limits.
+    """Adam on the distance to meshes, within the controls' limits.
 
     Args:
         start: controls.
         lr: step size, as a fraction of a control's range.
+        distance: of residuals `(mesh, coordinate)`.
+        anneal: whether the step size falls to 0, by a cosine.
 
     Returns:
         The best controls `(mesh, control)` of all steps; the start for meshes with NaN.
@@ -83,14 +91,15 @@ def descend(
         for step in range(steps + 1):
             controls = backend.lower + span * unit
             found, vjp = rig.coordinates_and_vjp(controls)
-            residual = found - coordinates
-            errors = residual.square().sum(dim=1)
+            errors, gradient, _ = distance(found - coordinates)
             better = errors < least
             best = torch.where(better[:, None], controls, best)
             least = torch.where(better, errors, least)
             if step == steps:
                 break
-            unit.grad = (2 / rig.space.vertex_count * span * vjp(residual)).nan_to_num_()
+            unit.grad = (2 / rig.space.vertex_count * span * vjp(gradient)).nan_to_num_()
+            if anneal:
+                optimizer.param_groups[0]["lr"] = lr * (1 + math.cos(math.pi * step / steps)) / 2
             optimizer.step()
             unit.clamp_(0, 1)
     return best.clamp(backend.lower, backend.upper)

@@ -11,7 +11,7 @@ from riginv.geometry.neighbours import evenly
 from riginv.meshes.metrics import mean_distance
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.solvers.every_mesh import refine_meshes, solve_meshes
+from riginv.solvers.every_mesh import descend_mean_distance, refine_meshes, solve_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.frame_evaluation import FrameEvaluator
 from riginv.tracking.rigid import remove_motion
@@ -23,7 +23,7 @@ STARTS, STEPS, DESCENT_STEPS = 3, 60, 100
 
 @torch.no_grad()
 def with_optimum(errors: FrameErrors, clip: Clip, found: Inversion, evaluator: FrameEvaluator) -> FrameErrors:
-    """The errors of an inversion, with the lowest that many-start Levenberg-Marquardt reaches on frames spread over the clip.
+    """The errors of an inversion, with the lowest that solvers reach on frames spread over the clip (`find_optima`).
 
     All controls are free, whatever the constraints. Unchanged for a true rig that is no differentiable `LinearRig`.
     """
@@ -41,10 +41,10 @@ def with_optimum(errors: FrameErrors, clip: Clip, found: Inversion, evaluator: F
     space = evaluator.space if rig is evaluator.rig else MeshSpace.from_rig(rig)
     objective = Objective(RigInMeshSpace(rig, space))
     coordinates = space.encode(vertices)
-    answers = (
-        solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS),
-        refine_meshes(objective, coordinates, objective.units(found.controls[rows]), STEPS),
-    )
-    each = [mean_distance(rig(objective.to_controls(answer.units)), vertices, evaluated) for answer in answers]
+    squares = solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS)
+    refined = refine_meshes(objective, coordinates, objective.units(found.controls[rows]), STEPS)
+    squares.take_better(torch.arange(len(rows)), refined)
+    answers = (squares.units, descend_mean_distance(objective, coordinates, squares.units))
+    each = [mean_distance(rig(objective.to_controls(answer)), vertices, evaluated) for answer in answers]
     least = torch.stack([*each, errors.mean_mm[rows]]).amin(dim=0)
     return replace(errors, optimum=SampledOptimum(rows, least))

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
+from riginv.meshes.metrics import mean_distance
 from riginv.rig.batches import generator_at
-from riginv.solvers.every_mesh import solve_meshes
+from riginv.solvers.every_mesh import descend_mean_distance, solve_meshes
 from riginv.solvers.levenberg_marquardt import LONGEST_STEP, levenberg_marquardt
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import descend, first_start, start_at_random, start_by_derivative
@@ -83,3 +84,15 @@ def test_a_start_from_descent_finds_what_newton_steps_miss(face_in_space):
     coordinates = weights @ face_in_space.linear_map[: face_in_space.rig.primary_count]
     one, both = (solve_meshes(objective, coordinates, starts, descent_steps=100).cost for starts in (1, 2))
     assert (both <= one).all() and both.mean() < 0.99 * one.mean()
+
+
+def test_descent_on_the_mean_distance_only_ever_helps(toy):
+    rig = in_space(toy.rig)
+    objective, true = Objective(rig), poses(toy.rig, 8)
+    coordinates = rig.space.encode(toy.rig(true))
+    coordinates[:, -1] += 30.0  # out of the rig's reach, mostly at a few vertices
+    vertices = rig.space.decode(coordinates)
+    squares = solve_meshes(objective, coordinates)
+    found = descend_mean_distance(objective, coordinates, squares.units)
+    before, after = (mean_distance(toy.rig(objective.to_controls(one)), vertices) for one in (squares.units, found))
+    assert (after <= before + 1e-4).all() and after.mean() < 0.99 * before.mean()

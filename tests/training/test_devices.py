@@ -138,7 +138,7 @@ def test_processes_that_srun_has_started_know_each_other(monkeypatch):
 def test_processes_started_apart_need_a_folder_that_all_name(run, monkeypatch):
     for name, value in {"TORCHELASTIC_RUN_ID": "none", "RANK": "1", "LOCAL_RANK": "1", "WORLD_SIZE": "2"}.items():
         monkeypatch.setenv(name, value)
-    refused(run("train", *TWO, "hydra.sweep.dir=x"), "name it with hydra.run.dir=DIR")
+    refused(run("train", *TWO, "hydra.sweep.dir=x"), "need one folder: set hydra.run.dir=DIR")
 
 
 @pytest.mark.slow
