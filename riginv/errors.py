@@ -2,7 +2,7 @@
 
 import unicodedata
 
-MOVES_A_CURSOR = ("Cc", "Cs", "Zl", "Zp")  # categories of letters that move a cursor in a terminal, or end a line
+CONTROL_CATEGORIES = ("Cc", "Cs", "Zl", "Zp")  # Unicode categories of control characters, surrogates and line separators
 
 
 class InputError(ValueError):
@@ -23,4 +23,4 @@ def in_short(error: BaseException, most: int = 150) -> str:
 
 def printable(text: str) -> str:
     """A text of a file as it can be printed in one line."""
-    return "".join("?" if unicodedata.category(letter) in MOVES_A_CURSOR else letter for letter in text)
+    return "".join("?" if unicodedata.category(letter) in CONTROL_CATEGORIES else letter for letter in text)

@@ -26,7 +26,7 @@ from riginv.tracking.rigs import build_clip, build_rig, build_true_rig
 from riginv.training.assembly import as_surrogate, build_data, build_module, build_trainer, calibrate, needs_surrogate, speed_up
 from riginv.training.config import TrainConfig
 from riginv.training.dashboard import log_choices, log_results
-from riginv.training.devices import part, this_process
+from riginv.training.devices import leave_process_group, this_process
 from riginv.training.summary import show
 
 
@@ -59,13 +59,13 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
     """
     is_inverse = settings.model.module.target_class.kind == "inverse"
     clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig) if is_inverse else None
-    if folder.written_here:
+    if folder.is_writer:
         show_clip(clip)
         show_rig(rig, settings.rig.config)
     trainer, training = fit_network(settings, folder, RigInMeshSpace(rig, MeshSpace.from_rig(rig)), true_rig, clip)
     if last:
-        part()
-    if not folder.written_here:
+        leave_process_group()
+    if not folder.is_writer:
         return
     model = load_model(folder.path / BUNDLE, rig)
     results = evaluate_model(model, true_rig, settings.judging.test_poses, clip)
@@ -89,7 +89,7 @@ def fit_network(
     trainer.fit(module, data, ckpt_path=folder.checkpoint, weights_only=True)
 
     training = {"steps": trainer.global_step, "seconds": round(clock.seconds, 1), "seed": settings.seed}
-    if folder.written_here:
+    if folder.is_writer:
         configs = settings.model.network.config, settings.rig.config
         write_bundle(folder.path / BUNDLE, module.kind, module.network, module.rig, *configs, training)
     return trainer, training
@@ -99,14 +99,14 @@ def train_surrogate_first(config: DictConfig, folder: RunFolder, rig: LinearRig,
     """Train a surrogate of a rig that gives no gradients, in the run's own folder; the class of that surrogate as a rig."""
     first = as_surrogate(config)
     settings = to_typed(first, TrainConfig)
-    inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.written_here, upgraded)
+    inner = find_run_folder(folder.path / SURROGATE, plain_config(first), True, folder.is_writer, upgraded)
     folder.begin()
     if not inner.finished:
-        if folder.written_here:
+        if folder.is_writer:
             print(f"No gradient passes through rig {rig.name}: first a surrogate of it, then the inverse through that.")
         fit(settings, inner, rig, true_rig, last=False)
         inner.wait_until_finished()
-        if folder.written_here:
+        if folder.is_writer:
             show(inner, settings.rig.target)
     return ClassSpec.read(surrogate_config(inner.path), RigBackend)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from riginv.launch.apart import Job, run_apart
+from riginv.launch.apart import Job, run_in_subprocess
 from riginv.launch.launching import JobsLauncher
 
 
@@ -25,7 +25,7 @@ class JoblibLauncher(JobsLauncher):
 
         parallel, threads = share_cores(cpu_count(), len(jobs), self.n_jobs)
         Parallel(n_jobs=parallel, prefer="threads", batch_size=1)(
-            delayed(run_apart)(job, self.threads or threads) for job in jobs
+            delayed(run_in_subprocess)(job, self.threads or threads) for job in jobs
         )
 
 

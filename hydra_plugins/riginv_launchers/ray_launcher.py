@@ -6,7 +6,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from riginv.errors import InputError
-from riginv.launch.apart import Job, run_apart
+from riginv.launch.apart import Job, run_in_subprocess
 from riginv.launch.launching import JobsLauncher
 from riginv.runs.run_folder import resolved
 
@@ -44,7 +44,7 @@ class RayLauncher(JobsLauncher):
                     f"hydra.launcher.init.address={self.init['address']}: no Ray cluster there: {reason}"
                 ) from None
         try:
-            task = ray.remote(**self.remote)(run_apart)
+            task = ray.remote(**self.remote)(run_in_subprocess)
             running = [task.remote(job, max(1, int(self.remote["num_cpus"]))) for job in jobs]
             while running:
                 ended, running = ray.wait(running)

@@ -5,7 +5,7 @@ from typing import Any
 
 from omegaconf import ListConfig, OmegaConf
 
-from riginv.launch.apart import Job, run_apart
+from riginv.launch.apart import Job, run_in_subprocess
 from riginv.launch.launching import JobsLauncher
 
 GENERAL = "name timeout_min mem_gb nodes tasks_per_node cpus_per_task gpus_per_node stderr_to_stdout".split()
@@ -53,10 +53,10 @@ class SubmititLauncher(JobsLauncher):
 
 
 class Requeued:
-    """`run_apart` for submitit: a job that exceeds its time limit is queued again unchanged, and resumes by its record."""
+    """`run_in_subprocess` for submitit: a job that exceeds its time limit is queued again, and resumes by its record."""
 
     def __call__(self, job: Job, threads: int | None) -> None:
-        run_apart(job, threads)
+        run_in_subprocess(job, threads)
 
     def checkpoint(self, job: Job, threads: int | None) -> Any:
         """The job to queue again, for submitit."""

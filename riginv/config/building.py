@@ -3,7 +3,7 @@
 A config names a class (`_target_`) and gives its arguments. What is built must be of the kind that is asked for: a rig, a
 network. Configs that a user names may name any such class, and within it classes of its own package, of riginv, rigs and
 torch. Configs that came with a bundle are untrusted: they may only name classes of riginv and rigs, their arguments are
-plain values, and what a class keeps to users (`only_by_hand`, such as the path of a program to run) is ignored.
+plain values, and what a class keeps to users (`command_line_only`, such as the path of a program to run) is ignored.
 """
 
 import importlib
@@ -104,7 +104,7 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
     found = class_of(target, only, kind)
     arguments = _arguments(config, given, None if only else _may_name(found))
     if only is not None:
-        arguments = {key: value for key, value in arguments.items() if key not in getattr(found, "only_by_hand", ())}
+        arguments = {key: value for key, value in arguments.items() if key not in getattr(found, "command_line_only", ())}
     try:
         inspect.signature(found).bind(*given, **arguments)
     except TypeError as error:

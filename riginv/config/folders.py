@@ -19,7 +19,7 @@ PACKAGE = re.compile(r"^\s*#\s*@package\s+(\S+)", re.MULTILINE)
 HEADER = 512  # characters, in which Hydra looks for it
 REACHES_HYDRA = re.compile(r"@[^:]*(hydra|\$)")  # a line of a defaults list that puts a file under hydra
 PLUGINS = ("hydra._internal.core_plugins.", "hydra_plugins.", "riginv.launch.sweep.")
-MAKES_THINGS = ("_target_", "()", "class")  # the latter two in log handlers
+INSTANTIATING_KEYS = ("_target_", "()", "class")  # the latter two in log handlers
 NEVER = ("env_set", "searchpath")
 BY_HAND = ("interpreter", "scripts")  # they run programs: for the command line
 RERUN = "--e"  # of --experimental-rerun, which may be shortened
@@ -42,12 +42,12 @@ def check_config_folders(arguments: Sequence[str]) -> None:
         given, rest = parser.parse_known_args(list(arguments))
     except SystemExit:  # a value is missing; Hydra says so
         return
-    places = [*given.config_dir, *given.config_path]
+    folders = [*given.config_dir, *given.config_path]
     for argument in rest:
         key, _, value = argument.lstrip("+").partition("=")
         if key == "hydra.searchpath":
-            places += [place.strip().strip("'\"").removeprefix("file://") for place in value.strip("[]").split(",")]
-    for place in places:
+            folders += [place.strip().strip("'\"").removeprefix("file://") for place in value.strip("[]").split(",")]
+    for place in folders:
         if place and "://" not in place and Path(place).is_dir():
             check_folder(Path(place))
 
@@ -91,7 +91,7 @@ def _check_file(path: Path, group: str, package: str, content: Mapping[str, Any]
             what = f"{path}: under hydra, {key} is {value!r:.80}"
             if key in NEVER:
                 raise InputError(f"{what}: a file of configs sets no variables and adds no folders; leave it out")
-            if key in MAKES_THINGS and not (key == "_target_" and str(value).startswith(PLUGINS)):
+            if key in INSTANTIATING_KEYS and not (key == "_target_" and str(value).startswith(PLUGINS)):
                 raise InputError(f"{what}, expected a plug-in of Hydra that is installed: nothing else is run for a config")
             if isinstance(value, str) and re.fullmatch(r"\s*\$\{.*\}\s*", value, re.DOTALL):
                 raise InputError(f"{what}, which may stand for anything: write the value out")

@@ -29,7 +29,7 @@ from riginv.errors import InputError
 from riginv.runs.run_folder import resolved
 
 T = TypeVar("T")
-OTHERS = ("hydra", "verbose")  # keys of every command that are no part of what it does
+COMMON_KEYS = ("hydra", "verbose")  # keys of every command, ignored here
 REST = {"rest": True}  # metadata of the field that takes the keys that no other field of its dataclass takes
 
 
@@ -61,7 +61,7 @@ def to_typed(config: DictConfig | Mapping[str, Any], kind: type[T]) -> T:
     values = resolved(config) if isinstance(config, DictConfig) else config
     check_value(values.get("verbose", False), bool, "verbose")
     unknown = {str(key) for key in values} - {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    left_out = {*OTHERS, *(unknown & keys_of_commands() if unknown - set(OTHERS) else ())}
+    left_out = {*COMMON_KEYS, *(unknown & keys_of_commands() if unknown - set(COMMON_KEYS) else ())}
     return convert({key: value for key, value in values.items() if key not in left_out}, kind, "")
 
 

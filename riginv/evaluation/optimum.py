@@ -22,7 +22,7 @@ from riginv.solvers.objective import Objective
 MESHES = 40  # of each set, evenly spread
 STARTS, STEPS, TOLERANCE = 6, 60, 1e-5
 DESCENT_STEPS = 300
-LEAST_MM = 1e-3  # an optimum below this counts as this: no result is many times worse than nothing
+MIN_OPTIMUM_MM = 1e-3  # lower bound of the optimum in ratios, against division by about 0
 SEED = 20221206
 
 
@@ -44,7 +44,7 @@ class Optimum:
 
     def ratio(self, result: EvaluationResult) -> float:
         """How many times the optimum a result's mean error is, on the same meshes."""
-        return float(result.errors_mm[self.rows].double().mean()) / max(self.mean_mm, LEAST_MM)
+        return float(result.errors_mm[self.rows].double().mean()) / max(self.mean_mm, MIN_OPTIMUM_MM)
 
     def metrics(self, result: EvaluationResult) -> dict[str, float]:
         """The optimum and the ratio to it, by `SET/key`."""
@@ -60,7 +60,7 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]
     """
     if not (isinstance(true_rig, LinearRig) and true_rig.differentiable):
         return {}
-    key, objective, found = fingerprint(true_rig), None, {}
+    key, objective, found = rig_digest(true_rig), None, {}
     for meshes in sets:
         if not len(meshes):
             continue
@@ -105,7 +105,7 @@ def known_vertices(meshes: MeshSet, rows: Tensor) -> Tensor | None:
 
 
 @torch.no_grad()
-def fingerprint(rig: LinearRig) -> bytes:
+def rig_digest(rig: LinearRig) -> bytes:
     """What a rig does, in a few bytes: its basis, its limits, and its coefficients in some poses."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)

@@ -54,12 +54,12 @@ def evaluate_inverse(invert: Callable[[Tensor], Tensor], true_rig: RigBackend, m
     Args:
         invert: meshes `(batch, vertex, 3)`, mm, to controls `(batch, control)`.
     """
-    return _judge(true_rig, meshes, lambda start, vertices: invert(vertices))
+    return _evaluate(true_rig, meshes, lambda start, vertices: invert(vertices))
 
 
 def evaluate_controls(true_rig: RigBackend, meshes: MeshSet, controls: Tensor) -> EvaluationResult:
     """Evaluate controls `(mesh, control)` predicted for the meshes of a set: errors of the true rig's meshes at them."""
-    return _judge(true_rig, meshes, lambda start, vertices: controls[start : start + len(vertices)])
+    return _evaluate(true_rig, meshes, lambda start, vertices: controls[start : start + len(vertices)])
 
 
 def evaluate_rig(rig: RigBackend, poses: MeshSet) -> EvaluationResult:
@@ -69,7 +69,7 @@ def evaluate_rig(rig: RigBackend, poses: MeshSet) -> EvaluationResult:
 
 
 @torch.no_grad()
-def _judge(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor], Tensor]) -> EvaluationResult:
+def _evaluate(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tensor], Tensor]) -> EvaluationResult:
     from riginv.meshes.vertex_error import VertexError  # torchmetrics takes two seconds, and inverting a clip needs none
 
     found, neutral, errors, curves = VertexError(), VertexError(), [], []
@@ -96,8 +96,8 @@ def make_true_rig(spec: ClassSpec[RigBackend], rig: RigBackend) -> RigBackend:
     Raises:
         InputError: it cannot be built, or has other controls or vertices than the rig.
     """
-    takes_twin = "twin_of" in signature(spec.target_class).parameters
-    true_rig = spec.build(**({"twin_of": rig.true_rig()} if takes_twin else {}))
+    takes_source = "twin_of" in signature(spec.target_class).parameters
+    true_rig = spec.build(**({"twin_of": rig.true_rig()} if takes_source else {}))
     check_same_controls(rig, true_rig)
     return true_rig
 

@@ -54,7 +54,7 @@ def _multiplies_bfloat16() -> bool:
     return ask is not None and ask()
 
 
-WORTH_ROUNDING = 1_000_000  # numbers of a frame: below it there is nothing to gain
+MIN_SIZE_FOR_BFLOAT16 = 1_000_000  # numbers of a frame: below it there is nothing to gain
 
 
 class Inverse(nn.Module):
@@ -72,7 +72,7 @@ class Inverse(nn.Module):
         super().__init__()
         self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
         space = network.rig.space
-        self.encoder = QuickEncoder(space, network.rig.rig.has_blendshapes and space.frame.numel() >= WORTH_ROUNDING)
+        self.encoder = QuickEncoder(space, network.rig.rig.has_blendshapes and space.frame.numel() >= MIN_SIZE_FOR_BFLOAT16)
 
     @property
     def rig(self) -> LinearRig:

@@ -46,7 +46,7 @@ class Job:
         return read_record(self.sweep, self.number, self.name, self.swept)
 
 
-def run_apart(job: Job, threads: int | None = None) -> None:
+def run_in_subprocess(job: Job, threads: int | None = None) -> None:
     """Run a job to its end in a process of its own; its record says how that went.
 
     Args:

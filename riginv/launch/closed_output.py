@@ -11,7 +11,7 @@ from typing import TextIO
 
 
 @contextmanager
-def ends_with_its_reader() -> Iterator[None]:
+def exit_on_broken_pipe() -> Iterator[None]:
     """Within it a command ends with exit status 1, and no traceback, once its output is closed."""
     try:
         yield

@@ -22,7 +22,7 @@ from riginv.config.folders import check_config_folders
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.path_values import quoted, with_quoted_paths
 from riginv.launch.apart import end_with_starter
-from riginv.launch.closed_output import ends_with_its_reader, filter_warnings
+from riginv.launch.closed_output import exit_on_broken_pipe, filter_warnings
 from riginv.launch.help import register_help_resolvers
 from riginv.launch.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
 from riginv.launch.sweep_record import FINISHED, read_record
@@ -30,7 +30,7 @@ from riginv.launch.watched import end_with_watcher, is_watched, report
 from riginv.runs.locks import unlock_folders
 from riginv.runs.run_folder import discard_if_empty, register_folder_resolvers
 
-PATHS = {"inspect": "clip"}  # the key of the path that a command takes by itself
+POSITIONAL = {"inspect": "clip"}  # the key of a command's positional argument
 ANSWERED_BY_HYDRA = ("--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i")
 OVERRIDE = re.compile(r"~|\+{0,2}[A-Za-z_][\w./@:-]*=")  # what Hydra takes for KEY=VALUE
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
@@ -50,7 +50,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             register_folder_resolvers()
             register_sweep_resolvers()
             register_help_resolvers()
-            with ends_with_its_reader():
+            with exit_on_broken_pipe():
                 _run(_Job(task, config_name), config_name)
 
         return main
@@ -73,7 +73,7 @@ def _run(job: "_Job", config_name: str) -> None:
     """Let Hydra compose the config of a command line, and run its job."""
     try:
         options, values = split_options(sys.argv[1:])
-        values = path_as_value(values, PATHS.get(config_name))
+        values = path_as_value(values, POSITIONAL.get(config_name))
         arguments = [true_rig_choice(argument) for argument in with_quoted_paths([*options, *values])]
         check_config_folders(arguments)
         sys.argv[1:] = with_sweep_folder(arguments, config_name)

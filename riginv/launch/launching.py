@@ -55,12 +55,12 @@ class JobsLauncher(Launcher):
 
     @abstractmethod
     def run_all(self, jobs: Sequence[Job]) -> None:
-        """Run every job by `run_apart`; one that cannot be run is left without an end."""
+        """Run every job by `run_in_subprocess`; one that cannot be run is left without an end."""
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Hydra's: run a batch of jobs; what became of each is in its record."""
         setup_globals()
-        jobs = [self._job(overrides, initial_job_idx + place) for place, overrides in enumerate(job_overrides)]
+        jobs = [self._job(overrides, initial_job_idx + index) for index, overrides in enumerate(job_overrides)]
         missing = [job for job in jobs if job.record().state != FINISHED]
         for job in missing:
             job.record().waits(job.sweep)

@@ -21,7 +21,7 @@ COMMAND = "riginv.train"
 POLL_SECONDS = 0.1
 GRACE_SECONDS = 5.0  # for further reports, once a rank has failed
 STOP_SECONDS = 20.0  # for rank 0 to exit after Ctrl-C
-FOLLOWS = ("closed by peer", "reset by peer", "Broken pipe", "NCCL")  # in what a process says because another one has died
+SECONDARY_ERRORS = ("closed by peer", "reset by peer", "Broken pipe", "NCCL")  # errors of ranks caused by the death of another
 
 
 def run_in_processes(count: int, folder: Path) -> None:
@@ -122,7 +122,7 @@ def _tell(died: dict[int, int], count: int, reports: Path) -> None:
                 f"same command plus resume=true"
             )
     if told:
-        first = min(told.items(), key=lambda item: (any(word in item[1].text for word in FOLLOWS), item[0]))[1].text
+        first = min(told.items(), key=lambda item: (any(word in item[1].text for word in SECONDARY_ERRORS), item[0]))[1].text
     else:
         first = "".join((reports / f"{rank}.stderr").read_text(errors="replace") for rank in died)
     print(first, file=sys.stderr)

@@ -12,7 +12,7 @@ from riginv.launch.apart import Job
 from riginv.launch.sweep_record import FAILED, RUNNING, JobRecord
 from riginv.runs.console import Bar
 
-EVERY = 0.5  # seconds between two looks
+POLL_SECONDS = 0.5
 
 
 class SweepProgress(Bar):
@@ -40,7 +40,7 @@ class SweepProgress(Bar):
         super().__exit__(kind, error, trace)
 
     def _watch(self) -> None:
-        while not self.over.wait(EVERY):
+        while not self.over.wait(POLL_SECONDS):
             self._look()
         self._look()
 

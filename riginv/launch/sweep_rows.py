@@ -35,8 +35,8 @@ def sweep_rows(sweep: Path) -> list[Row]:
 def ranked_by(rows: Sequence[Row]) -> str | None:
     """The error that rows are sorted by: that on random poses of the rig, or else the first that all have; None: none."""
     errors = error_columns(rows)
-    judged = [row for row in rows if any(key in row for key in errors)]
-    shared = [key for key in errors if all(key in row for row in judged)]
+    with_errors = [row for row in rows if any(key in row for key in errors)]
+    shared = [key for key in errors if all(key in row for row in with_errors)]
     return FIRST if FIRST in shared else next(iter(shared), None)
 
 

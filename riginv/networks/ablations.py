@@ -6,7 +6,7 @@ from riginv.config.values import Widths
 from riginv.errors import InputError
 from riginv.networks.control_maps import ControlMap
 from riginv.networks.inverse import DirectInverse
-from riginv.networks.mlp import Anchored
+from riginv.networks.mlp import ZeroPreserving
 from riginv.networks.surrogate import ControlMLP
 from riginv.rig.mesh_space import RigInMeshSpace
 
@@ -37,7 +37,7 @@ class NormalisedInverse(DirectInverse):
                 f"network: normalisation '{normalisation}' is not known; choose one of {', '.join(NORMALISATIONS)}"
             )
         layer = NORMALISATIONS[normalisation]
-        if isinstance(self.network, Anchored):
+        if isinstance(self.network, ZeroPreserving):
             self.network.network = _normalised(self.network.network, layer)
         else:
             self.network = _normalised(self.network, layer)

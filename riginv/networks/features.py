@@ -14,7 +14,7 @@ from riginv.rig.random_controls import sparse_controls
 
 NOISE_MM = 0.1  # standard deviation of the noise that the estimate of coefficients assumes in each mesh coordinate
 POSES = 512  # random poses that give the spread of each coefficient
-SMALLEST = 0.1  # the least scale of a feature, as a fraction of their typical size: some hardly vary over poses of the rig
+MIN_SCALE = 0.1  # least scale of a feature, relative to the typical one, for features that hardly vary
 GUESS_POSES = 4096  # random poses that the first guess is fitted to
 LEAST_VARIANCE = 1e-2  # of scaled features, for a direction to be used by the first guess
 
@@ -73,7 +73,7 @@ class RigFeatures(nn.Module):
         self.scale.fill_(1.0)
         sizes = self.forward(coordinates).square().mean(dim=0).sqrt()
         typical = sizes.square().mean().sqrt()
-        self.scale.copy_(sizes.clamp_min(SMALLEST * typical.clamp_min(1e-12)))
+        self.scale.copy_(sizes.clamp_min(MIN_SCALE * typical.clamp_min(1e-12)))
         backend = self.rig[0]
         limits = backend.lower, backend.upper, backend.neutral_controls
         generator = generator_at(0, "first guess", device=coordinates.device)

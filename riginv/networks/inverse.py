@@ -13,7 +13,7 @@ from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
 from riginv.networks.correction import Correction
 from riginv.networks.features import RigFeatures
-from riginv.networks.mlp import Anchored, mlp
+from riginv.networks.mlp import ZeroPreserving, mlp
 from riginv.rig.interface import Vjp
 from riginv.rig.mesh_space import RigInMeshSpace
 
@@ -129,7 +129,7 @@ class DirectInverse(InverseNetwork):
     ) -> None:
         super().__init__(rig, control_map)
         network = mlp(rig.space.size, hidden, len(rig.rig.controls), activation)
-        self.network = Anchored(_start_small(network)) if control_map == "neutral_start" else network
+        self.network = ZeroPreserving(_start_small(network)) if control_map == "neutral_start" else network
 
     def learned_parts(self) -> list[nn.Module]:
         return [self.network]
@@ -187,7 +187,9 @@ class StagedInverse(InverseNetwork):
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN
-        self.stages = nn.ModuleList(Anchored(_start_small(mlp(count, hidden, controls, activation), gain)) for count in inputs)
+        self.stages = nn.ModuleList(
+            ZeroPreserving(_start_small(mlp(count, hidden, controls, activation), gain)) for count in inputs
+        )
         self.corrections = nn.ModuleList(Correction(size, controls, width, gate) for _ in range(corrections))
         self.register_buffer("coordinate_scale", torch.ones(()))
         self.register_buffer("gradient_scale", torch.ones(controls) if self.features else torch.ones(()))

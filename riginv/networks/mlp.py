@@ -28,7 +28,7 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str = "lea
     return nn.Sequential(*layers, nn.Linear(widths[-1], outputs))
 
 
-class Anchored(nn.Module):
+class ZeroPreserving(nn.Module):
     """A network minus its output at 0, so that it maps 0 to 0 exactly: the neutral mesh to the neutral controls."""
 
     def __init__(self, network: nn.Module) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from riginv.config.aliases import upgraded
 from riginv.config.building import ClassSpec
 from riginv.errors import InputError
-from riginv.evaluation.optimum import fingerprint
+from riginv.evaluation.optimum import rig_digest
 from riginv.evaluation.results import make_true_rig
 from riginv.reproduce.machine import DISTRIBUTIONS, version_of
 from riginv.reproduce.rigs import with_workers
@@ -148,4 +148,4 @@ def code_hashes(rig: LinearRig, specs: Sequence[ClassSpec[RigBackend] | None]) -
     bpy = version_of("bpy")
     blender = os.environ.get("RIGINV_BLENDER", "") if bpy == "-" else bpy
     drawing = [path for path in sorted(PACKAGE.rglob("*.py")) if path.stem in DRAWING]
-    return f"{code_key(sources, DISTRIBUTIONS)}-{fingerprint(rig).hex()[:16]}-{blender}", code_key(drawing, ["matplotlib"])
+    return f"{code_key(sources, DISTRIBUTIONS)}-{rig_digest(rig).hex()[:16]}-{blender}", code_key(drawing, ["matplotlib"])

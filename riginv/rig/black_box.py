@@ -19,7 +19,7 @@ from riginv.rig.random_controls import sparse_controls
 LOG = logging.getLogger(__name__)
 SEED = 20221206
 CHECKED = 50  # poses that a fitted basis is checked on
-WORTHWHILE = 3  # a vertex subset is used where the mesh has at least so many times its vertices
+MIN_SUBSET_RATIO = 3  # a vertex subset is used if the mesh has at least this many times its vertices
 BATCH_SIZE = 50
 
 
@@ -73,7 +73,7 @@ class BlackBoxRig(LinearRig):
             lengths = squares.sqrt()
             frame = basis / lengths[:, None, None]
             rows = informative_vertices(frame)
-            if WORTHWHILE * len(rows) <= len(rig.rest_vertices):
+            if MIN_SUBSET_RATIO * len(rows) <= len(rig.rest_vertices):
                 self.some = rig.vertex_subset(rows)
                 self.register_buffer("some_rest", rig.rest_vertices[rows], persistent=False)
                 self.register_buffer("some_projection", coefficients_from(frame, rows) / lengths, persistent=False)

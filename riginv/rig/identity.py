@@ -53,7 +53,7 @@ def fingerprint(rig: LinearRig) -> Tensor:
     return change @ signs / math.sqrt(len(rig.rest_vertices))
 
 
-def check_rig(where: str, described: dict[str, Any], rig: LinearRig) -> None:
+def check_same_rig(where: str, described: dict[str, Any], rig: LinearRig) -> None:
     """Raises InputError where a store's poses are of another rig; a surrogate's meshes are not compared."""
     begin = f"{where} holds poses of rig '{described['name']}', and rig '{rig.name}'"
     end = "name the rig that it was sampled from, or sample another store"

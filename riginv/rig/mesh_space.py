@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig, Vjp
 
-SEARCHED_VERTICES = 3000  # that the search for the number of components evaluates
+SEARCH_VERTICES = 3000  # vertices used in the search for the number of components
 RANK_TOLERANCE = 1e-6  # of the largest singular value; directions below it are noise of a float32 basis
 
 
@@ -70,7 +70,7 @@ class MeshSpace(nn.Module):
         flat = (samples - rest_vertices).flatten(1).double()
         right = _principal_directions(flat, residual_mm)
         rank, coordinates = len(right), flat @ right.T
-        some = slice(None, None, max(1, len(rest_vertices) // SEARCHED_VERTICES))
+        some = slice(None, None, max(1, len(rest_vertices) // SEARCH_VERTICES))
 
         def residual(count: int, vertices: slice) -> float:
             of, by = (rows.unflatten(1, rest_vertices.shape)[:, vertices].flatten(1) for rows in (flat, right[:count]))

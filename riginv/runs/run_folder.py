@@ -30,8 +30,8 @@ CONFIG, METRICS, POSES, CHOICES = "config.yaml", "metrics.json", "poses.png", "h
 CHECKPOINT, CHECKPOINT_BEFORE = "checkpoints/last.ckpt", "checkpoints/before.ckpt"
 BUNDLE, SURROGATE = "bundle", "surrogate"
 NOT_PART_OF_A_RUN = ("resume", "verbose")
-# May change when a run is resumed: what is learned does not depend on it.
-HOW_MANY = ("trainer.devices", "trainer.num_nodes", "trainer.threads")
+# Config keys that may differ when a run is resumed: results do not depend on them.
+MAY_DIFFER_ON_RESUME = ("trainer.devices", "trainer.num_nodes", "trainer.threads")
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 LONGEST = 120  # characters of a folder's name
 WAIT_SECONDS = 0.2
@@ -45,14 +45,14 @@ class RunFolder:
         path: where it lies.
         config: the plain config.
         resumed: whether the folder holds an earlier start of the same run, which continues.
-        written_here: by this process; of several that share a run only the first one writes.
-        was_empty: whether nothing lay there when it was looked at.
+        is_writer: whether this process writes the folder: rank 0.
+        was_empty: whether the folder was empty or missing when it was chosen.
     """
 
     path: Path
     config: dict[str, Any]
     resumed: bool
-    written_here: bool = True
+    is_writer: bool = True
     was_empty: bool = False
 
     def begin(self) -> None:
@@ -61,7 +61,7 @@ class RunFolder:
         Raises:
             InputError: another process is at work there, or has begun a run there meanwhile.
         """
-        if not self.written_here:
+        if not self.is_writer:
             return
         if lock_folder(self.path) and self.was_empty and (self.path / CONFIG).is_file():
             raise InputError(f"{self.path}: another run has just begun there: choose another folder with hydra.run.dir=DIR")
@@ -107,22 +107,22 @@ def find_run_folder(
     path: str | Path,
     config: dict[str, Any],
     resume: bool,
-    written_here: bool = True,
+    is_writer: bool = True,
     upgrade: Callable[[dict[str, Any]], dict[str, Any]] = dict,
 ) -> RunFolder:
     """The folder for a run, new or to be resumed; nothing is written before `RunFolder.begin`.
 
     Args:
         config: as from `plain_config`.
-        written_here: whether this process is the one that writes there; another one finds it as that one says.
+        is_writer: whether this process writes there; other ranks take the folder as it is.
         upgrade: gives the config of a run to be resumed present names (`riginv.config.aliases.upgraded`).
 
     Raises:
         InputError: the folder holds something else, or a run that was not asked to be resumed or had another config.
     """
     path = Path(path)
-    if not written_here:
-        return RunFolder(path, config, resumed=True, written_here=False)
+    if not is_writer:
+        return RunFolder(path, config, resumed=True, is_writer=False)
     if not path.is_dir() or set(path.iterdir()) <= {path / LOCK, *stale_partial_files(path / CONFIG)}:
         return RunFolder(path, config, resumed=False, was_empty=True)
     if not (path / CONFIG).is_file():
@@ -130,7 +130,9 @@ def find_run_folder(
     if not resume:
         raise InputError(f"{path} holds a run already: add resume=true to go on with it, or choose another hydra.run.dir=DIR")
     before, now = _flat(upgrade(_read_config(path / CONFIG))), _flat(config)
-    differing = sorted(key for key in (before.keys() | now.keys()) - set(HOW_MANY) if before.get(key) != now.get(key))
+    differing = sorted(
+        key for key in (before.keys() | now.keys()) - set(MAY_DIFFER_ON_RESUME) if before.get(key) != now.get(key)
+    )
     if differing:
         key = differing[0]
         raise InputError(

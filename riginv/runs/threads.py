@@ -19,11 +19,11 @@ from typing import TypeVar
 import psutil
 import torch
 
-SWITCH = "RIGINV_THREADS"  # an environment variable: how many threads, in place of as many as are free
+THREADS_VARIABLE = "RIGINV_THREADS"  # environment variable: fixes the number of threads
 LIMIT = "OMP_NUM_THREADS"  # no more than this, where it is set: users know it
 SECONDS = 2.0  # between two looks at what other processes do
 SHORTEST = 0.25  # s: over less time the operating system's clocks say too little
-TAKEN = 0.4  # of a core that others use still counts as free
+BUSY_FRACTION = 0.4  # a core of which others use less than this counts as free
 Result = TypeVar("Result")
 
 
@@ -90,7 +90,7 @@ class Workers:
                 time.sleep(SHORTEST)
                 free = self.cores.free()
             if free is not None:
-                self.count = max(1, min(int(free + TAKEN), self.cores.count, self.most, _limit()))
+                self.count = max(1, min(int(free + BUSY_FRACTION), self.cores.count, self.most, _limit()))
                 self._looked = now
         return self.count
 
@@ -193,7 +193,7 @@ def _container_limit() -> int:
 
 
 def _from_environment() -> int | None:
-    found = os.environ.get(SWITCH, "")
+    found = os.environ.get(THREADS_VARIABLE, "")
     return max(1, int(found)) if found.isdigit() else None
 
 

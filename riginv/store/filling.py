@@ -11,7 +11,7 @@ from riginv.config.typed import MeshSpaceConfig
 from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
 from riginv.rig.black_box import BlackBoxRig
-from riginv.rig.identity import check_rig, describe
+from riginv.rig.identity import check_same_rig, describe
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.threads import allowed_cores, single_threaded
 from riginv.sampling.meshes import MeshSampler
@@ -191,7 +191,7 @@ def plan_store(settings: SampleConfig, rig: LinearRig) -> tuple[Layout, Facts]:
 
 def check_same(store: PoseStore, layout: Layout, facts: Facts, rig: LinearRig) -> None:
     """Raises InputError where a store was begun with another rig or another config."""
-    check_rig(str(store), store.facts["rig"], rig)
+    check_same_rig(str(store), store.facts["rig"], rig)
     before = {**store.layout.as_dict(), "seed": store.facts["seed"], **_flat(store.facts["sampler"], "sampler.")}
     now = {**layout.as_dict(), "seed": facts["seed"], **_flat(facts["sampler"], "sampler.")}
     for key in sorted(before.keys() | now.keys()):

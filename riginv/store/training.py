@@ -6,7 +6,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig.batches import PoseBatch
-from riginv.rig.identity import check_rig
+from riginv.rig.identity import check_same_rig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.console import Bar
@@ -64,7 +64,7 @@ class StoreSampler(MeshSampler):
     def __init__(self, rig: RigInMeshSpace, path: str, seed: int) -> None:
         super().__init__()
         store = finished_store(path)
-        check_rig(f"data.store={path}", store.facts["rig"], rig.rig)
+        check_same_rig(f"data.store={path}", store.facts["rig"], rig.rig)
         basis = store.constant(BASIS).to(rig.linear_map) if store.layout.fitted else None
         linear_map = rig.linear_map if basis is None else basis.flatten(1) @ rig.space.frame.flatten(1).T
         self.register_buffer("neutral", store.constant(NEUTRAL).to(rig.linear_map), persistent=False)

@@ -15,7 +15,7 @@ from riginv.clips.clip import Clip
 from riginv.clips.open import open_clip
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.errors import InputError
-from riginv.evaluation.optimum import fingerprint
+from riginv.evaluation.optimum import rig_digest
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
@@ -104,7 +104,7 @@ def open_capture(
         return CapturedMeshes(clip, rig, every, None, None, tuple(notes))
     digest, has_unknown = _digest(clip)
     here = Path(__file__).parent
-    key = hashlib.sha256(fingerprint(rig) + code_key([here]).encode() + digest).hexdigest()[:32]
+    key = hashlib.sha256(rig_digest(rig) + code_key([here]).encode() + digest).hexdigest()[:32]
     found = cached_tensors("capture", key, lambda: _prepared(clip, rig, true_rig, has_unknown))
     known = found["solvable"]
     if not bool(known.any()):

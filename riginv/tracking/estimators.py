@@ -14,7 +14,7 @@ from riginv.tracking.constraints import ControlConstraints
 from riginv.tracking.fixed_controls import FixedControlsRig
 
 BATCH_SIZE = 512  # meshes per network call
-REFINE_STEPS = 3  # solver steps from controls of a slightly different mesh
+UPDATE_STEPS = 3  # solver steps from controls of a slightly different mesh
 UNCONVERGED_MM = 0.02  # root mean square distance that a further solver step would gain
 
 
@@ -100,7 +100,7 @@ class SolverEstimator(ControlEstimator):
 
     def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)
-        return self.controls(refine_meshes(self.objective, coordinates, self.units(controls), REFINE_STEPS).units)
+        return self.controls(refine_meshes(self.objective, coordinates, self.units(controls), UPDATE_STEPS).units)
 
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates, units = self.space.encode(vertices), self.units(controls)

@@ -30,7 +30,7 @@ class StepIndices(IterableDataset):
 
 
 class PoseDataModule(L.LightningDataModule):
-    """Draws every training batch from the sampler with a generator of its own; nothing is stored.
+    """Draws each training batch from the sampler with a generator seeded by (seed, step).
 
     With several processes each draws the whole batch and keeps its rows, so that batches do not depend on their number.
 
@@ -56,7 +56,7 @@ class PoseDataModule(L.LightningDataModule):
         self.batch_size, self.steps_per_epoch, self.seed = batch_size, steps_per_epoch, seed
 
     @property
-    def running(self) -> L.Trainer:
+    def attached_trainer(self) -> L.Trainer:
         """The trainer, once it has the data."""
         assert self.trainer is not None
         return self.trainer
@@ -66,25 +66,25 @@ class PoseDataModule(L.LightningDataModule):
         return list(self.validation)
 
     def train_dataloader(self) -> DataLoader:
-        return DataLoader(StepIndices(self.steps_per_epoch, lambda: self.running.global_step), batch_size=None)
+        return DataLoader(StepIndices(self.steps_per_epoch, lambda: self.attached_trainer.global_step), batch_size=None)
 
     def val_dataloader(self) -> list[DataLoader]:
-        size = -(-self.batch_size // self.running.world_size)
-        shares = [_rows_of(poses, self.rows) for poses in self.validation.values()]
-        return [DataLoader(cast(Dataset, split_batch(poses, size)), batch_size=None) for poses in shares]
+        size = -(-self.batch_size // self.attached_trainer.world_size)
+        parts = [_rows_of(poses, self.rows) for poses in self.validation.values()]
+        return [DataLoader(cast(Dataset, split_batch(poses, size)), batch_size=None) for poses in parts]
 
     def on_after_batch_transfer(self, batch: torch.Tensor | PoseBatch, dataloader_idx: int) -> PoseBatch:
         if isinstance(batch, dict):
             return batch
         self.sampler.at_step(int(batch))
-        device = self.running.strategy.root_device
+        device = self.attached_trainer.strategy.root_device
         generator = generator_at(self.seed, "training", int(batch), 0, device=device)
         return self.sampler.to(device).sample_rows(self.batch_size, generator, self.rows)
 
     @property
     def rows(self) -> slice:
         """The rows of a batch for this process: every n-th of n processes, so that the parts of a mixture are spread evenly."""
-        return slice(self.running.global_rank, None, self.running.world_size)
+        return slice(self.attached_trainer.global_rank, None, self.attached_trainer.world_size)
 
 
 def _rows_of(poses: PoseBatch, rows: slice) -> PoseBatch:

@@ -164,18 +164,18 @@ def _folder_is_named() -> bool:
     return any(override.startswith("hydra.run.dir=") for override in HydraConfig.get().overrides.hydra)
 
 
-def share_a_batch() -> bool:
+def is_distributed() -> bool:
     """Whether several processes train together."""
     return torch.distributed.is_available() and torch.distributed.is_initialized()
 
 
-def part() -> None:
-    """Let each process go its own way after training: the others end while the first one judges."""
-    if share_a_batch():
+def leave_process_group() -> None:
+    """Destroy the process group after training: only rank 0 evaluates."""
+    if is_distributed():
         torch.distributed.destroy_process_group()
 
 
-def over_processes(means: Tensor, count: int) -> tuple[Tensor, float]:
+def all_reduce_means(means: Tensor, count: int) -> tuple[Tensor, float]:
     """Means over the meshes of all processes, from those over the `count` meshes of this one.
 
     Returns:

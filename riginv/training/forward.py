@@ -33,7 +33,7 @@ class ForwardModule(RigModule):
         self.loss, self.coefficient_share = loss, coefficient_share
         self.coefficient_loss = CoefficientLoss(rig.linear_map, rig.space.vertex_count)
 
-    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+    def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         coefficients, neutral = self.coefficients(batch["controls"])
         coordinates = (coefficients - neutral) @ self.rig.linear_map
         loss = self.loss(coordinates, batch["coordinates"])

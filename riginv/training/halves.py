@@ -35,7 +35,10 @@ def in_halves(
     Halves, and the order in which they are added up, are the same whatever computes them: so is every bit of the result.
 
     Args:
-        compute: the mean loss over the meshes of a batch, with a graph, and what was found `(batch, coordinate)`, without one.
+        compute: returns the mean loss of a batch, with a graph, and the predicted coordinates `(batch, coordinate)`, detached.
+        batch: at least two meshes.
+        weights: the parameters to differentiate by.
+        workers: threads; the result does not depend on their number.
     """
     count = len(batch["coordinates"])
     sizes = [count - count // HALVES, count // HALVES]

@@ -20,7 +20,7 @@ class HoldenModule(RigModule):
     def losses(self) -> list[nn.Module]:
         return []
 
-    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+    def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         controls = self.network(batch["coordinates"])
         with torch.no_grad():
             found = self.rig(controls)

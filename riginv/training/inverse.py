@@ -54,11 +54,11 @@ class InverseModule(RigModule):
     def losses(self) -> list[nn.Module]:
         return [self.loss, self.last_loss]
 
-    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+    def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         answers = self.network.answers(batch["coordinates"])
         losses = [*(self.loss for _ in answers[1:]), self.last_loss]
         values, gradients = zip(*(value_and_gradient(loss, answer) for loss, answer in zip(losses, answers)))
-        return _Summed.apply(sum(values), *gradients, *(answer.raw for answer in answers)), answers[-1].found
+        return _PrecomputedGradients.apply(sum(values), *gradients, *(answer.raw for answer in answers)), answers[-1].found
 
     def results(self, batch: PoseBatch) -> Tensor:
         return self.true_rig(self.network(batch["coordinates"]))
@@ -71,15 +71,15 @@ def value_and_gradient(loss: nn.Module, answer: Answer) -> tuple[Tensor, Tensor]
     other losses it takes one more vector-Jacobian product.
     """
     if isinstance(loss, LengthLoss):
-        share = 2 / len(answer.squares) * loss.derivatives(answer.squares)
-        return loss.of_squares(answer.squares).mean(), share[:, None] * answer.gradient
+        factor = 2 / len(answer.squares) * loss.derivatives(answer.squares)
+        return loss.of_squares(answer.squares).mean(), factor[:, None] * answer.gradient
     with torch.enable_grad():
         found = answer.found.detach().requires_grad_()
         value = loss(found, answer.target)
     return value.detach(), answer.vjp(torch.autograd.grad(value, found)[0])
 
 
-class _Summed(torch.autograd.Function):
+class _PrecomputedGradients(torch.autograd.Function):
     """A value whose gradients by raw outputs are known already."""
 
     @staticmethod

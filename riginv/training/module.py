@@ -21,7 +21,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import Workers
 from riginv.training.data import PoseDataModule
-from riginv.training.devices import check_normalisation, over_processes, share_a_batch
+from riginv.training.devices import all_reduce_means, check_normalisation, is_distributed
 from riginv.training.halves import can_be_halved, in_halves, worth_halving
 from riginv.training.losses import root_mean_square_mm
 
@@ -70,23 +70,23 @@ class RigModule(L.LightningModule, ABC):
         return True
 
     @abstractmethod
-    def loss_and_found(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+    def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         """The mean loss of a batch, and the predicted mesh coordinates `(batch, coordinate)`, detached."""
 
     @property
     def losses(self) -> list[nn.Module]:
-        """The loss modules that `loss_and_found` uses."""
+        """The loss modules that `loss_and_coordinates` uses."""
         return [self.loss]
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
-        loss, found = self._in_halves(batch) if self.halved else self.loss_and_found(batch)
-        return self.learn(loss, found, batch["coordinates"])
+        loss, found = self._in_halves(batch) if self.halved else self.loss_and_coordinates(batch)
+        return self.log_step(loss, found, batch["coordinates"])
 
     def _in_halves(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         weights = [weight for weight in self.network.parameters() if weight.requires_grad]
         if self.workers is None or not worth_halving(len(batch["coordinates"]), weights):
-            return self.loss_and_found(batch)
-        return in_halves(self.loss_and_found, batch, weights, self.workers)
+            return self.loss_and_coordinates(batch)
+        return in_halves(self.loss_and_coordinates, batch, weights, self.workers)
 
     @functools.cached_property
     def halved(self) -> bool:
@@ -130,26 +130,26 @@ class RigModule(L.LightningModule, ABC):
         if self.stop_below_lr is not None and all(rate < self.stop_below_lr for rate in scheduler.get_last_lr()):
             self.trainer.should_stop = True
 
-    def learn(self, loss: Tensor, coordinates: Tensor, target: Tensor) -> Tensor:
+    def log_step(self, loss: Tensor, coordinates: Tensor, target: Tensor) -> Tensor:
         """Log a training step's loss and error, those of all processes together, and return the loss to learn from.
 
         Raises:
             NonFiniteLossError: the loss is NaN or infinite, in any process: all of them raise it.
         """
-        seen, share = loss.detach(), 1.0
+        logged, factor = loss.detach(), 1.0
         error = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count)
-        if share_a_batch():
-            (seen, squared), share = over_processes(torch.stack([seen, error.square()]), len(target))
+        if is_distributed():
+            (logged, squared), factor = all_reduce_means(torch.stack([logged, error.square()]), len(target))
             error = squared.sqrt()
-        if not torch.isfinite(seen):
+        if not torch.isfinite(logged):
             raise NonFiniteLossError(
-                f"the loss became {seen.item()} at step {self.global_step}; the checkpoint holds the last good state saved "
+                f"the loss became {logged.item()} at step {self.global_step}; the checkpoint holds the last good state saved "
                 f"before: start a new run with a lower model.optimizer.lr"
             )
-        self.epoch_loss.update(seen)
-        self.log("train/loss", seen)
+        self.epoch_loss.update(logged)
+        self.log("train/loss", logged)
         self.log("train/rms_vertex_error_mm", error, prog_bar=True)
-        return loss if share == 1.0 else share * loss
+        return loss if factor == 1.0 else factor * loss
 
     def on_train_epoch_end(self) -> None:
         self.log("train/epoch_loss", self.epoch_loss.compute())

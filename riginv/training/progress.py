@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 TRAINING, ERROR = "train/rms_vertex_error_mm", "/mean_vertex_error_mm"
-UNTOLD = "random_combinations"  # mostly out of the rig's reach: its error says little while it trains
-EVERY = 10  # steps between two looks at the error
+HIDDEN_SET = "random_combinations"  # not shown: the rig can make few of these meshes
+UPDATE_STEPS = 10  # steps between two updates of the bar
 
 
 class TrainingProgress(L.Callback):
@@ -28,7 +28,7 @@ class TrainingProgress(L.Callback):
         self.bar.start()
 
     def on_train_batch_end(self, trainer: L.Trainer, *args: Any) -> None:
-        if self.bar is not None and trainer.global_step % EVERY == 0:
+        if self.bar is not None and trainer.global_step % UPDATE_STEPS == 0:
             self.bar.update(self.bar.task_ids[0], completed=trainer.global_step, description=errors_mm(trainer))
 
     def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
@@ -51,6 +51,6 @@ class TrainingProgress(L.Callback):
 def errors_mm(trainer: L.Trainer) -> str:
     """The latest errors, such as `mm: training (rms) 0.84, rig poses 0.31`."""
     known = trainer.callback_metrics
-    names = {key: key.split("/")[1].replace("_", " ") for key in known if key.endswith(ERROR) and UNTOLD not in key}
+    names = {key: key.split("/")[1].replace("_", " ") for key in known if key.endswith(ERROR) and HIDDEN_SET not in key}
     shown = [f"{name} {float(known[key]):.2f}" for key, name in {TRAINING: "training (rms)", **names}.items() if key in known]
     return f"mm: {', '.join(shown)}" if shown else ""

@@ -42,7 +42,7 @@ class BlenderRig(RigBackend):
 
     differentiable = False
     # Ignored in bundles, which are untrusted:
-    only_by_hand: ClassVar[tuple[str, ...]] = (
+    command_line_only: ClassVar[tuple[str, ...]] = (
         "interpreter",
         "scripts",
         "workers",

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from riginv.launch.closed_output import ends_with_its_reader
+from riginv.launch.closed_output import exit_on_broken_pipe
 from riginv.launch.help import explained_keys
 from tests.conftest import ROOT
 
@@ -41,9 +41,9 @@ def test_a_mistake_is_told_where_someone_reads():
 
 
 def test_faults_of_ours_keep_their_traceback():
-    with pytest.raises(ZeroDivisionError), ends_with_its_reader():
+    with pytest.raises(ZeroDivisionError), exit_on_broken_pipe():
         _ = 1 / 0
-    with pytest.raises(BrokenPipeError), ends_with_its_reader():  # of a worker: the output is read as before
+    with pytest.raises(BrokenPipeError), exit_on_broken_pipe():  # of a worker: the output is read as before
         raise BrokenPipeError
 
 

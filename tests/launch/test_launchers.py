@@ -19,7 +19,7 @@ from omegaconf import OmegaConf
 from hydra_plugins.riginv_launchers.joblib_launcher import JoblibLauncher, share_cores
 from riginv.config.messages import CONFIGS
 from riginv.errors import InputError
-from riginv.launch.apart import Job, run_apart
+from riginv.launch.apart import Job, run_in_subprocess
 from riginv.launch.launching import JobsLauncher
 from riginv.launch.sweep_record import record_file
 from riginv.launch.sweep_rows import sweep_rows, write_tables
@@ -75,7 +75,7 @@ def test_what_finished_is_left_alone_and_what_was_started_goes_on(tmp_path):
     made = jobs(tmp_path, "nothing", "die_once")
     for _ in range(2):
         for job in made:
-            run_apart(job)
+            run_in_subprocess(job)
     assert states(made) == ["finished", "finished"]
     assert [start[0] for start in starts(made[0])] == ["false"]
     assert [start[0] for start in starts(made[1])] == ["false", "true"]
@@ -85,15 +85,15 @@ def test_what_finished_is_left_alone_and_what_was_started_goes_on(tmp_path):
 
 def test_a_damaged_record_is_as_good_as_none(tmp_path):
     made = jobs(tmp_path, "nothing")
-    run_apart(made[0])
+    run_in_subprocess(made[0])
     record_file(tmp_path, made[0].name).write_text('{"number": 0, "na')
-    run_apart(made[0])
+    run_in_subprocess(made[0])
     assert states(made) == ["finished"] and len(starts(made[0])) == 2
 
 
 def test_a_sweep_that_is_killed_takes_its_jobs_with_it(tmp_path):
     job = jobs(tmp_path, "nothing sleep=60")[0]
-    text = f"from pathlib import *; from riginv.launch.apart import Job, run_apart; run_apart({job!r})"
+    text = f"from pathlib import *; from riginv.launch.apart import Job, run_in_subprocess; run_in_subprocess({job!r})"
     with subprocess.Popen([sys.executable, "-c", text], cwd=ROOT) as starter:
         wait_until((tmp_path / job.name / "starts.txt").is_file, 60)
         process = int(starts(job)[0][2])

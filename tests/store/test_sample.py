@@ -21,7 +21,7 @@ from riginv.store.store import PoseStore
 from riginv.store.worker import ChunkWorkers
 from tests.conftest import ROOT
 from tests.store.support import PLAN, arrays, flip, plan, same
-from tests.training.test_resume import heed_interrupts, kill_after, same_weights, saved_step
+from tests.training.test_resume import kill_after, restore_sigint, same_weights, saved_step
 from tests.training.test_resume import start as start_training
 
 CONFIGS = f"--config-dir={ROOT / 'tests/conf'}"
@@ -29,7 +29,7 @@ TOY = [CONFIGS, "rig=toy", "samples=60000", "chunk=500", "seed=3"]
 LITTLE = [CONFIGS, "rig=toy", "samples=2000", "chunk=100", "jobs=1"]
 
 
-def start(out: Path, *more: str, before=heed_interrupts) -> subprocess.Popen:
+def start(out: Path, *more: str, before=restore_sigint) -> subprocess.Popen:
     return subprocess.Popen(
         [sys.executable, "-m", "riginv.sample", *TOY, f"out={out}", *more],
         cwd=out.parent,

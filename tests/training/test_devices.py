@@ -19,7 +19,7 @@ from riginv.training.config import TrainConfig
 from riginv.training.devices import Process, this_process
 from tests.config.test_bad_input import refused
 from tests.conftest import ROOT, SMALL
-from tests.training.test_resume import heed_interrupts, same_weights, saved_step
+from tests.training.test_resume import restore_sigint, same_weights, saved_step
 
 TWO = ["trainer=ddp", "trainer.accelerator=cpu"]
 UNEVEN = ["data.batch_size=7", "judging.validation_poses=5"]
@@ -198,7 +198,7 @@ def start(folder: Path, *more: str) -> subprocess.Popen:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        preexec_fn=heed_interrupts,
+        preexec_fn=restore_sigint,
     )
 
 

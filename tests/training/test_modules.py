@@ -118,4 +118,4 @@ def test_a_loss_that_is_not_finite_stops_training(wrong, toy):
     module = make("inverse", toy)
     module.log = lambda *args, **kwargs: None
     with pytest.raises(NonFiniteLossError, match="at step 0"):
-        module.learn(torch.tensor(wrong), torch.zeros(1, 2), torch.zeros(1, 2))
+        module.log_step(torch.tensor(wrong), torch.zeros(1, 2), torch.zeros(1, 2))

@@ -9,8 +9,8 @@ from riginv.methods.baselines.sides import Sides
 from riginv.rig.mesh_space import RigInMeshSpace
 
 KNOTS = 32  # of each table
-FAINT = 0.1  # of what a side does at most: shapes that it drives less do not count as its own
-RIVAL = 0.5  # of a shape's best driver: a side that drives it less is not asked
+MIN_EFFECT = 0.1  # relative to a side's largest effect: below it a shape is not attributed to the side
+MIN_DRIVER = 0.5  # relative to a shape's strongest driver: weaker sides are not candidates
 
 
 class Entry(NamedTuple):
@@ -44,11 +44,11 @@ class ControlLookup:
             pieces = [rig.rig.coefficients(self.sides.controls(piece))[:, :shapes].double() for piece in poses.split(512)]
         curves = torch.cat(pieces).unflatten(0, (len(self.sides), KNOTS))
         full = curves[:, -1]
-        drives = (full > FAINT * full.amax(dim=1, keepdim=True)).sum(dim=1)
+        drives = (full > MIN_EFFECT * full.amax(dim=1, keepdim=True)).sum(dim=1)
         self.entries = []
         for shape in range(shapes):
-            rivals = (full[:, shape] >= RIVAL * full[:, shape].max()).nonzero()[:, 0]
-            if full[:, shape].max() > FAINT and len(rivals):
+            rivals = (full[:, shape] >= MIN_DRIVER * full[:, shape].max()).nonzero()[:, 0]
+            if full[:, shape].max() > MIN_EFFECT and len(rivals):
                 side = int(rivals[drives[rivals].argmin()])
                 curve = torch.cat([torch.zeros(1, dtype=torch.float64), curves[side, :, shape]]).cummax(dim=0).values
                 self.entries.append(Entry(shape, side, curve))
@@ -72,5 +72,5 @@ def _where(curve: Tensor, values: Tensor) -> Tensor:
     """Where a curve over [0, 1] that never falls first reaches each value; 1 where it never does."""
     place = torch.searchsorted(curve, values).clamp(1, len(curve) - 1)
     before, after = curve[place - 1], curve[place]
-    share = ((values - before) / (after - before).clamp_min(torch.finfo(values.dtype).eps)).clamp(0, 1)
-    return (place - 1 + share) / (len(curve) - 1)
+    fraction = ((values - before) / (after - before).clamp_min(torch.finfo(values.dtype).eps)).clamp(0, 1)
+    return (place - 1 + fraction) / (len(curve) - 1)

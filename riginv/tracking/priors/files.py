@@ -8,7 +8,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from riginv.errors import InputError, in_short
-from riginv.rig.identity import check_rig, describe
+from riginv.rig.identity import check_same_rig, describe
 from riginv.rig.interface import LinearRig
 from riginv.runs.files import atomic_write, check_regular, read_yaml
 from riginv.tracking.priors.prior import ControlPrior
@@ -42,7 +42,7 @@ def load_prior(folder: Path, rig: LinearRig) -> ControlPrior:
     if facts.get("riginv_prior") != VERSION or not isinstance(facts.get("rig"), dict):
         raise InputError(f"{folder / FACTS}: no prior of this version of riginv: learn it again with riginv.learn_prior")
     try:
-        check_rig(str(folder), facts["rig"], rig)
+        check_same_rig(str(folder), facts["rig"], rig)
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:

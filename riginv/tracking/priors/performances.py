@@ -19,8 +19,8 @@ SEED = 20221206
 TOGETHER = 3.0  # actions that are active at a time, on average
 ALONE = 2.5  # controls that move on their own besides, on average
 ONE_SIDED = 0.25  # of the actions
-UNEVEN = 0.12  # standard deviation of a control's share in an action, relative
-TENSION = 0.03  # mean of the faint activation that every control has at any time
+UNEVENNESS = 0.12  # relative standard deviation of a control's weight in an action
+BASELINE = 0.03  # mean of the weak activation that every control always has
 WHOLE, PART = 0.85, 0.35  # the greatest strength of an action of several controls, and of a control on its own
 STRONG = 0.85  # of the way to a limit, of the poses to start from
 
@@ -35,7 +35,7 @@ def default_prior(rig: RigBackend, draws: int = DRAWS) -> ControlPrior:
     poses = _played(rng, strength, actions, others)
     poses += _played(rng, PART * _strengths(rng, draws, len(own), ALONE), own + own[:, others] * (own == 0), others)
     neutral = ((rig.neutral_controls - rig.lower) / (rig.upper - rig.lower)).double().cpu().numpy()
-    poses += TENSION * rng.exponential(size=poses.shape)
+    poses += BASELINE * rng.exponential(size=poses.shape)
     both = (neutral > 0) & (neutral < 1)
     sign = np.where(both & (rng.random(poses.shape) < 0.5) & (poses < 2 * PART), -1.0, 1.0)
     room = np.where(poses * sign >= 0, 1 - neutral, neutral)
@@ -90,7 +90,7 @@ def _played(rng: np.random.Generator, strength: np.ndarray, actions: np.ndarray,
     poses = np.zeros((draws, count))
     for column, action in zip(strength.T, actions):
         rows = np.flatnonzero(column)
-        uneven = 1 + UNEVEN * rng.normal(size=(len(rows), count))
+        uneven = 1 + UNEVENNESS * rng.normal(size=(len(rows), count))
         one = rng.random(len(rows)) < ONE_SIDED
         kept = np.where(one, rng.choice([-1, 1], len(rows)), 0)[:, None] * side[None] >= 0
         fade = np.where(kept, 1.0, rng.random((len(rows), 1)) * 0.5)
