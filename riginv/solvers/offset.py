@@ -118,7 +118,7 @@ class OffsetSolver:
         return OffsetSolution(neutral, at.units, vertices, cost, at.steps)
 
     def _moved(self, at: OffsetSolution, units: Tensor, motion: Tensor | None, shared: Tensor) -> OffsetSolution:
-        """Take a step: new controls, rigid motion `(frame, 6)`, and coordinates of the field, or the rotation of the neutral."""
+        """Take a step: new controls, rigid motion `(frame, 6)`, and where the neutral is given its rotation, `(3,)`."""
         centre, radius = _centre(at.neutral)
         vertices, neutral = at.vertices, at.neutral
         if motion is not None:
@@ -141,7 +141,7 @@ class OffsetSolver:
         gradient, hessian = near[1], near[2]
         columns = []
         for rows in torch.arange(frames).split(BATCH_SIZE):
-            _, jacobian = objective.rig.rig.coefficient_jacobian((objective.lower + objective.span * at.units[rows]))
+            _, jacobian = objective.rig.rig.coefficient_jacobian(objective.lower + objective.span * at.units[rows])
             dense = jacobian.scaled(objective.span).dense()
             columns.append(torch.nn.functional.pad(objective.map.T @ dense, (0, 0, 0, len(basis) - len(self.frame))))
         coupling = torch.cat(columns)  # (frame, coordinate, control)

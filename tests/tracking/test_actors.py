@@ -1,0 +1,83 @@
+"""Actors whose face at rest is not the rig's: a given neutral, one that is solved for, and what the command leaves."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from riginv.meshes.obj import obj_text
+from riginv.rig.batches import generator_at
+from tests.conftest import ROOT
+from tests.support.clips import write_npz
+from tests.support.toys import ToyRig
+
+TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}", "look.page=false", "look.sheet=false")
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def rig() -> ToyRig:
+    return ToyRig()
+
+
+def curves(rig: ToyRig, frames: int = FRAMES) -> torch.Tensor:
+    """Strokes of the controls, each of which is at rest most of the time."""
+    time, count = torch.linspace(0, 1, frames)[:, None], len(rig.controls)
+    centre = torch.linspace(0.1, 0.9, count)
+    strokes = 0.8 * torch.exp(-0.5 * ((time - centre) / 0.07) ** 2)
+    return torch.where(strokes > 0.02, strokes, 0.0)
+
+
+def offset(rig: ToyRig) -> torch.Tensor:
+    """A smooth field of about 4 mm that no rigid motion makes."""
+    centres = rig.rest_vertices[torch.randint(0, len(rig.rest_vertices), (6,), generator=generator_at(5, "actor"))]
+    weight = torch.exp(-0.5 * (torch.cdist(rig.rest_vertices, centres) / 30) ** 2)
+    return weight @ torch.randn(6, 3, generator=generator_at(6, "actor")) * 3
+
+
+def motions(frames: int = FRAMES) -> tuple[torch.Tensor, torch.Tensor]:
+    """Rotations `(frame, 3, 3)` and translations `(frame, 1, 3)` of a head."""
+    time = torch.linspace(0, 6, frames)[:, None]
+    turns = 0.25 * torch.sin(time * torch.tensor([1.0, 1.7, 2.3]))
+    cross = torch.linalg.cross(torch.eye(3)[None], turns[:, None].expand(-1, 3, -1))
+    return torch.matrix_exp(cross), 30 * torch.sin(time * torch.tensor([0.7, 1.0, 1.3]))[:, None]
+
+
+def found_controls(rig: ToyRig, folder) -> torch.Tensor:
+    with (folder / "curves.csv").open() as file:
+        return torch.tensor([[float(row[name]) for name in rig.control_names] for row in csv.DictReader(file)])
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("how", ["given", "frames", "solve"])
+def test_the_controls_of_another_actor_are_found(how, moving, run, rig, tmp_path):
+    truth = curves(rig)
+    truth[:3] = 0
+    neutral = rig.rest_vertices + offset(rig)
+    with torch.no_grad():
+        meshes = rig(truth) - rig.rest_vertices + neutral
+    if moving:
+        rotation, shift = motions()
+        meshes = meshes @ rotation.mT + shift
+        neutral = neutral @ rotation[30].mT + shift[30]
+    clip = write_npz(tmp_path / "take.npz", meshes.numpy(), rig.faces.numpy())
+    (tmp_path / "rest.obj").write_text(obj_text(neutral.numpy(), rig.faces.numpy()))
+    options = {
+        "given": f"actor.neutral={tmp_path / 'rest.obj'}",
+        "frames": "actor.neutral_frames=[1-2]",
+        "solve": "actor.neutral=solve",
+    }
+    common = (*TOY, f"clip={clip}", "method=levenberg_marquardt", "reading.unit=mm")
+    plain = run("invert", *common, "out=plain")
+    outcome = run("invert", *common, "out=o", options[how])
+    assert plain.code == 0 and outcome.code == 0, outcome.text
+    error = (found_controls(rig, tmp_path / "o") - truth).abs().mean()
+    print(how, moving, error, (found_controls(rig, tmp_path / "plain") - truth).abs().mean(), outcome.text)
+    assert error < (0.02 if how == "solve" else 0.002)
+    assert (found_controls(rig, tmp_path / "plain") - truth).abs().mean() > 10 * error
+    facts = json.loads((tmp_path / "o/curves.json").read_text())["made_by"]["actor"]
+    saved = np.load(tmp_path / "o/actor.npz")
+    np.testing.assert_allclose(saved["offset"], saved["neutral"] - rig.rest_vertices.numpy(), atol=1e-4)
+    assert abs(facts["mean_offset_mm"] - np.linalg.norm(saved["offset"], axis=1).mean()) < 1e-3
