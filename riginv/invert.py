@@ -29,6 +29,7 @@ from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
 from riginv.tracking.actors.actor import Actor, posed_actor
+from riginv.tracking.actors.files import write_actor
 from riginv.tracking.actors.finding import find_actor
 from riginv.tracking.assembly import build_parts
 from riginv.tracking.clip_optimum import with_optimum
@@ -143,7 +144,7 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
     with exclusive_lock(out), InversionProgress(len(numbers), [*notes, *parts.notes]) as progress:
         free_folder(settings.out)
         track = track_scans(parts.solver, parts.scans, parts.units, parts.rows, parts.smoothness, progress.advance)
-        facts, source = made_by(settings, "surface", None), Path(settings.clip).name
+        facts, source = made_by(settings, "surface", parts.actor), Path(settings.clip).name
         motion = track.motion if parts.solver.moves else None
         animation = Animation(true_rig, track.controls, parts.units.fps, numbers, motion, source, facts)
         errors = frame_errors(track, numbers)
@@ -152,6 +153,8 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
             curves = (described, settings.formats, settings.after, progress.advance)
             files, more = write_curves(folder, animation, errors, *curves)
             files += write_scan_table(folder, track, numbers)
+            if parts.actor is not None:
+                files += write_actor(folder, parts.actor, rig.faces, settings.look.sheet)
     rows = ("scan's points from the rig", "rig's skin from the scan")
     show(animation, errors, true_rig, out, files, [*remarks_of(track), *more], "mean surface distances", rows)
 

@@ -6,11 +6,13 @@ import json
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from riginv.meshes.obj import obj_text
 from riginv.rig.batches import generator_at
 from tests.conftest import ROOT
 from tests.support.clips import write_npz
+from tests.support.scans import write_ply, write_ragged
 from tests.support.toys import ToyRig
 
 TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}", "look.page=false", "look.sheet=false")
@@ -74,10 +76,87 @@ def test_the_controls_of_another_actor_are_found(how, moving, run, rig, tmp_path
     outcome = run("invert", *common, "out=o", options[how])
     assert plain.code == 0 and outcome.code == 0, outcome.text
     error = (found_controls(rig, tmp_path / "o") - truth).abs().mean()
-    print(how, moving, error, (found_controls(rig, tmp_path / "plain") - truth).abs().mean(), outcome.text)
     assert error < (0.02 if how == "solve" else 0.002)
     assert (found_controls(rig, tmp_path / "plain") - truth).abs().mean() > 10 * error
     facts = json.loads((tmp_path / "o/curves.json").read_text())["made_by"]["actor"]
     saved = np.load(tmp_path / "o/actor.npz")
     np.testing.assert_allclose(saved["offset"], saved["neutral"] - rig.rest_vertices.numpy(), atol=1e-4)
     assert abs(facts["mean_offset_mm"] - np.linalg.norm(saved["offset"], axis=1).mean()) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["actor.neutral=none.obj"], "none.obj: no frames"),
+        (["actor.neutral={clip}"], "40 meshes, expected one"),
+        (["actor.neutral={order}"], "the vertices stand in another order"),
+        (["actor.neutral={mixed}"], "from the rig on average, expected at most"),
+        (["actor.neutral={other}"], "cannot be brought onto the mesh"),
+        (["actor.neutral={few}"], "fewer than 50 points"),
+        (["actor.neutral={npz}"], "a scan is an OBJ or PLY file, which is wrapped"),
+        (["actor.neutral={nan}"], "not finite"),
+        (["actor.neutral=solve", "actor.neutral_frames=[1]"], "are both given"),
+        (["actor.neutral_frames=[900]"], "actor.neutral_frames names 900"),
+        (["actor.neutral_frames=[one]"], "actor.neutral_frames holds 'one'"),
+        (["actor.neutral_frames=3"], "expected a list of frames"),
+        (["actor.scale=1.2"], "actor.scale=1.2 needs a neutral"),
+        (["actor.neutral=solve", "actor.scale=0"], "actor.scale is 0"),
+        (["actor.neutral=solve", "correspondence=surface"], "actor.neutral=solve needs meshes of the rig's topology"),
+    ],
+)
+def test_mistakes_end_in_one_sentence_and_leave_nothing(arguments, said, run, rig, tmp_path):
+    rest, faces = rig.rest_vertices.numpy(), rig.faces.numpy()
+    rng = np.random.default_rng(0)
+    broken = rest.copy()
+    broken[7] = np.nan
+    write_npz(tmp_path / "take.npz", rest[None] + np.zeros((FRAMES, 1, 1)), faces)
+    write_npz(tmp_path / "npz.npz", rest[None, :100], faces[(faces < 100).all(axis=1)])
+    write_npz(tmp_path / "nan.npz", broken[None], faces)
+    shuffled = rng.permutation(len(rest))
+    needle = trimesh.creation.icosphere(3, 50.0)
+    needle.apply_scale([3.0, 0.02, 0.02])
+    meshes = {
+        "order": (rest[shuffled], np.argsort(shuffled)[faces]),
+        "mixed": (rest[shuffled], faces),
+        "other": (needle.vertices, needle.faces),
+        "few": (rest[:9], faces[:1] * 0 + [0, 1, 2]),
+    }
+    for name, (points, triangles) in meshes.items():
+        (tmp_path / f"{name}.obj").write_text(obj_text(points.astype(float), triangles))
+    paths = {name: tmp_path / f"{name}.obj" for name in meshes}
+    paths |= {"clip": tmp_path / "take.npz", "npz": tmp_path / "npz.npz", "nan": tmp_path / "nan.npz"}
+    given = [argument.format(**paths) for argument in arguments]
+    outcome = run("invert", *TOY, f"clip={paths['clip']}", "out=o", "reading.unit=mm", *given)
+    assert outcome.code == 1 and said in outcome.text, outcome.text
+    assert "Traceback" not in outcome.text and not (tmp_path / "o").exists()
+
+
+def test_scans_of_another_actor_drive_the_rig(run, tmp_path):
+    """Frames and the neutral are scans of another topology, of a face that is not the rig's."""
+    rig = ToyRig(detail=3)
+    truth = curves(rig, 8)[1:5]
+    truth[0] = 0
+    with torch.no_grad():
+        meshes = (rig(truth) + offset(rig)).double().numpy()
+    scans = [trimesh.remesh.subdivide_loop(mesh, rig.faces.numpy(), 1) for mesh in meshes]
+    write_ragged(tmp_path / "take.npz", scans, fps=24.0)
+    write_ply(tmp_path / "rest.ply", *scans[0])
+    common = (
+        "rig=toy",
+        "+rig.detail=3",
+        *TOY[1:],
+        f"clip={tmp_path / 'take.npz'}",
+        "method=levenberg_marquardt",
+        "reading.unit=mm",
+    )
+    errors = {}
+    for name, option in {
+        "plain": (),
+        "file": (f"actor.neutral={tmp_path / 'rest.ply'}",),
+        "frame": ("actor.neutral_frames=[0]",),
+    }.items():
+        outcome = run("invert", *common, f"out={name}", *option)
+        assert outcome.code == 0, outcome.text
+        errors[name] = float((found_controls(rig, tmp_path / name) - truth).abs().mean())
+    assert errors["file"] < 0.5 * errors["plain"] and errors["frame"] < 0.5 * errors["plain"]
+    assert "wrapped: " in outcome.text and (tmp_path / "frame/actor.obj").is_file()

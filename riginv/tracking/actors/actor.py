@@ -69,6 +69,9 @@ class ActorRig(FixedControlsRig):
     def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch vertex 3"]:
         return _on_actor(self.rig, self.rest_vertices, self.scale, controls)
 
+    def expressions(self) -> dict[str, dict[str, float]]:
+        return self.rig.expressions()
+
     def vertex_colors(self) -> Float[Tensor, "vertex 3"] | None:
         return self.rig.vertex_colors()
 

@@ -12,7 +12,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.offset import OffsetSolution, OffsetSolver
 from riginv.tracking.actors.actor import Actor, ActorRig
-from riginv.tracking.actors.neutral import GivenNeutral, neutral_of_frames, read_neutral
+from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, neutral_of_frames, read_neutral
 from riginv.tracking.alternation import MIN_KNOWN
 from riginv.tracking.assembly import build_solver
 from riginv.tracking.constraints import resolve_constraints
@@ -89,11 +89,9 @@ class _Finder:
 
     def aligned(self, given: GivenNeutral) -> Actor:
         """A given neutral, rotated so that the rig's displacements lie right on it."""
-        neutral = given.vertices.to(self.rest)
-        neutral = torch.where(torch.isfinite(neutral).all(dim=1, keepdim=True), neutral, self.rest)
+        neutral = in_rig_space(given, self.rest, self.stability * self.counts, self.moves)
         if not self.moves:
             return self._actor(neutral, given.source, given.notes, {})
-        neutral = self._to(neutral[None], self.rest)[0]
         found = self._solver(is_free=False).solve(self._frames(FRAMES_TO_ALIGN, neutral), neutral, STEPS_TO_ALIGN)
         return self._actor(found.neutral, given.source, given.notes, {})
 

@@ -19,6 +19,7 @@ from riginv.tracking.surfaces.scan_files import SUFFIXES, read_scan
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.wrap import wrap
 
+FARTHEST = 0.25  # mean offset, relative to the mean distance of the rig's vertices from their centre
 LEAST_USABLE = 0.5  # fraction of the rig's skin that a scan of a neutral must cover
 
 
@@ -90,6 +91,31 @@ def wrapped(scan: Scan, units: ClipUnits, rig: RigBackend, key: str) -> tuple[Te
         )
     note = f"{key}: a scan, wrapped: {found.usable:.0%} of the skin lies on it; {found.scale:.3g} times the rig's size"
     return torch.from_numpy(found.scale * found.local).to(rig.dtype), note
+
+
+def in_rig_space(given: GivenNeutral, rest: Tensor, stability: Tensor, moves: bool) -> Tensor:
+    """A given neutral in the rig's space, with the rig's vertices where it has none, `(vertex, 3)`.
+
+    Args:
+        rest: vertices of the rig.
+        stability: of the vertices in the alignment, `(vertex,)`.
+        moves: whether it may have a rigid motion, which is removed.
+
+    Raises:
+        InputError: it is far from the rig's shape.
+    """
+    neutral = given.vertices.to(rest)
+    if moves and not given.is_aligned:
+        neutral = remove_motion(fit_rigid(rest[None], neutral[None], stability), neutral[None])[0]
+    neutral = torch.where(torch.isfinite(neutral).all(dim=1, keepdim=True), neutral, rest)
+    size = float((rest - rest.mean(dim=0)).norm(dim=1).mean())
+    distance = float((neutral - rest).norm(dim=1).mean())
+    if distance > FARTHEST * size:
+        raise InputError(
+            f"actor.neutral: {given.source} lies {distance:.3g} mm from the rig on average, expected at most "
+            f"{FARTHEST * size:.3g} mm: its vertices stand in another order, or it is another mesh"
+        )
+    return neutral
 
 
 def neutral_of_frames(clip: Clip, frames: list[int | str], stability: Tensor) -> GivenNeutral:
