@@ -85,10 +85,10 @@ class OffsetSolver:
             near = self._linearise(at)
             before = at.cost
             while damping < MOST_DAMPING:
-                found = self._settled(self._moved(at, *near.step(at.units, damping)), known)
+                step = near.step(at.units, damping)
+                found = at if step is None else self._settled(self._moved(at, *step), known)
                 if found.cost < before:
-                    damping = max(damping / 5, LEAST_DAMPING)
-                    at = found
+                    damping, at = max(damping / 5, LEAST_DAMPING), found
                     break
                 damping *= 4
             at.steps += 1
@@ -194,8 +194,11 @@ class _Arrow:
     slope: Tensor
     controls: int
 
-    def step(self, at: Tensor, damping: float) -> tuple[Tensor, Tensor | None, Tensor]:
-        """The controls after a step within the box, the motion of each frame, and the shared unknowns."""
+    def step(self, at: Tensor, damping: float) -> tuple[Tensor, Tensor | None, Tensor] | None:
+        """The controls after a step within the box, the motion of each frame, and the shared unknowns.
+
+        None where a block is not positive definite.
+        """
         diagonal = self.hessian.diagonal(dim1=1, dim2=2)
         floor = FLOOR * diagonal[:, : self.controls].mean(dim=1, keepdim=True) + 1e-12
         added = damping * (diagonal + floor)
@@ -205,7 +208,10 @@ class _Arrow:
         pinned = torch.zeros_like(self.gradient)
         for _ in range(ROUNDS):
             every = torch.nn.functional.pad(free, (0, self.gradient.shape[1] - self.controls), value=True)
-            found, shared = self.solve(added, every, pinned)
+            try:
+                found, shared = self.solve(added, every, pinned)
+            except torch.linalg.LinAlgError:
+                return None
             target = at + found[:, : self.controls]
             leaving = free & ((target < 0) | (target > 1))
             if not bool(leaving.any()):

@@ -160,3 +160,48 @@ def test_scans_of_another_actor_drive_the_rig(run, tmp_path):
         errors[name] = float((found_controls(rig, tmp_path / name) - truth).abs().mean())
     assert errors["file"] < 0.5 * errors["plain"] and errors["frame"] < 0.5 * errors["plain"]
     assert "wrapped: " in outcome.text and (tmp_path / "frame/actor.obj").is_file()
+
+
+def test_a_network_serves_an_actor_as_it_serves_the_rig(run, rig, tmp_path):
+    """The same answers for the rig's own meshes and for an actor's, whose displacements are 1.5 times as large."""
+    assert run("train").code == 0
+    truth = curves(rig)
+    with torch.no_grad():
+        own = rig(truth)
+    neutral = rig.rest_vertices + offset(rig)
+    write_npz(tmp_path / "own.npz", own.numpy(), rig.faces.numpy())
+    write_npz(tmp_path / "actor.npz", (neutral + 1.5 * (own - rig.rest_vertices)).numpy(), rig.faces.numpy())
+    (tmp_path / "rest.obj").write_text(obj_text(neutral.numpy(), rig.faces.numpy()))
+    common = (f"bundle={tmp_path / 'run'}", *TOY, "motion=keep", "reading.unit=mm")
+    actor = (f"actor.neutral={tmp_path / 'rest.obj'}", "actor.scale=1.5")
+    for name, options in {"own": (), "actor": actor}.items():
+        outcome = run("invert", *common, f"clip={tmp_path / name}.npz", f"out={name}", *options)
+        assert outcome.code == 0, outcome.text
+    difference = found_controls(rig, tmp_path / "own") - found_controls(rig, tmp_path / "actor")
+    assert float(difference.abs().max()) < 2e-3
+    facts = json.loads((tmp_path / "actor/curves.json").read_text())["made_by"]["actor"]
+    assert facts["scale"] == 1.5 and facts["neutral"] == "rest.obj"
+
+
+def test_the_page_and_the_picture_show_the_actor(run, rig, tmp_path):
+    truth = curves(rig, 12)
+    neutral = rig.rest_vertices + offset(rig)
+    with torch.no_grad():
+        write_npz(tmp_path / "take.npz", (rig(truth) + offset(rig)).numpy(), rig.faces.numpy())
+    (tmp_path / "rest.obj").write_text(obj_text(neutral.numpy(), rig.faces.numpy()))
+    common = (*TOY[:2], f"clip={tmp_path / 'take.npz'}", "out=o", "reading.unit=mm", "method=levenberg_marquardt")
+    outcome = run("invert", *common, f"actor.neutral={tmp_path / 'rest.obj'}")
+    assert outcome.code == 0 and "the actor is " in outcome.text, outcome.text
+    names = {"look.html", "frames.png", "actor.png", "actor.obj", "actor.npz"}
+    assert names <= {path.name for path in (tmp_path / "o").iterdir()}
+    page = (tmp_path / "o/look.html").read_text()
+    assert '["actor","' in page and "mm from the rig on average" in page
+    again = run("invert", *common[:3], "out=again", *common[4:], f"actor.neutral={tmp_path / 'o/actor.obj'}", "look.page=false")
+    assert again.code == 0 and float((found_controls(rig, tmp_path / "again") - truth).abs().mean()) < 0.005
+
+
+def test_curves_of_the_rig_take_no_actor(run, rig, tmp_path):
+    (tmp_path / "curves.csv").write_text("frame,bump0\n1,0.2\n2,0.3\n")
+    options = ("reading.unknown=ignore_missing", "reading.fps=24", "actor.neutral=solve")
+    outcome = run("invert", *TOY, f"clip={tmp_path / 'curves.csv'}", "out=o", *options)
+    assert outcome.code == 1 and "holds curves of the rig" in outcome.text, outcome.text

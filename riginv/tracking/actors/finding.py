@@ -10,7 +10,8 @@ from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.solvers.offset import OffsetSolution, OffsetSolver
+from riginv.runs.console import show_lines
+from riginv.solvers.offset import OffsetSolver
 from riginv.tracking.actors.actor import Actor, ActorRig
 from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, neutral_of_frames, read_neutral
 from riginv.tracking.alternation import MIN_KNOWN
@@ -74,18 +75,15 @@ class _Finder:
         known = torch.isfinite(frames).all(dim=2, keepdim=True)
         mean = torch.where(known, frames, 0.0).sum(dim=0) / known.sum(dim=0).clamp_min(1)
         start = torch.where(known.any(dim=0), mean, self.rest)
+        show_lines([], [f"the actor's neutral is solved for with {len(frames)} frames spread over the clip"])
         found = self._solver(is_free=True).solve(frames, start, STEPS)
-        moved = self.controls_moved(found)
         notes = [
-            f"the neutral was solved for with {len(frames)} frames spread over the clip in {found.steps} steps: a control that "
-            f"never comes to rest in the clip may keep an error (actor.neutral=FILE avoids it)"
+            f"the neutral was found in {found.steps} steps: a control that never comes to rest in the clip may keep an error "
+            f"(actor.neutral=FILE avoids it)"
         ]
         if not bool(known.any(dim=0).all()):
             notes.append(f"{int((~known.any(dim=0)).sum()):,} vertices are never known: the actor has the rig's there")
-        return self._actor(found.neutral, SOLVE, notes, {"frames": len(frames), "steps": found.steps, "moved_controls": moved})
-
-    def controls_moved(self, found: OffsetSolution) -> int:
-        return int(((found.units.amax(dim=0) - found.units.amin(dim=0)) > 0.05).sum())
+        return self._actor(found.neutral, SOLVE, notes, {"frames": len(frames), "steps": found.steps})
 
     def aligned(self, given: GivenNeutral) -> Actor:
         """A given neutral, rotated so that the rig's displacements lie right on it."""
