@@ -4,7 +4,8 @@
 
 The clips are those of examples/another_actor.py: a Live Link Face recording, or without one a simulated performance, by the
 face's own logic, on a smooth field drawn by seed, with head motion. The figures are mean absolute errors of the controls
-that are used, as fractions of their ranges, of `riginv.invert` from file to file. SEEDS, FRAMES and OPTIONS change what is run.
+that are used, as fractions of their ranges, of `riginv.invert` from file to file. SEEDS, FRAMES, STRIDE and OPTIONS
+change what is run: a take of which every frame is far from the last needs OPTIONS=method=levenberg_marquardt.
 """
 
 import csv
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 EXAMPLE = Path(__file__).parent.parent / "examples/another_actor.py"
-SEEDS, FRAMES = (int(os.environ.get(*pair)) for pair in (("SEEDS", "3"), ("FRAMES", "300")))
+SEEDS, FRAMES, STRIDE = (int(os.environ.get(*pair)) for pair in (("SEEDS", "3"), ("FRAMES", "300"), ("STRIDE", "1")))
 OPTIONS = ["reading.unit=mm", "reading.up=y", "look.page=false", "look.sheet=false", *os.environ.get("OPTIONS", "").split()]
 USED = 0.01  # a control that exceeds it in some frame is used
 
@@ -45,7 +46,7 @@ ROWS = {
 
 def measure(row: Row, seed: int, take: str | None, folder: Path) -> tuple[float, float]:
     """The mean error of the controls that are used, and the seconds that it took."""
-    example = [sys.executable, str(EXAMPLE), str(folder), f"--frames={FRAMES}", f"--seed={seed}"]
+    example = [sys.executable, str(EXAMPLE), str(folder), f"--frames={FRAMES}", f"--stride={STRIDE}", f"--seed={seed}"]
     subprocess.run(example + ([f"--take={take}"] if take else []) + ["--still"] * (not row.moves), check=True)
     names, truth = read(folder / "truth.csv")
     options = [] if row.all_controls else [f"controls.activate=[{','.join(names)}]"]

@@ -1,6 +1,6 @@
 """A capture of somebody who does not look like the default face, for docs/actors.md.
 
-    python examples/another_actor.py OUT [--take take.csv] [--frames 120] [--seed 0] [--still]
+    python examples/another_actor.py OUT [--take take.csv] [--frames 120] [--stride 1] [--seed 0] [--still]
 
 OUT gets `take.npz`, a clip of an actor whose face at rest lies 4.3 mm from the rig's and whose head moves, `neutral.obj`, the
 actor at rest, and `truth.csv`, the controls that made it. The expressions are a simulated performance or a Live Link
@@ -60,14 +60,18 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--take", type=Path)
     parser.add_argument("--frames", type=int, default=120)
+    parser.add_argument("--stride", type=int, default=1, help="takes every so many frames")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--still", action="store_true", help="no head motion")
     given = parser.parse_args()
     rig = FaceRig()
     names = list(rig.arkit_deltas())
-    curves = recorded(given.take, names) if given.take else simulated_performance(rig, max(900, given.frames)).weights
-    first = (len(curves) - given.frames) // 2
-    curves = curves[first : first + given.frames].clamp(0, 1)
+    curves = (
+        recorded(given.take, names) if given.take else simulated_performance(rig, max(900, given.stride * given.frames)).weights
+    )
+    curves = curves[:: given.stride].clamp(0, 1)
+    first = max(len(curves) - given.frames, 0) // 2
+    curves = curves[first : first + given.frames]
     controls = rig.neutral_controls.repeat(len(curves), 1)
     controls[:, [rig.control_names.index(name) for name in names]] = curves.to(controls)
     neutral = rig.rest_vertices + offset_field(rig.rest_vertices, given.seed)

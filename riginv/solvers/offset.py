@@ -122,57 +122,53 @@ class OffsetSolver:
         centre, radius = _centre(at.neutral)
         vertices, neutral = at.vertices, at.neutral
         if motion is not None:
-            vertices = _turned(vertices, motion, centre, radius)
+            vertices = _rotated(vertices, motion, centre, radius)
         if not self.is_free:
             pose = torch.nn.functional.pad(shared, (0, 3))[None]
-            neutral = _turned(neutral[None], pose, centre, radius)[0]
+            neutral = _rotated(neutral[None], pose, centre, radius)[0]
         return OffsetSolution(neutral, units, vertices, at.cost, at.steps)
 
     def _linearise(self, at: OffsetSolution) -> "_Arrow":
         objective, frames = self.objective, len(at.units)
         centre, radius = _centre(at.neutral)
-        coordinates = self._coordinates(at.vertices, at.neutral)
-        turns = _generators(at.neutral[None], centre, radius)[0]
-        basis = self._basis(turns)
-        field = None if self.is_free else basis @ turns[:3].T  # (coordinate, 3)
-        residual = at.neutral + self._displacement(at.units) - at.vertices
-        tasks = [partial(objective.linearise, *pair) for pair in zip(at.units.split(BATCH_SIZE), coordinates.split(BATCH_SIZE))]
-        near = [torch.cat(values).double() for values in zip(*objective.run_tasks(tasks))]
-        gradient, hessian = near[1], near[2]
-        columns = []
-        for rows in torch.arange(frames).split(BATCH_SIZE):
-            _, jacobian = objective.rig.rig.coefficient_jacobian(objective.lower + objective.span * at.units[rows])
-            dense = jacobian.scaled(objective.span).dense()
-            columns.append(torch.nn.functional.pad(objective.map.T @ dense, (0, 0, 0, len(basis) - len(self.frame))))
-        coupling = torch.cat(columns)  # (frame, coordinate, control)
+        rigid = _generators(at.neutral[None], centre, radius)[0]
+        basis = self._basis(rigid)
+        residual = (at.neutral + self._displacement(at.units) - at.vertices).flatten(1)
+        batches = zip(at.units.split(BATCH_SIZE), self._coordinates(at.vertices, at.neutral).split(BATCH_SIZE))
+        near = objective.run_tasks([partial(objective.linearise, *batch) for batch in batches])
+        gradient, hessian = (torch.cat([batch[number] for batch in near]).double() for number in (1, 2))
+        coupling = self._control_columns(at.units, len(basis))
         if self.moves:
-            moves, squares, slopes = [], [], []
-            for rows in torch.arange(frames).split(BATCH_SIZE):
-                some = _generators(at.vertices[rows], centre, radius)  # (frame, 6, 3 vertex)
-                moves.append(-(some @ basis.T).mT)
-                squares.append(some.double() @ some.double().mT)
-                slopes.append(-(some @ residual[rows].flatten(1)[..., None])[..., 0])
-            motion = torch.cat(moves)
-            between = (coupling.mT @ motion).double()
-            corner = torch.cat(squares)
+            moved = zip(at.vertices.split(BATCH_SIZE), residual.split(BATCH_SIZE))
+            terms = [_motion_terms(_generators(some, centre, radius), rest, basis) for some, rest in moved]
+            columns, corner, slope = (torch.cat(values) for values in zip(*terms))
+            between = (coupling.mT @ columns).double()
             hessian = torch.cat([torch.cat([hessian, between], 2), torch.cat([between.mT, corner], 2)], 1)
-            gradient = torch.cat([gradient, torch.cat(slopes).double()], 1)
-            coupling = torch.cat([coupling, motion], 2)
-        slope = (residual.sum(dim=0).flatten() @ basis.T).double()
-        coupling = coupling.mT
-        if field is None:
+            gradient, coupling = torch.cat([gradient, slope], 1), torch.cat([coupling, columns], 2)
+        shared_slope = (basis @ residual.sum(dim=0)).double()
+        if self.is_free:
             own = frames * torch.eye(len(basis), dtype=torch.float64)
-        else:
-            coupling, slope, own = coupling @ field, slope @ field.double(), frames * (turns[:3] @ turns[:3].T).double()
-        return _Arrow(hessian, gradient, coupling.double(), own, slope, self.objective.controls)
+            return _Arrow(hessian, gradient, coupling.mT.double(), own, shared_slope, objective.controls)
+        rotations = rigid[:3]
+        field = basis @ rotations.T  # (coordinate, 3)
+        own = frames * (rotations @ rotations.T).double()
+        return _Arrow(hessian, gradient, (coupling.mT @ field).double(), own, shared_slope @ field.double(), objective.controls)
 
-    def _basis(self, turns: Tensor) -> Tensor:
+    def _control_columns(self, units: Tensor, coordinates: int) -> Tensor:
+        """The derivatives of mesh coordinates, `(frame, coordinate, control)`; 0 for those beyond the mesh space."""
+        objective, found = self.objective, []
+        for batch in units.split(BATCH_SIZE):
+            _, jacobian = objective.rig.rig.coefficient_jacobian(objective.lower + objective.span * batch)
+            found.append(objective.map.T @ jacobian.scaled(objective.span).dense())
+        return torch.nn.functional.pad(torch.cat(found), (0, 0, 0, coordinates - len(self.frame)))
+
+    def _basis(self, rigid: Tensor) -> Tensor:
         """The mesh space's frame, extended by rigid motion of the neutral, `(coordinate, 3 vertex)`."""
         if not self.moves:
             return self.frame
-        outside = turns - (turns @ self.frame.T) @ self.frame
+        outside = rigid - (rigid @ self.frame.T) @ self.frame
         rest, sizes, _ = torch.linalg.svd(outside.double().T, full_matrices=False)
-        kept = sizes > 1e-4 * turns.norm(dim=1).max()
+        kept = sizes > 1e-4 * rigid.norm(dim=1).max()
         return torch.cat([self.frame, rest[:, kept].T.to(self.frame)])
 
 
@@ -260,12 +256,19 @@ def _centre(neutral: Tensor) -> tuple[Tensor, float]:
 def _generators(vertices: Tensor, centre: Tensor, radius: float) -> Tensor:
     """Displacements by small rotations, scaled to about 1 mm, and by translations, `(frame, 6, 3 vertex)`."""
     axes = torch.eye(3).to(vertices)
-    turns = [torch.linalg.cross(axis.expand_as(vertices), (vertices - centre) / radius, dim=-1) for axis in axes]
+    rotations = [torch.linalg.cross(axis.expand_as(vertices), (vertices - centre) / radius, dim=-1) for axis in axes]
     shifts = [axis.expand_as(vertices) for axis in axes]
-    return torch.stack([*turns, *shifts], dim=1).flatten(2)
+    return torch.stack([*rotations, *shifts], dim=1).flatten(2)
 
 
-def _turned(vertices: Tensor, motion: Tensor, centre: Tensor, radius: float) -> Tensor:
+def _motion_terms(generators: Tensor, residual: Tensor, basis: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Derivatives of the residual by rigid motion in coordinates `(frame, coordinate, 6)`, their squares and the gradient."""
+    exact = generators.double()
+    slope = -(exact @ residual.double()[..., None])[..., 0]
+    return -(generators @ basis.T).mT, exact @ exact.mT, slope
+
+
+def _rotated(vertices: Tensor, motion: Tensor, centre: Tensor, radius: float) -> Tensor:
     """Meshes after rigid motions `(frame, 6)` in the units of `_generators`."""
     rotation = roma.rotvec_to_rotmat(motion[:, :3] / radius)
     return (vertices - centre) @ rotation.mT + centre + motion[:, None, 3:]

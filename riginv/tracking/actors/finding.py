@@ -94,6 +94,8 @@ class _Finder:
         return self._actor(found.neutral, given.source, given.notes, {})
 
     def _actor(self, neutral: Tensor, source: str, notes: list[str], facts: dict) -> Actor:
+        if self.moves:  # rigid motion makes any translation: the one that is nearest to the rig is taken
+            neutral = neutral - (neutral - self.rest).mean(dim=0)
         return Actor(neutral, neutral - self.rest, self.options.actor.scale, source, tuple(notes), facts)
 
     def _solver(self, is_free: bool) -> OffsetSolver:
