@@ -136,14 +136,14 @@ def build_solver(
     weights: Tensor | None,
     inverse: Inverse | None,
     method: Method,
-    prior_rig: LinearRig,
+    prior_rig: LinearRig | None = None,
 ) -> SolverEstimator:
     """The solver of a method, over the free controls.
 
     Args:
         weights: of the vertices, `(vertex,)`; None: all count equally.
         inverse: its answers are the start; None: the solver starts from scratch.
-        prior_rig: the rig that a learned prior belongs to.
+        prior_rig: the rig that a learned prior belongs to; None: that of `rig`.
     """
     solver = options.solver
     fixed = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.values)
@@ -153,7 +153,7 @@ def build_solver(
         solver.prior,
         solver.sparsity,
         constraints.penalties_of_free(),
-        _learned_prior(options, prior_rig, fixed, weights),
+        _learned_prior(options, prior_rig or rig.rig, fixed, weights),
     )
     network = NetworkEstimator(inverse, constraints, rig) if inverse is not None and method != "levenberg_marquardt" else None
     steps = (options.refine or REFINE_STEPS) if network else solver.steps

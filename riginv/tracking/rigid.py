@@ -30,6 +30,8 @@ def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | N
     """
     known = torch.isfinite(target).all(dim=2)
     base = weights * known
+    enough = (base > 0).sum(dim=1) >= 3
+    base = torch.where(enough[:, None], base, 1.0)  # weights of 0 have no centre
     target = torch.where(known[..., None], target, 0.0)
     source = source.expand_as(target)
     if start is None:
@@ -46,7 +48,6 @@ def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | N
         if float((moved - before).norm(dim=2).mean(dim=1).max()) < CONVERGED_MM:
             break
     motion = torch.eye(4).to(rotation).expand(len(rotation), -1, -1).clone()
-    enough = (base > 0).sum(dim=1) >= 3
     motion[enough, :3, :3], motion[enough, :3, 3] = rotation[enough], translation[enough]
     return motion
 
