@@ -6,7 +6,7 @@ answer_help(__name__, "invert")  # before the imports that take seconds
 
 import importlib.metadata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,6 +31,9 @@ from riginv.runs.checksums import SUMS, sha256
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
+from riginv.tracking.actors.actor import Actor, posed_actor
+from riginv.tracking.actors.files import write_actor
+from riginv.tracking.actors.finding import find_actor
 from riginv.tracking.assembly import build_parts
 from riginv.tracking.clip_optimum import with_optimum
 from riginv.tracking.correspondence import by_surface
@@ -112,20 +115,23 @@ def invert_vertices(
     """Invert a clip of the rig's own mesh, and write the folder `out`."""
     described = show_clip(clip)
     show_rig(true_rig, settings.rig.config if settings.rig else None)
-    parts = build_parts(settings, clip, rig, true_rig, inverse)
-    with exclusive_lock(out), InversionProgress(len(clip), [*notes, *parts.notes]) as progress:
+    actor = find_actor(settings, settings.reading, clip, rig, true_rig)
+    parts = build_parts(settings, clip, rig, true_rig, inverse, actor)
+    notes = [*notes, *([*actor.notes, f"the actor is {actor.sentence}"] if actor else []), *parts.notes]
+    with exclusive_lock(out), InversionProgress(len(clip), notes) as progress:
         free_folder(settings.out)
         arguments = (clip, parts.inverter, parts.evaluator, settings.window, progress.advance)
         found = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
         progress.advance("the optimum", 0)
         errors = with_optimum(found.errors, clip, found, parts.evaluator)
-        facts, source = made_by(settings, parts.method), Path(settings.clip).name
+        facts, source = made_by(settings, parts.method, actor), Path(settings.clip).name
         animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
         with atomic_write(out) as folder:
             folder.mkdir()
             curves = (describe(clip), settings.formats, settings.after, progress.advance)
             files, remarks = write_curves(folder, animation, errors, *curves)
-            views, more = write_views(folder, clip, animation, errors, settings.look, progress.advance)
+            shown = replace(animation, rig=posed_actor(true_rig, actor))
+            views, more = write_views(folder, clip, shown, errors, settings.look, progress.advance, actor)
     warnings = describe(clip).new_warnings(described) if described else []
     remarks += [*more, *(f"warning: {warning}" for warning in warnings)]
     show(animation, errors, true_rig, out, [*files, *views], remarks)
@@ -141,7 +147,7 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
     with exclusive_lock(out), InversionProgress(len(numbers), [*notes, *parts.notes]) as progress:
         free_folder(settings.out)
         track = track_scans(parts.solver, parts.scans, parts.units, parts.rows, parts.smoothness, progress.advance)
-        facts, source = made_by(settings, "surface"), Path(settings.clip).name
+        facts, source = made_by(settings, "surface", parts.actor), Path(settings.clip).name
         motion = track.motion if parts.solver.moves else None
         animation = Animation(true_rig, track.controls, parts.units.fps, numbers, motion, source, facts)
         errors = frame_errors(track, numbers)
@@ -150,6 +156,8 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
             curves = (described, settings.formats, settings.after, progress.advance)
             files, more = write_curves(folder, animation, errors, *curves)
             files += write_scan_table(folder, track, numbers)
+            if parts.actor is not None:
+                files += write_actor(folder, parts.actor, rig.faces, settings.look.sheet)
     rows = ("scan's points from the rig", "rig's skin from the scan")
     show(animation, errors, true_rig, out, files, [*remarks_of(track), *more], "mean surface distances", rows)
 
@@ -166,11 +174,13 @@ def free_folder(out: str) -> Path:
     return path
 
 
-def made_by(settings: InvertConfig, method: str) -> dict[str, Any]:
+def made_by(settings: InvertConfig, method: str, actor: Actor | None) -> dict[str, Any]:
     """How the curves were made, for curves.json."""
     facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": settings.refine}
     if settings.bundle:
         facts["bundle"] = sha256(read_bundle(settings.bundle).folder / SUMS)
+    if actor is not None:
+        facts["actor"] = actor.as_json()
     return facts
 
 

@@ -14,19 +14,17 @@ from PIL import Image
 from rich.console import Console
 
 from riginv.clips.options import ReadingOptions
-from riginv.clips.units import ClipUnits
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
+from riginv.meshes.obj import obj_text
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write, write_text
-from riginv.tracking.surfaces.scan_files import FileScans
-from riginv.tracking.surfaces.scans import Scan
+from riginv.tracking.surfaces.scan_files import read_scan
 from riginv.tracking.surfaces.triangles import Surface, TriangleMesh
-from riginv.tracking.surfaces.units import resolve_scan_units
 from riginv.tracking.surfaces.wrap import Wrapped, WrapSettings, wrap
 
 RED_MM = 1.0  # the distance that the picture shows as dark red
@@ -67,28 +65,6 @@ def run(config: DictConfig) -> None:
         f"  {out}, {picture}",
     ]
     show_lines(lines, console=Console())
-
-
-def read_scan(path: str, reading: ReadingOptions, rig: RigBackend) -> tuple[Scan, ClipUnits]:
-    """A single scan and its units.
-
-    Raises:
-        InputError: there are several files, or too few points.
-    """
-    scans = FileScans(path, reading)
-    if len(scans) != 1:
-        raise InputError(f"scan={path}: {len(scans)} files, expected one scan of a neutral face")
-    scan = scans.scan(0)
-    cleaned = None if scan is None else scan.cleaned()
-    if cleaned is None:
-        raise InputError(f"scan={path}: fewer than 50 points: there is nothing to fit")
-    return cleaned, resolve_scan_units(scans, rig, reading)
-
-
-def obj_text(vertices: np.ndarray, faces: np.ndarray) -> str:
-    """A Wavefront OBJ of vertices `(vertex, 3)` and faces `(face, 3)`."""
-    lines = ["# millimetres, y up", *(f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in vertices.tolist())]
-    return "\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist())]) + "\n"
 
 
 def distance_map(rig: RigBackend, found: Wrapped, surface: Surface) -> Image.Image:

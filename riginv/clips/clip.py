@@ -86,19 +86,32 @@ def excluded_frames(path: str, numbers: Tensor, exclude: Sequence[int | str]) ->
     Raises:
         InputError: an entry is no frame or range of the clip, or all frames are excluded.
     """
-    excluded = torch.zeros(len(numbers), dtype=torch.bool)
-    if not isinstance(exclude, list | tuple):
-        raise InputError(f"frames.exclude is {exclude!r}, expected a list of frames: frames.exclude=[17,120-135]")
-    for entry in exclude:
+    excluded = frames_named(path, numbers, exclude, "frames.exclude")
+    if bool(excluded.all()):
+        raise InputError(f"{path}: frames.exclude leaves no frame of {len(excluded)}")
+    return excluded
+
+
+def frames_named(path: str, numbers: Tensor, entries: Sequence[int | str], key: str) -> Tensor:
+    """Whether each frame `(frame,)` is one of `entries`, numbers or ranges such as `120-135`.
+
+    Args:
+        key: of the config, for messages.
+
+    Raises:
+        InputError: an entry is no frame or range of the clip.
+    """
+    found = torch.zeros(len(numbers), dtype=torch.bool)
+    if not isinstance(entries, list | tuple):
+        raise InputError(f"{key} is {entries!r}, expected a list of frames: {key}=[17,120-135]")
+    for entry in entries:
         low, dash, high = str(entry).partition("-")
         try:
             ends = int(low), int(high if dash else low)
         except ValueError:
-            raise InputError(f"frames.exclude holds {entry!r}, expected a frame's number, or two as '120-135'") from None
+            raise InputError(f"{key} holds {entry!r}, expected a frame's number, or two as '120-135'") from None
         span = (numbers >= ends[0]) & (numbers <= ends[1])
         if not bool(span.any()):
-            raise InputError(f"frames.exclude names {entry}, and {path} has frames {int(numbers[0])} to {int(numbers[-1])}")
-        excluded |= span
-    if bool(excluded.all()):
-        raise InputError(f"{path}: frames.exclude leaves no frame of {len(excluded)}")
-    return excluded
+            raise InputError(f"{key} names {entry}, and {path} has frames {int(numbers[0])} to {int(numbers[-1])}")
+        found |= span
+    return found

@@ -234,3 +234,9 @@ def _wrong_line(path: Path, data: bytes, line: re.Match, expected: str, reason: 
     number = data.count(b"\n", 0, line.start()) + 1
     found = line[0].decode("utf-8", "replace").strip()[:60]
     return InputError(f"{path}, line {number}: found {found!r}, expected {expected}: {reason or 'truncated? export it again'}")
+
+
+def obj_text(vertices: np.ndarray, faces: np.ndarray) -> str:
+    """A Wavefront OBJ of vertices `(vertex, 3)` and faces `(face, 3)`."""
+    lines = ["# millimetres, y up", *(f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in vertices.tolist())]
+    return "\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist())]) + "\n"

@@ -11,6 +11,7 @@ from riginv.inference.inverse import Inverse
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.objective import GaussianPrior
+from riginv.tracking.actors.actor import Actor, ActorRig, posed_actor
 from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
@@ -47,11 +48,19 @@ class Parts:
     notes: list[str]
 
 
-def build_parts(options: TrackingOptions, clip: Clip, rig: LinearRig, true_rig: RigBackend, inverse: Inverse | None) -> Parts:
+def build_parts(
+    options: TrackingOptions,
+    clip: Clip,
+    rig: LinearRig,
+    true_rig: RigBackend,
+    inverse: Inverse | None,
+    actor: Actor | None = None,
+) -> Parts:
     """The parts of an inversion.
 
     Args:
         rig: to solve for; that of the inverse, if there is one.
+        actor: whose neutral takes the place of the rig's; None: the actor's face at rest is the rig's.
 
     Raises:
         InputError: a name or file is wrong, or the method cannot do what is requested.
@@ -62,26 +71,32 @@ def build_parts(options: TrackingOptions, clip: Clip, rig: LinearRig, true_rig: 
     weights = vertex_weights(true_rig, options.vertices)
     if method == "network":
         _refuse_for_network(constraints, options.solver)
+    plain_rig, evaluated_rig = rig, true_rig
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
+    if actor is not None:
+        rig = ActorRig(rig, actor)
+        evaluated_rig = rig if true_rig is plain_rig else posed_actor(true_rig, actor)
+        space = MeshSpace(rig.rest_vertices, space.frame, space.residual_mm)
+        in_space = RigInMeshSpace(rig, space)
     anchors = _anchors(options.motion, in_space, true_rig, weights, notes)
     by_solver: Method = "refined" if inverse else "levenberg_marquardt"
     if anchors is not None and options.motion == "auto":
-        solver = build_solver(options, in_space, constraints, weights, inverse, by_solver)
+        solver = build_solver(options, in_space, constraints, weights, inverse, by_solver, plain_rig)
         anchors = anchors_if_moving(clip, rig, solver, anchors, weights, options.turns, notes)
     if bool(constraints.static.any()):
-        solver = build_solver(options, in_space, constraints, weights, inverse, by_solver)
+        solver = build_solver(options, in_space, constraints, weights, inverse, by_solver, plain_rig)
         inverter = WindowInverter(rig, solver, anchors, None, options.turns)
         constraints = constraints.with_fixed(constraints.static, static_values(clip, inverter, solver, constraints.static))
     estimator: ControlEstimator
     if method == "network" and inverse is not None:
-        estimator = NetworkEstimator(inverse, constraints)
+        estimator = NetworkEstimator(inverse, constraints, in_space)
     else:
-        estimator = build_solver(options, in_space, constraints, weights, inverse, method)
+        estimator = build_solver(options, in_space, constraints, weights, inverse, method, plain_rig)
     inverter = WindowInverter(rig, estimator, anchors, weights if method == "network" else None, options.turns)
     evaluator = FrameEvaluator(
         len(clip),
-        true_rig,
+        evaluated_rig,
         rig,
         space,
         estimator,
@@ -121,12 +136,14 @@ def build_solver(
     weights: Tensor | None,
     inverse: Inverse | None,
     method: Method,
+    prior_rig: LinearRig | None = None,
 ) -> SolverEstimator:
     """The solver of a method, over the free controls.
 
     Args:
         weights: of the vertices, `(vertex,)`; None: all count equally.
         inverse: its answers are the start; None: the solver starts from scratch.
+        prior_rig: the rig that a learned prior belongs to; None: that of `rig`.
     """
     solver = options.solver
     fixed = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.values)
@@ -136,19 +153,19 @@ def build_solver(
         solver.prior,
         solver.sparsity,
         constraints.penalties_of_free(),
-        _learned_prior(options, rig, fixed, weights),
+        _learned_prior(options, prior_rig or rig.rig, fixed, weights),
     )
-    network = NetworkEstimator(inverse, constraints) if inverse is not None and method != "levenberg_marquardt" else None
+    network = NetworkEstimator(inverse, constraints, rig) if inverse is not None and method != "levenberg_marquardt" else None
     steps = (options.refine or REFINE_STEPS) if network else solver.steps
     return SolverEstimator(objective, network, steps, solver.key_starts, solver.descent_steps)
 
 
 def _learned_prior(
-    options: TrackingOptions, rig: RigInMeshSpace, fixed: FixedControlsRig, weights: Tensor | None
+    options: TrackingOptions, rig: LinearRig, fixed: FixedControlsRig, weights: Tensor | None
 ) -> GaussianPrior | None:
     """The learned prior of the free controls, weighted for the vertices that count."""
     if options.prior is None:
         return None
-    rest = rig.rig.rest_vertices if weights is None else rig.rig.rest_vertices[weights > 0]
+    rest = rig.rest_vertices if weights is None else rig.rest_vertices[weights > 0]
     measurements = independent_measurements(rest.cpu())
-    return load_prior(Path(options.prior), rig.rig).subset(fixed.free.cpu()).weighed(options.noise_mm, measurements)
+    return load_prior(Path(options.prior), rig).subset(fixed.free.cpu()).weighed(options.noise_mm, measurements)

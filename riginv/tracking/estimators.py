@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from riginv.inference.inverse import Inverse
-from riginv.rig.mesh_space import MeshSpace
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes, solve_frames
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import Objective
+from riginv.tracking.actors.actor import ActorRig
 from riginv.tracking.constraints import ControlConstraints
 from riginv.tracking.fixed_controls import FixedControlsRig
 
@@ -35,15 +36,20 @@ class ControlEstimator(ABC):
 
 
 class NetworkEstimator(ControlEstimator):
-    """The network alone; fixed controls replace its answers."""
+    """The network alone; fixed controls replace its answers.
 
-    def __init__(self, inverse: Inverse, constraints: ControlConstraints) -> None:
-        self.inverse, self.constraints = inverse, constraints
+    Args:
+        rig: of the meshes: the network's, or that of an actor.
+    """
+
+    def __init__(self, inverse: Inverse, constraints: ControlConstraints, rig: RigInMeshSpace) -> None:
+        self.inverse, self.constraints, self.space = inverse, constraints, rig.space
+        self.scale = rig.rig.scale if isinstance(rig.rig, ActorRig) else 1.0
 
     @torch.no_grad()
     def estimate(self, vertices: Tensor) -> Tensor:
         network = self.inverse.network
-        controls = torch.cat([network(network.rig.space.encode(batch)) for batch in vertices.split(BATCH_SIZE)])
+        controls = torch.cat([network(self.space.encode(batch) / self.scale) for batch in vertices.split(BATCH_SIZE)])
         return torch.where(self.constraints.free, controls, self.constraints.values)
 
     def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:

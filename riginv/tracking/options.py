@@ -9,6 +9,7 @@ from riginv.errors import InputError
 
 Method = Literal["network", "refined", "levenberg_marquardt", "clip"]
 Globs = Annotated[Sequence[str], Bound("a list of names or globs, such as [jaw*]", lambda value: True)]
+Frames = Annotated[Sequence[int | str], Bound("a list of frames, such as [1,120-135]", lambda value: True)]
 Pairs = Annotated[
     Sequence[tuple[str, str]],
     Bound("pairs of names, such as [[browDownLeft,browDownRight]]", lambda value: all(len(pair) == 2 for pair in value)),
@@ -60,6 +61,35 @@ class ControlOptions:
     exclusive_mm2: Weight = 1.0
     mask: str | None = None
     unknown: Literal["error", "ignore_new", "ignore_missing", "ignore_both"] = "error"
+
+
+@dataclass(frozen=True)
+class ActorOptions:
+    """The actor, where its face at rest is not the rig's.
+
+    Attributes:
+        neutral: file of its neutral, a mesh of the rig's topology or a scan; `solve`: found together with the controls.
+        neutral_frames: frames of the clip at which the actor is neutral; their mean is taken.
+        scale: size of its displacements relative to the rig's.
+
+    Raises:
+        InputError: both neutrals are given.
+    """
+
+    neutral: str | None = None
+    neutral_frames: Frames = ()
+    scale: Annotated[float, Bound("a factor from 0.2 to 5", lambda value: 0.2 <= value <= 5)] = 1.0
+
+    def __post_init__(self) -> None:
+        if self.neutral and self.neutral_frames:
+            raise InputError(f"actor.neutral={self.neutral} and actor.neutral_frames are both given: leave one of them out")
+        if self.scale != 1 and not self.is_given:
+            raise InputError(f"actor.scale={self.scale:g} needs a neutral: give actor.neutral or actor.neutral_frames")
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the actor differs from the rig."""
+        return bool(self.neutral or self.neutral_frames)
 
 
 @dataclass(frozen=True)
@@ -126,6 +156,7 @@ class TrackingOptions:
         refine: Levenberg-Marquardt steps after the network.
         motion: rigid motion: `remove`, `keep`, or `auto`: remove it, unless the rig has controls for it.
         turns: iterations of the alternating solve for rigid motion, missing vertices and controls, at most.
+        actor: the actor, where its face at rest is not the rig's.
         window: frames in memory at a time.
 
     Raises:
@@ -139,6 +170,7 @@ class TrackingOptions:
     refine: NonNegativeInt = 0
     motion: Literal["auto", "remove", "keep"] = "auto"
     turns: PositiveInt = 12
+    actor: ActorOptions = field(default_factory=ActorOptions)
     vertices: VertexOptions = field(default_factory=VertexOptions)
     controls: ControlOptions = field(default_factory=ControlOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)

@@ -13,6 +13,8 @@ from riginv.animation.resampling import resampled
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.description_text import in_short, rows
+from riginv.tracking.actors.actor import Actor
+from riginv.tracking.actors.files import write_actor
 from riginv.tracking.options import AfterOptions, LookOptions
 from riginv.tracking.rigid import remove_motion
 from riginv.tracking.run import Advance
@@ -59,16 +61,27 @@ def write_curves(
 
 
 def write_views(
-    folder: Path, clip: Clip, animation: Animation, errors: FrameErrors, look: LookOptions, advance: Advance
+    folder: Path,
+    clip: Clip,
+    animation: Animation,
+    errors: FrameErrors,
+    look: LookOptions,
+    advance: Advance,
+    actor: Actor | None = None,
 ) -> tuple[list[str], list[str]]:
-    """Write the page, the contact sheet and TensorBoard events into a folder; returns as `write_curves`."""
+    """Write the actor, the page, the contact sheet and TensorBoard events into a folder; returns as `write_curves`.
+
+    Args:
+        animation: of a rig with the actor's neutral, if there is an actor.
+    """
     described, targets = describe(clip), _targets(clip, animation)
-    names: list[str] = []
+    names = [] if actor is None else write_actor(folder, actor, animation.rig.faces, look.sheet)
     notes: list[str] = []
     if look.page:
         advance("page", 0)
         names.append(PAGE)
-        source = ClipSource(in_short(described), rows(described, None), described.warnings, described.notes)
+        facts = [*rows(described, None), *([("actor", actor.sentence)] if actor else [])]
+        source = ClipSource(in_short(described), facts, described.warnings, described.notes)
         note = write_viewer(folder / PAGE, animation, errors, targets, clip=source).note
         notes += [f"{PAGE}: {note}"]
     if look.sheet:

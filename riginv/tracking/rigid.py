@@ -31,7 +31,7 @@ def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | N
     known = torch.isfinite(target).all(dim=2)
     base = weights * known
     enough = (base > 0).sum(dim=1) >= 3
-    base[~enough] = 1.0  # a fit of nothing would divide by 0
+    base = torch.where(enough[:, None], base, 1.0)  # weights of 0 have no centre
     target = torch.where(known[..., None], target, 0.0)
     source = source.expand_as(target)
     if start is None:

@@ -13,6 +13,8 @@ from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
+from riginv.tracking.actors.actor import Actor, ActorRig
+from riginv.tracking.actors.scans import actor_of_scans
 from riginv.tracking.options import ControlOptions, TrackingOptions
 from riginv.tracking.priors.files import load_prior
 from riginv.tracking.priors.performances import default_prior
@@ -36,6 +38,7 @@ class ScanParts:
         rows: index of each frame in the clip, -1 for an excluded one.
         frame_numbers: `(frame,)`, as in the source.
         smoothness: of the curves; None: each frame on its own.
+        actor: whose neutral takes the place of the rig's; None: the actor's face at rest is the rig's.
         notes: what was guessed.
     """
 
@@ -45,6 +48,7 @@ class ScanParts:
     rows: list[int]
     frame_numbers: torch.Tensor
     smoothness: ScanSmoothness | None
+    actor: Actor | None
     notes: list[str]
 
     def describe(self) -> ClipDescription:
@@ -103,9 +107,14 @@ def build_scan_parts(
     excluded = excluded_frames(scans.path, kept, frames.exclude)
     rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
     settings = ScanSettings(noise_mm=options.noise_mm)
-    solver = ScanSolver(rig, prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy())
+    actor = actor_of_scans(options.actor, reading, scans, units, rig)
+    fitted = rig if actor is None else ActorRig(rig, actor)
+    notes = [*scans.facts.notes, *units.notes, note]
+    if actor is not None:
+        notes += [*actor.notes, f"the actor is {actor.sentence}"]
+    solver = ScanSolver(fitted, prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy())
     smoothness = ScanSmoothness() if options.method in (None, "clip") else None
-    return ScanParts(scans, units, solver, rows, kept, smoothness, [*scans.facts.notes, *units.notes, note])
+    return ScanParts(scans, units, solver, rows, kept, smoothness, actor, notes)
 
 
 def _check(options: TrackingOptions) -> None:

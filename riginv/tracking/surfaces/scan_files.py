@@ -9,12 +9,14 @@ from riginv.clips.numbered import find_frames, visible_files
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts
+from riginv.clips.units import ClipUnits
 from riginv.errors import InputError, in_short
 from riginv.meshes.polygons import Polygons
 from riginv.meshes.reading import read_mesh
 from riginv.rig.interface import RigBackend
 from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
 from riginv.tracking.surfaces.scans import Scan, ScanSequence
+from riginv.tracking.surfaces.units import resolve_scan_units
 
 SUFFIXES = (".obj", ".ply")
 
@@ -114,6 +116,25 @@ def open_scans(path: str, rig: RigBackend, reading: ReadingOptions) -> ScanSeque
     if given.suffix.lower() in SUFFIXES or given.is_dir():
         return FileScans(path, reading)
     return MeshScans(open_sequence(path, rig, reading))
+
+
+def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "scan") -> tuple[Scan, ClipUnits]:
+    """A single scan and its units.
+
+    Args:
+        key: of the config, that names the file.
+
+    Raises:
+        InputError: there are several files, or too few points.
+    """
+    scans = FileScans(path, reading)
+    if len(scans) != 1:
+        raise InputError(f"{key}={path}: {len(scans)} files, expected one scan of a neutral face")
+    scan = scans.scan(0)
+    cleaned = None if scan is None else scan.cleaned()
+    if cleaned is None:
+        raise InputError(f"{key}={path}: fewer than 50 points: there is nothing to fit")
+    return cleaned, resolve_scan_units(scans, rig, reading)
 
 
 def is_ragged(path: str) -> bool:

@@ -1,0 +1,1 @@
+"""Actors whose face at rest differs from the rig."""

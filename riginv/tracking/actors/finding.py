@@ -1,0 +1,122 @@
+"""The actor of a clip: its neutral as given, or found together with the controls of frames spread over the clip."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from riginv.clips.clip import Clip
+from riginv.clips.options import ReadingOptions
+from riginv.errors import InputError
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.runs.console import show_lines
+from riginv.solvers.offset import OffsetSolver
+from riginv.tracking.actors.actor import Actor, ActorRig
+from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, neutral_of_frames, read_neutral
+from riginv.tracking.alternation import MIN_KNOWN
+from riginv.tracking.assembly import build_solver
+from riginv.tracking.constraints import resolve_constraints
+from riginv.tracking.options import TrackingOptions
+from riginv.tracking.regions import vertex_weights
+from riginv.tracking.rigid import fit_rigid, remove_motion
+from riginv.tracking.stability import has_root_controls, stability_weights
+from riginv.tracking.static_controls import spread_frames
+
+SOLVE = "solve"
+SPARSITY = 3e-5  # mm^2, an L1 penalty: it says which pose is the neutral one
+FRAMES, FRAMES_TO_ALIGN = 60, 16  # frames spread over the clip, to solve for an offset, and for a rotation alone
+STEPS, STEPS_TO_ALIGN = 40, 12
+
+
+@torch.no_grad()
+def find_actor(
+    options: TrackingOptions, reading: ReadingOptions, clip: Clip, rig: LinearRig, true_rig: RigBackend
+) -> Actor | None:
+    """The actor of a clip; None where the options name none.
+
+    Raises:
+        InputError: the neutral cannot be read or does not fit the rig, or the clip has no known frames.
+    """
+    given = options.actor
+    if not given.is_given:
+        return None
+    if clip.sequence.in_rig_space:
+        raise InputError(f"actor.* is for captured meshes, and {clip.sequence.path} holds curves of the rig: leave it out")
+    moves = options.motion == "remove" or (
+        options.motion == "auto" and not has_root_controls(RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
+    )
+    finder = _Finder(options, clip, rig, true_rig, moves)
+    if given.neutral == SOLVE:
+        return finder.solved()
+    if given.neutral:
+        neutral = read_neutral(given.neutral, true_rig, reading)
+    else:
+        neutral = neutral_of_frames(clip, list(given.neutral_frames), finder.stability)
+    return finder.aligned(neutral)
+
+
+class _Finder:
+    """Finds an actor's neutral in the rig's space.
+
+    Args:
+        moves: whether the clip may have rigid motion, which then the neutral has, too.
+    """
+
+    def __init__(self, options: TrackingOptions, clip: Clip, rig: LinearRig, true_rig: RigBackend, moves: bool) -> None:
+        self.options, self.clip, self.rig, self.moves = options, clip, rig, moves
+        self.stability, self.rest = stability_weights(true_rig), rig.rest_vertices
+        weights = vertex_weights(true_rig, options.vertices)
+        self.counts = torch.ones(len(self.rest), dtype=torch.bool) if weights is None else weights > 0
+
+    def solved(self) -> Actor:
+        """The neutral that goes best with the fewest controls over the whole clip."""
+        frames = self._frames(FRAMES, self.rest)
+        known = torch.isfinite(frames).all(dim=2, keepdim=True)
+        mean = torch.where(known, frames, 0.0).sum(dim=0) / known.sum(dim=0).clamp_min(1)
+        start = torch.where(known.any(dim=0), mean, self.rest)
+        show_lines([], [f"the actor's neutral is solved for with {len(frames)} frames spread over the clip"])
+        found = self._solver(is_free=True).solve(frames, start, STEPS)
+        notes = [
+            f"the neutral was found in {found.steps} steps: a control that never comes to rest in the clip may keep an error "
+            f"(actor.neutral=FILE avoids it)"
+        ]
+        if not bool(known.any(dim=0).all()):
+            notes.append(f"{int((~known.any(dim=0)).sum()):,} vertices are never known: the actor has the rig's there")
+        return self._actor(found.neutral, SOLVE, notes, {"frames": len(frames), "steps": found.steps})
+
+    def aligned(self, given: GivenNeutral) -> Actor:
+        """A given neutral, rotated so that the rig's displacements lie right on it."""
+        neutral = in_rig_space(given, self.rest, self.stability * self.counts, self.moves)
+        if not self.moves:
+            return self._actor(neutral, given.source, given.notes, {})
+        found = self._solver(is_free=False).solve(self._frames(FRAMES_TO_ALIGN, neutral), neutral, STEPS_TO_ALIGN)
+        return self._actor(found.neutral, given.source, given.notes, {})
+
+    def _actor(self, neutral: Tensor, source: str, notes: list[str], facts: dict) -> Actor:
+        if self.moves:  # rigid motion makes any translation: the one that is nearest to the rig is taken
+            neutral = neutral - (neutral - self.rest).mean(dim=0)
+        return Actor(neutral, neutral - self.rest, self.options.actor.scale, source, tuple(notes), facts)
+
+    def _solver(self, is_free: bool) -> OffsetSolver:
+        scale = self.options.actor.scale
+        actor = Actor(self.rest, torch.zeros_like(self.rest), scale, "")
+        rig = self.rig if scale == 1 else ActorRig(self.rig, actor)
+        sparsity = max(self.options.solver.sparsity, SPARSITY if is_free else 0.0)
+        options = replace(self.options, solver=replace(self.options.solver, sparsity=sparsity))
+        constraints = resolve_constraints(self.rig, options.controls)
+        in_space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
+        solver = build_solver(options, in_space, constraints, None, None, "levenberg_marquardt", self.rig)
+        return OffsetSolver(solver.objective, self.moves, is_free)
+
+    def _frames(self, count: int, neutral: Tensor) -> Tensor:
+        """Frames spread over the clip, moved to a neutral, without vertices that do not count."""
+        frames = spread_frames(self.clip, count).to(self.rest)
+        frames[:, ~self.counts] = torch.nan
+        frames = frames[torch.isfinite(frames).all(dim=2).float().mean(dim=1) >= MIN_KNOWN]
+        if not len(frames):
+            raise InputError(f"{self.clip.sequence.path}: no frame has enough known vertices: the actor cannot be found")
+        return self._to(frames, neutral) if self.moves else frames
+
+    def _to(self, frames: Tensor, neutral: Tensor) -> Tensor:
+        return remove_motion(fit_rigid(neutral[None], frames, self.stability * self.counts), frames)
