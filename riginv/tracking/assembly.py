@@ -151,4 +151,8 @@ def _learned_prior(
         return None
     rest = rig.rig.rest_vertices if weights is None else rig.rig.rest_vertices[weights > 0]
     measurements = independent_measurements(rest.cpu())
-    return load_prior(Path(options.prior), rig.rig).subset(fixed.free.cpu()).weighed(options.noise_mm, measurements)
+    return (
+        load_prior(Path(options.prior), rig.rig)
+        .subset(fixed.free.cpu())
+        .weighed(options.noise_of_measurements_mm, measurements)
+    )

@@ -3,6 +3,7 @@
 Rigid motion takes its optimum for any controls (variable projection, Golub and Pereyra, 1973): the solvers see controls alone.
 """
 
+import copy
 from typing import NamedTuple
 
 import roma
@@ -94,8 +95,18 @@ class MarkerObjective(PenalisedObjective):
         count = len(placement)
         space = MeshSpace(rig.rest_vertices, torch.eye(3 * count).to(rig.rest_vertices).unflatten(1, (count, 3)))
         super().__init__(RigInMeshSpace(rig, space), prior, sparsity, penalties, learned)
-        self.placement, self.moves = placement, moves
+        self.all, self.placement, self.moves = rig.all_controls, placement, moves
         self.corners_rest, self.corners_basis = rig.corners_rest, rig.corners_basis
+
+    def all_controls(self, units: Tensor) -> Tensor:
+        """All controls, within the limits of the rig, of free controls as fractions of their ranges."""
+        return self.all(self.to_controls(units))
+
+    def at_offsets(self, offset_mm: Tensor) -> "MarkerObjective":
+        """The same objective with other offsets `(marker,)` of the markers."""
+        other = copy.copy(self)
+        other.placement = self.placement.with_offsets(offset_mm)
+        return other
 
     @torch.no_grad()
     def residuals(self, units: Tensor, packed: Tensor) -> Residuals:
@@ -126,20 +137,40 @@ class MarkerObjective(PenalisedObjective):
     def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
         return self.linearise(units, coordinates).gradient
 
-    def _linearise_data(self, units: Tensor, coordinates: Tensor) -> Linearised:
+    def derivatives(self, units: Tensor, packed: Tensor) -> "Derivatives":
+        """The weighted residuals at controls `(frame, control)`, and their derivatives."""
         coefficients, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
-        found = self._residuals(coefficients, coordinates)
+        found = self._residuals(coefficients, packed)
         by_corners = point_derivatives(found.corners, self.placement.barycentric, self.placement.offset_mm)
         rows = torch.einsum("fmaij,kmij->fmak", by_corners, self.corners_basis).flatten(1, 2)
         columns = jacobian.scaled(self.span).times_each(rows)
         roots = found.weights.sqrt()[..., None]
-        residual, columns = (roots * found.residual).flatten(1), roots.repeat(1, 1, 3).flatten(1)[..., None] * columns
-        gradient = (columns.mT @ residual[..., None])[..., 0]
-        hessian = columns.mT @ columns
-        if self.moves:
-            across = columns.mT @ rigid_columns(found.points, roots)
-            hessian = hessian - across @ across.mT
-        return Linearised(0.5 * residual.square().sum(dim=1), gradient, hessian)
+        columns = roots.repeat(1, 1, 3).flatten(1)[..., None] * columns
+        rigid = rigid_columns(found.points, roots) if self.moves else columns[..., :0]
+        return Derivatives((roots * found.residual).flatten(1), columns, rigid, found)
+
+    def _linearise_data(self, units: Tensor, coordinates: Tensor) -> Linearised:
+        near = self.derivatives(units, coordinates)
+        across = near.columns.mT @ near.rigid
+        gradient = (near.columns.mT @ near.residual[..., None])[..., 0]
+        hessian = near.columns.mT @ near.columns - across @ across.mT
+        return Linearised(0.5 * near.residual.square().sum(dim=1), gradient, hessian)
+
+
+class Derivatives(NamedTuple):
+    """Residuals of a batch of frames with their derivatives, times the square roots of the weights.
+
+    Attributes:
+        residual: `(frame, 3 marker)`.
+        columns: derivatives by the controls, `(frame, 3 marker, control)`.
+        rigid: an orthonormal basis of the derivatives by rigid motion, `(frame, 3 marker, 6)`; without motion none.
+        found: without weights.
+    """
+
+    residual: Tensor
+    columns: Tensor
+    rigid: Tensor
+    found: Residuals
 
 
 def rigid_columns(points: Tensor, roots: Tensor) -> Tensor:

@@ -102,7 +102,7 @@ def build_scan_parts(
     kept = torch.tensor(numbers[inside])
     excluded = excluded_frames(scans.path, kept, frames.exclude)
     rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
-    settings = ScanSettings(noise_mm=options.noise_mm)
+    settings = ScanSettings(noise_mm=options.noise_of_measurements_mm)
     solver = ScanSolver(rig, prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy())
     smoothness = ScanSmoothness() if options.method in (None, "clip") else None
     return ScanParts(scans, units, solver, rows, kept, smoothness, [*scans.facts.notes, *units.notes, note])
