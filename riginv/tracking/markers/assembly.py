@@ -186,6 +186,14 @@ def marker_units(clip: MarkerClip, placement: Placement, rig: LinearRig, reading
     return units._replace(axes=TO_Y_UP[up], up=up, up_source=GUESSED, notes=notes)
 
 
+def frame_units(clip: MarkerClip, anchors: Placement | None, rig: LinearRig, reading: ReadingOptions) -> ClipUnits:
+    """The units of a clip of one frame, from the size of some markers whose places are known, or from that of the rig."""
+    points, rest = torch.from_numpy(clip.points[0]), rig.rest_vertices.cpu()
+    if anchors is not None:
+        points, rest = points[[clip.names.index(name) for name in anchors.names]], anchors.points(rest)
+    return units_from_size(clip, _size(points), _size(rest), rig.name, reading, LIMITS)
+
+
 def _size(points: Tensor) -> float:
     """Twice the root mean square distance of points `(point, 3)` from their mean."""
     return 2 * float((points - points.mean(dim=0)).square().sum(dim=1).mean().sqrt())

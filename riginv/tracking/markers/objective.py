@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from riginv.rig.interface import LinearRig
+from riginv.rig.jacobian import Jacobian
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.objective import GaussianPrior, Linearised
 from riginv.tracking.fixed_controls import FixedControlsRig
@@ -38,6 +39,11 @@ class MarkerRig(FixedControlsRig):
         weights = placement.barycentric[..., None]
         self.rest_vertices = (weights * self.corners_rest).sum(dim=1)
         self.basis = (weights * self.corners_basis).sum(dim=2)
+
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        if len(self.free) == len(self.values):
+            return self.rig.coefficient_jacobian(controls)  # the columns need no copy
+        return super().coefficient_jacobian(controls)
 
     def features(self, coefficients: Tensor) -> Tensor | None:
         return None
@@ -143,7 +149,7 @@ class MarkerObjective(PenalisedObjective):
         found = self._residuals(coefficients, packed)
         by_corners = point_derivatives(found.corners, self.placement.barycentric, self.placement.offset_mm)
         rows = torch.einsum("fmaij,kmij->fmak", by_corners, self.corners_basis).flatten(1, 2)
-        columns = jacobian.scaled(self.span).times_each(rows)
+        columns = jacobian.times_each(rows) * self.span
         roots = found.weights.sqrt()[..., None]
         columns = roots.repeat(1, 1, 3).flatten(1)[..., None] * columns
         rigid = rigid_columns(found.points, roots) if self.moves else columns[..., :0]

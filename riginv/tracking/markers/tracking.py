@@ -15,6 +15,8 @@ from riginv.tracking.markers.objective import FEWEST, MarkerObjective, pack
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.options import SolverOptions
 
+KEY_DISTANCE, MORE_STEPS = 8, 2  # of `solve_frames`: the whole clip is solved afterwards
+TOLERANCE = 3e-2  # of `solve_clip`
 REFINE_STEPS = 10  # of each frame, after offsets or labels have changed
 
 
@@ -71,7 +73,7 @@ def track_markers(
             f"no frame has {FEWEST} markers of the map: there is nothing to fit; does the clip have the right labels?"
         )
     advance("each frame", 0)
-    found = solve_frames(objective, packed, 1, options.steps, rounds=0)
+    found = solve_frames(objective, packed, 1, options.steps, MORE_STEPS, rounds=0, key_distance=KEY_DISTANCE)
     advance("labels and offsets", 0)
     labelled = mend_labels(objective, points, found.units, noise_mm, numbers)
     packed, found.units = pack(labelled.points, labelled.weights), labelled.units
@@ -85,7 +87,7 @@ def track_markers(
     if is_smooth:
         advance("the whole clip", 0)
         steps = (options.smoothness, options.clip_steps, 0)
-        units = solve_clip(objective, packed, units, *steps, numbers=numbers)
+        units = solve_clip(objective, packed, units, *steps, tolerance=TOLERANCE, numbers=numbers)
     seen = objective.residuals(units, pack(labelled.points, torch.ones(points.shape[:2])).nan_to_num(0.0))
     used = objective.residuals(units, packed.nan_to_num(0.0))
     return MarkerTrack(
