@@ -86,10 +86,8 @@ def _header(path: Path, data: bytes) -> tuple[Header, Parameters]:
         raise InputError(f"{path}: processor type {data[start + 3]}, expected 84 (Intel) or 86 (MIPS): convert the file")
     points, analog, first, last = struct.unpack_from(f"{order}HHHH", data, 2)
     scale, begin, _, rate = struct.unpack_from(f"{order}fHHf", data, 12)
-    if not 1 < begin <= len(data) // BLOCK or np.isnan(scale):
-        raise InputError(
-            f"{path}: its frames start at block {begin}, beyond the {len(data)} bytes of the file: export it again"
-        )
+    if begin < 2 or BLOCK * (begin - 1) >= len(data) or np.isnan(scale):
+        raise InputError(f"{path}: its frames start at block {begin}, which its {len(data)} bytes do not hold: export it again")
     return Header(order, points, analog, first, last, scale, BLOCK * (begin - 1), rate), _parameters(
         path, data, start + 4, order
     )

@@ -139,7 +139,7 @@ def read_trc(path: Path) -> MarkerClip:
             values[row, column] = _number(path, line, cell)
     counted = header.get("NumFrames", "")
     notes = [] if counted in ("", str(len(rows))) else [f"its header promises {counted[:12]} frames, it has {len(rows)}."]
-    points, more = without_gaps_at_zero(values[:, 2:].reshape(len(rows), -1, 3))
+    points, more = without_gaps_at_zero(values[:, 2:].reshape(len(rows), len(columns), 3))
     times = FrameTimes(np.arange(len(rows))) if np.isnan(values[:, 0]).any() else FrameTimes(_whole(path, values[:, 0]))
     rate = _rate(header.get("DataRate", ""))
     unit, unit_notes = unit_in_mm(path, header.get("Units", ""))
@@ -167,7 +167,7 @@ def read_marker_csv(path: Path) -> MarkerClip:
     for column in columns:
         if column in table.faults and table.faults[column].text.strip().lower() not in ("", "nan"):
             table.column(column)  # says where, and what is wrong
-    points, notes = without_gaps_at_zero(table.numbers[:, columns].reshape(len(table), -1, 3))
+    points, notes = without_gaps_at_zero(table.numbers[:, columns].reshape(len(table), len(axes), 3))
     named = {title.lower(): column for column, title in enumerate(table.header)}
     frame = next((named[name] for name in FRAMES if name in named), None)
     time = next((named[name] for name in TIMES if name in named), None)
