@@ -35,6 +35,7 @@ from riginv.tracking.correspondence import by_surface
 from riginv.tracking.markers.assembly import build_marker_parts
 from riginv.tracking.markers.results import marker_errors, marker_remarks, write_marker_tables
 from riginv.tracking.markers.tracking import track_markers
+from riginv.tracking.markers.views import write_marker_views
 from riginv.tracking.options import AfterOptions, LookOptions, TrackingOptions
 from riginv.tracking.report import InversionProgress, show
 from riginv.tracking.results import write_curves, write_views
@@ -178,8 +179,11 @@ def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
             curves = (described, settings.formats, settings.after, progress.advance)
             files, more = write_curves(folder, animation, errors, *curves)
             files += write_marker_tables(folder, track, errors, numbers)
+            progress.advance("page", 0)
+            views, notes = write_marker_views(folder, track, animation, errors, settings.look, described)
     rows = ("mean over the markers", "farthest marker")
-    show(animation, errors, true_rig, out, files, [*marker_remarks(errors), *more], "distances of the markers", rows)
+    remarks = [*marker_remarks(errors), *more, *notes]
+    show(animation, errors, true_rig, out, [*files, *views], remarks, "distances of the markers", rows)
 
 
 def free_folder(out: str) -> Path:

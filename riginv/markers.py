@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
-import trimesh
 from omegaconf import DictConfig
 from PIL import Image
 
@@ -16,7 +14,7 @@ from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
 from riginv.launch.command import command
-from riginv.meshes.rendering import CLAY, Camera, grid
+from riginv.meshes.rendering import Camera, grid
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
@@ -25,12 +23,12 @@ from riginv.tracking.markers.layout import suggest_layout
 from riginv.tracking.markers.map_file import read_map, write_map
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.proposing import propose
+from riginv.tracking.markers.views import RigWithMarkers
 from riginv.tracking.priors.performances import default_prior
 from riginv.training.assembly import build_rig
 
 NOISE_MM = 0.3  # of a marker
-RED, TURNS = np.array([0.85, 0.1, 0.1]), (-60.0, 0.0, 60.0)  # colour of the balls, and the cameras' degrees
-BALL = 0.012  # radius of a marker in the picture, relative to the rig's size
+TURNS = (-60.0, 0.0, 60.0)  # degrees of the cameras
 FAR = 3.0  # times the median distance, from which a marker is named
 LISTED = 6
 
@@ -134,16 +132,10 @@ def _anchors(path: str, names: tuple[str, ...], rig: RigBackend) -> Placement:
 
 def draw(rig: RigBackend, placement: Placement) -> Image.Image:
     """A picture of the rig at rest with its markers as balls, from three sides."""
-    rest, faces = rig.rest_vertices.cpu(), rig.faces.cpu()
-    ball = trimesh.creation.icosphere(1, radius=BALL * float((rest.amax(dim=0) - rest.amin(dim=0)).max()))
-    balls = placement.points(rest)[:, None] + torch.from_numpy(ball.vertices).float()
-    count, size = len(placement), len(ball.vertices)
-    triangles = torch.from_numpy(ball.faces) + len(rest) + size * torch.arange(count)[:, None, None]
-    vertices = torch.cat([rest, balls.flatten(0, 1)])
-    colors = np.concatenate([np.tile(CLAY, (len(rest), 1)), np.tile(RED, (count * size, 1))])
-    every = torch.cat([faces, triangles.flatten(0, 1)])
-    pictures = [Camera(rest, turn).picture(vertices, every, colors) for turn in TURNS]
-    return grid(pictures, ["", f"{count} markers", ""], columns=len(pictures))
+    shown = RigWithMarkers(rig, placement, detail=1)
+    vertices, colors = shown.rest_vertices.cpu(), shown.vertex_colors().numpy()
+    pictures = [Camera(rig.rest_vertices, turn).picture(vertices, shown.faces, colors) for turn in TURNS]
+    return grid(pictures, ["", f"{len(placement)} markers", ""], columns=len(pictures))
 
 
 if __name__ == "__main__":
