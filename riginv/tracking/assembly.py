@@ -130,7 +130,9 @@ def build_solver(
     """
     solver = options.solver
     fixed = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.values)
-    space = rig.space if weights is None else weighted_space(rig.rig, weights)
+    space = (
+        rig.space if weights is None else weighted_space(rig.rig, weights / weights.mean())
+    )  # so that priors keep their size
     objective = PenalisedObjective(
         RigInMeshSpace(fixed, space),
         solver.prior,
