@@ -127,7 +127,7 @@ def _parameter(data: bytes, at: int, order: str) -> np.ndarray | None:
     if kind not in TYPES or len(shape) < dimensions or dimensions > 7:
         return None
     count, begin = int(np.prod(shape, dtype=float)), at + 2 + dimensions
-    dtype = np.dtype(TYPES[kind]).newbyteorder(order)
+    dtype = np.dtype(f"{order}{TYPES[kind]}")
     if begin + count * dtype.itemsize > len(data):
         return None
     if kind != -1:
@@ -146,7 +146,7 @@ def _frames(path: Path, data: bytes, header: Header, found: Parameters) -> tuple
     """The first frame number, points `(frame, marker, 3)` with NaN in gaps, and notes."""
     is_float = header.scale <= 0
     width = 4 * header.points + header.analog
-    dtype = np.dtype("f4" if is_float else "i2").newbyteorder(header.order)
+    dtype = np.dtype(f"{header.order}{'f4' if is_float else 'i2'}")
     there = (len(data) - header.start) // (width * dtype.itemsize)
     first, last = header.first, header.last
     ends = [_long(found.get(f"TRIAL:ACTUAL_{end}_FIELD")) for end in ("START", "END")]
@@ -157,8 +157,8 @@ def _frames(path: Path, data: bytes, header: Header, found: Parameters) -> tuple
     if count < 1:
         raise InputError(f"{path}: its header promises {promised} frames, and its {len(data)} bytes hold none: export it again")
     notes = (f"it is cut short: {count} of {promised} frames are there.",) if count < promised else ()
-    values = np.frombuffer(data, dtype, count * width, header.start).reshape(count, width)
-    values = values[:, : 4 * header.points].reshape(count, header.points, 4).astype(np.float32)
+    frames = np.frombuffer(data, dtype, count * width, header.start).reshape(count, width)
+    values = frames[:, : 4 * header.points].reshape(count, header.points, 4).astype(np.float32)
     points = values[..., :3] if is_float else values[..., :3] * header.scale
     good = (values[..., 3] >= 0) & (np.abs(points) < 1e30).all(axis=2)
     return first, np.where(good[..., None], points, np.nan), notes

@@ -12,8 +12,8 @@ from riginv.solvers.levenberg_marquardt import Solution
 from riginv.tracking.alternation import interpolate_controls
 from riginv.tracking.markers.objective import MarkerObjective, pack
 
-LIMIT = 6.0  # typical distances, beyond which a marker is suspected
-LEAST_MM = 6.0  # of the noise, as a least limit
+LIMIT = 8.0  # typical distances, beyond which a marker is suspected
+LEAST = 10.0  # times the noise: the least limit
 ROUNDS, STEPS = 3, 8  # of robust reweighting
 BETTER = 0.5  # factor of the distance, that an exchange must reach
 
@@ -83,7 +83,7 @@ def _distance(objective: MarkerObjective, units: Tensor, packed: Tensor) -> Tens
 def _limit(distance: Tensor, noise_mm: float) -> tuple[float, float]:
     """The distance from which a marker is suspected, and the typical one."""
     typical = float(distance.nanmedian().nan_to_num(0.0))
-    return max(LIMIT * typical, LEAST_MM * noise_mm), max(typical, noise_mm)
+    return max(LIMIT * typical, LEAST * noise_mm), max(typical, noise_mm)
 
 
 def _robust(objective: MarkerObjective, points: Tensor, units: Tensor, rows: Tensor, typical: float, numbers: Tensor) -> Tensor:
