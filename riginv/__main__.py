@@ -17,6 +17,7 @@ COMMANDS = {
     "sample": "sample poses of a rig into a store on disk",
     "export_onnx": "a trained inverse as an ONNX file",
     "learn_prior": "learn which controls occur together, from inverted takes",
+    "markers": "where the markers of a take are on a rig, or where to put them",
     "wrap": "fit the mesh of a rig to a scan of a neutral face",
     "reproduce": "the tables, figures and claims of the paper in one report",
 }

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import torch
 from omegaconf import DictConfig
 
 from riginv.animation.animation import Animation
@@ -37,6 +38,10 @@ from riginv.tracking.actors.finding import find_actor
 from riginv.tracking.assembly import build_parts
 from riginv.tracking.clip_optimum import with_optimum
 from riginv.tracking.correspondence import by_surface
+from riginv.tracking.markers.assembly import build_marker_parts
+from riginv.tracking.markers.results import marker_errors, marker_remarks, write_marker_tables
+from riginv.tracking.markers.tracking import track_markers
+from riginv.tracking.markers.views import write_marker_views
 from riginv.tracking.options import AfterOptions, LookOptions, TrackingOptions
 from riginv.tracking.report import InversionProgress, show
 from riginv.tracking.results import write_curves, write_views
@@ -69,8 +74,8 @@ class InvertConfig(TrackingOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.resolved_method(bool(self.bundle))
-        if self.bundle and self.correspondence == "surface":
-            raise InputError("correspondence=surface needs no network: give rig=NAME in place of bundle=DIR")
+        if self.bundle and self.correspondence in ("surface", "markers"):
+            raise InputError(f"correspondence={self.correspondence} needs no network: give rig=NAME in place of bundle=DIR")
         if not self.bundle and self.rig is None:
             raise InputError("give bundle=DIR, a trained inverse, or rig=NAME: what is the clip a mesh of?")
 
@@ -81,6 +86,9 @@ def invert(config: DictConfig) -> None:
     out = free_folder(settings.out)
     inverse, rig, true_rig = build_rigs(settings)
     check_formats(true_rig, settings.formats)
+    if settings.correspondence == "markers":
+        invert_markers(settings, rig, true_rig, out)
+        return
     is_surface, notes = by_surface(settings.clip, settings, true_rig, settings.reading, inverse is not None)
     if is_surface:
         invert_surface(settings, rig, true_rig, notes, out)
@@ -160,6 +168,33 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
                 files += write_actor(folder, parts.actor, rig.faces, settings.look.sheet)
     rows = ("scan's points from the rig", "rig's skin from the scan")
     show(animation, errors, true_rig, out, files, [*remarks_of(track), *more], "mean surface distances", rows)
+
+
+def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend, out: Path) -> None:
+    """Invert a clip of markers, and write the folder `out`."""
+    parts = build_marker_parts(settings.clip, settings, rig, settings.reading, settings.frames)
+    described = parts.describe()
+    show_lines([line(described)])
+    show_rig(true_rig, settings.rig.config if settings.rig else None)
+    numbers = torch.from_numpy(parts.clip.frame_numbers)
+    with exclusive_lock(out), InversionProgress(len(numbers), parts.notes) as progress:
+        free_folder(settings.out)
+        noise_mm, is_smooth = settings.noise_of_measurements_mm, settings.method != "levenberg_marquardt"
+        given = (parts.points, numbers, settings.solver, noise_mm, is_smooth, progress.advance)
+        track = track_markers(parts.objective, *given)
+        facts, source = made_by(settings, "markers"), Path(settings.clip).name
+        animation = Animation(true_rig, track.controls, parts.units.fps, numbers, track.motion, source, facts)
+        errors = marker_errors(track, true_rig, numbers, settings.flags)
+        with atomic_write(out) as folder:
+            folder.mkdir()
+            curves = (described, settings.formats, settings.after, progress.advance)
+            files, more = write_curves(folder, animation, errors, *curves)
+            files += write_marker_tables(folder, track, errors, numbers)
+            progress.advance("page", 0)
+            views, notes = write_marker_views(folder, track, animation, errors, settings.look, described)
+    rows = ("mean over the markers", "farthest marker")
+    remarks = [*marker_remarks(errors), *more, *notes]
+    show(animation, errors, true_rig, out, [*files, *views], remarks, "distances of the markers", rows)
 
 
 def free_folder(out: str) -> Path:

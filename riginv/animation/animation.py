@@ -88,6 +88,27 @@ class SampledOptimum(NamedTuple):
     least_mm: Tensor
 
 
+class MarkerErrors(NamedTuple):
+    """The residuals of one marker over a clip.
+
+    Attributes:
+        name: of the marker.
+        seen: the fraction of the frames in which it was observed.
+        mean_mm, p95_mm, max_mm: distance from the rig's marker, where it was used; NaN where it never was.
+        offset_mm: along the normal of the rig's surface.
+        swapped, stray: number of frames in which it carried another's label, and in which it was left out.
+    """
+
+    name: str
+    seen: float
+    mean_mm: float
+    p95_mm: float
+    max_mm: float
+    offset_mm: float
+    swapped: int
+    stray: int
+
+
 @dataclass(frozen=True)
 class FrameErrors:
     """Vertex errors of each frame, measured with the true rig.
@@ -101,6 +122,7 @@ class FrameErrors:
         frame_numbers: of the evaluated frames, `(frame,)`; None: those of the animation.
         neutral_mm: mean error of the neutral mesh, `(frame,)`; None: not measured.
         optimum: lowest errors on a few frames; None: not known.
+        markers: the residuals of each marker, where the clip is one of markers.
     """
 
     mean_mm: Tensor
@@ -111,6 +133,7 @@ class FrameErrors:
     frame_numbers: Tensor | None = None
     neutral_mm: Tensor | None = None
     optimum: SampledOptimum | None = None
+    markers: tuple[MarkerErrors, ...] = ()
 
     def summary(self) -> dict[str, float]:
         """Mean errors, mm, over all known frames, and over those with a known optimum."""

@@ -48,6 +48,11 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: M
     if errors.optimum is not None:
         evaluated = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
         content["errors"]["least_error_frames"] = evaluated[errors.optimum.rows].tolist()
+    if errors.markers:
+        content["markers"] = [
+            {key: value if isinstance(value, str) else in_json(value) for key, value in marker._asdict().items()}
+            for marker in errors.markers
+        ]
     if clip is not None:
         content["clip"] = clip
     if animation.motion is not None:
@@ -56,6 +61,11 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: M
         names, keys = animation.rig.control_names, animation.keys
         content["keys"] = {name: animation.frame_numbers[rows].tolist() for name, rows in zip(names, keys)}
     write_json(path, content)
+
+
+def in_json(value: float) -> float | None:
+    """A number for JSON, which has no NaN."""
+    return round(value, 6) if math.isfinite(value) else None
 
 
 def write_frames(path: Path, animation: Animation, errors: FrameErrors) -> None:

@@ -111,6 +111,15 @@ class Jacobian:
             rows = (factor.pattern.transposed(factor.values, block_diagonal=False) @ rows.T).T
         return rows if self.inner is None else rows @ self.inner[0]
 
+    def times_each(self, rows: Float[Tensor, "batch row coefficient"]) -> Float[Tensor, "batch row control"]:
+        """Rows of each pose times its Jacobian: `(batch, row, coefficient)` to `(batch, row, control)`."""
+        columns = rows.mT
+        for factor in self.factors:
+            batch, size, count = columns.shape
+            blocks = factor.pattern.transposed(factor.values, block_diagonal=True)
+            columns = (blocks @ columns.reshape(batch * size, count)).view(batch, -1, count)
+        return columns.mT if self.inner is None else columns.mT @ self.inner
+
     def vjp(self, gradient: Float[Tensor, "batch coefficient"]) -> Float[Tensor, "batch control"]:
         """The vector-Jacobian product: a gradient `(batch, coefficient)` to one of the controls, `(batch, control)`."""
         for factor in self.factors:

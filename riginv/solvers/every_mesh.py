@@ -83,6 +83,7 @@ def solve_frames(
     more_steps: int = 3,
     rounds: int = 3,
     descent_steps: int = 0,
+    key_distance: int = KEY_DISTANCE,
 ) -> Solution:
     """Solve each frame of a clip independently, with starts from neighbours: cheaper than many starts.
 
@@ -94,8 +95,9 @@ def solve_frames(
             continued in the end.
         more_steps: for frames that start from a neighbour's solution.
         rounds: of restarts, from ever nearer neighbours; 0: for a clip that is smoothed afterwards.
+        key_distance: step of the frames that are solved from scratch, a power of 2.
     """
-    count, distance = len(coordinates), KEY_DISTANCE
+    count, distance = len(coordinates), key_distance
     found = Solution.at_neutral(objective, count)
     keys = torch.arange(count, device=coordinates.device)[::distance]
     found.put(keys, solve_meshes(objective, coordinates[keys], starts, steps, descent_steps=descent_steps))

@@ -164,20 +164,24 @@ class Objective:
         weights: Float[Tensor, " mesh"] | None = None,
     ) -> Linearised:
         """The objective with its gradient and Gauss-Newton Hessian; weights as in `cost`."""
-        found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
-        distance, by_residual, relative = self.distance(self._residual(found, coordinates))
+        distance, derivative, hessian = self._linearise_data(units, coordinates)
         cost, gradient, curvature = self._prior(units)
-        jacobian = jacobian.scaled(self.span)
-        hessian = jacobian.gram(self.metric)
-        if relative is not None:
-            hessian = relative[:, None, None] * hessian
-        derivative = jacobian.vjp(by_residual @ self.map.T)
         if weights is not None:
             distance, derivative, hessian = weights * distance, weights[:, None] * derivative, weights[:, None, None] * hessian
         hessian.diagonal(dim1=1, dim2=2).add_(curvature)
         if self.learned is not None:
             hessian = hessian + self.learned.precision
         return Linearised(cost + distance, gradient + derivative, hessian)
+
+    def _linearise_data(self, units: Tensor, coordinates: Tensor) -> Linearised:
+        """The distance alone, without priors."""
+        found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
+        distance, by_residual, relative = self.distance(self._residual(found, coordinates))
+        jacobian = jacobian.scaled(self.span)
+        hessian = jacobian.gram(self.metric)
+        if relative is not None:
+            hessian = relative[:, None, None] * hessian
+        return Linearised(distance, jacobian.vjp(by_residual @ self.map.T), hessian)
 
     def _residual(self, coefficients: Tensor, coordinates: Tensor) -> Tensor:
         return (coefficients - self.rest) @ self.map - coordinates

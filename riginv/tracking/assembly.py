@@ -147,7 +147,9 @@ def build_solver(
     """
     solver = options.solver
     fixed = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.values)
-    space = rig.space if weights is None else weighted_space(rig.rig, weights)
+    space = (
+        rig.space if weights is None else weighted_space(rig.rig, weights / weights.mean())
+    )  # so that priors keep their size
     objective = PenalisedObjective(
         RigInMeshSpace(fixed, space),
         solver.prior,
@@ -168,4 +170,5 @@ def _learned_prior(
         return None
     rest = rig.rest_vertices if weights is None else rig.rest_vertices[weights > 0]
     measurements = independent_measurements(rest.cpu())
-    return load_prior(Path(options.prior), rig).subset(fixed.free.cpu()).weighed(options.noise_mm, measurements)
+    prior = load_prior(Path(options.prior), rig).subset(fixed.free.cpu())
+    return prior.weighed(options.noise_of_measurements_mm, measurements)

@@ -150,9 +150,12 @@ class TrackingOptions:
 
     Attributes:
         method: None: the network of a bundle, else `clip`.
-        correspondence: `vertices`: the rig's own mesh; `surface`: scans of any topology; `auto`: vertices where they fit.
-        prior: folder of a learned prior; None: for scans a default prior, else none.
-        noise_mm: residual between a capture and the rig's best mesh, which weights the prior.
+        correspondence: `vertices`: the rig's own mesh; `surface`: scans of any topology; `markers`: markers on its surface;
+            `auto`: vertices where they fit.
+        markers: file with the places of markers on the rig's surface.
+        prior: folder of a learned prior; None: for scans and markers a default prior, else none.
+        noise_mm: standard deviation of the residual between a capture and the rig's best mesh, which weights the prior; None:
+            0.1, or 0.3 for markers.
         refine: Levenberg-Marquardt steps after the network.
         motion: rigid motion: `remove`, `keep`, or `auto`: remove it, unless the rig has controls for it.
         turns: iterations of the alternating solve for rigid motion, missing vertices and controls, at most.
@@ -164,9 +167,10 @@ class TrackingOptions:
     """
 
     method: Method | None = None
-    correspondence: Literal["auto", "vertices", "surface"] = "auto"
+    correspondence: Literal["auto", "vertices", "surface", "markers"] = "auto"
+    markers: str | None = None
     prior: str | None = None
-    noise_mm: PositiveFloat = 0.1
+    noise_mm: PositiveFloat | None = None
     refine: NonNegativeInt = 0
     motion: Literal["auto", "remove", "keep"] = "auto"
     turns: PositiveInt = 12
@@ -180,6 +184,13 @@ class TrackingOptions:
     def __post_init__(self) -> None:
         if self.refine and self.method in ("network", "levenberg_marquardt"):
             raise InputError(f"refine={self.refine} is for method=refined or clip: leave it out with method={self.method}")
+        if self.markers is not None and self.correspondence != "markers":
+            raise InputError(f"markers={self.markers} is for correspondence=markers: add that, or leave it out")
+
+    @property
+    def noise_of_measurements_mm(self) -> float:
+        """`noise_mm`, or its default."""
+        return self.noise_mm or (0.3 if self.correspondence == "markers" else 0.1)
 
     def resolved_method(self, has_network: bool) -> Method:
         """The method, or the default one for what is given.

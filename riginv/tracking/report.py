@@ -26,6 +26,10 @@ FLAG_MEANINGS = {
     "unexplained": "part of the scan is nowhere near the rig's surface",
     "little_seen": "the scan has seen little of the rig",
     "ambiguous": "scan and prior together leave the mesh unsure",
+    "few_markers": "fewer than half of the markers were observed",
+    "no_markers": "fewer than 4 markers were observed, or the frame was excluded: interpolated",
+    "swapped_labels": "markers carried each other's labels, which were exchanged back",
+    "stray_markers": "markers lie where the rig has none, and were left out",
     "no_scan": "no scan of 50 points or more, or the frame was excluded",
     "missing_vertices": "some vertices are not known, or the frame was excluded",
 }

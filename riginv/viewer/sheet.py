@@ -35,7 +35,8 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
         pictures += [view.picture(target, faces, colors), view.picture(mesh, faces, colors)]
         pictures.append(view.picture(mesh, faces, heat_colors(distance, top)))
         labels += [f"frame {int(animation.frame_numbers[row])}, {name}: clip", "recovered"]
-        mean, largest = (in_mm(float(value)) for value in (distance.mean(), distance.max()))
+        shown = (errors.mean_mm[row], errors.max_mm[row]) if errors.markers else (distance.mean(), distance.max())
+        mean, largest = (in_mm(float(value)) for value in shown)
         labels.append(f"error: mean {mean} mm, largest {largest} mm; red is {top:.2g} mm")
     with atomic_write(path) as beside:
         grid(pictures, labels, columns=3).save(beside, format="PNG", optimize=True)

@@ -201,6 +201,8 @@ READERS: dict[str, Make] = {
     "config folder": _configs,
     "ragged scans": surfaces.ragged,
     "prior": surfaces.prior,
+    **{f"markers {suffix}": surfaces.markers(suffix) for suffix in (".c3d", ".trc", ".csv")},
+    "marker map": surfaces.marker_map,
 }
 IN_PROCESSES = (
     "clip .usda",

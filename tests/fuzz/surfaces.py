@@ -1,17 +1,22 @@
-"""Files of scans and priors, whole, with what reads them."""
+"""Files of scans, markers and priors, whole, with what reads them."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from riginv.clips.markers import open_markers
 from riginv.clips.options import ReadingOptions
+from riginv.tracking.markers.assembly import in_millimetres, marker_units
+from riginv.tracking.markers.map_file import matched, read_map, write_map
 from riginv.tracking.priors.files import load_prior, save_prior
 from riginv.tracking.priors.prior import ControlPrior, learn_prior
 from riginv.tracking.surfaces.scan_files import RaggedArrays
 from riginv.tracking.surfaces.triangles import Surface
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.fuzz.tally import Target
+from tests.support.markers import placed, played, write_c3d, write_csv, write_trc
 from tests.support.scans import resampled, write_ragged
 from tests.support.toys import ToyRig
 
@@ -49,3 +54,33 @@ def prior(folder: Path) -> Target:
     rig = _rig()
     save_prior(folder / "prior", learn_prior(rig, rig.lower + (rig.upper - rig.lower) * torch.rand(30, 7)), rig, 30)
     return Target(sorted((folder / "prior").iterdir()), lambda: read_prior(folder / "prior"))
+
+
+def read_markers(path: Path) -> torch.Tensor:
+    """As the command does: opened, compared with a map, and in millimetres."""
+    placement = placed(_rig(), 6)
+    clip, shared, _ = matched(open_markers(str(path)), placement, "map", ReadingOptions(unknown="ignore_both"))
+    points = in_millimetres(clip.points, marker_units(clip, shared, _rig(), ReadingOptions()))
+    assert points.shape[1:] == (len(shared), 3) and not bool(torch.isinf(points).any())
+    return points
+
+
+def markers(suffix: str) -> Callable[[Path], Target]:
+    """A take of markers."""
+
+    def make(folder: Path) -> Target:
+        placement, rig = placed(_rig(), 6), _rig()
+        path = folder / f"take{suffix}"
+        with torch.no_grad():
+            points = placement.points(rig(played(rig, 8))).numpy()
+        points[3, 2] = np.nan
+        {".c3d": write_c3d, ".trc": write_trc, ".csv": write_csv}[suffix](path, placement.names, points)
+        return Target([path], lambda: read_markers(path))
+
+    return make
+
+
+def marker_map(folder: Path) -> Target:
+    """The places of markers on a rig."""
+    write_map(folder / "map.yaml", placed(_rig(), 6, 1.0), _rig())
+    return Target([folder / "map.yaml"], lambda: read_map(folder / "map.yaml", _rig()))

@@ -5,8 +5,10 @@ import torch
 
 from riginv.errors import InputError
 from riginv.rig.batches import generator_at
-from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.tracking.options import VertexOptions
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.tracking.assembly import build_solver
+from riginv.tracking.constraints import resolve_constraints
+from riginv.tracking.options import ControlOptions, TrackingOptions, VertexOptions
 from riginv.tracking.regions import label, regions_of, vertex_weights, weighted_space
 from tests.support.inverting import error_mm, inverted
 
@@ -60,3 +62,16 @@ def test_a_region_that_is_none_is_refused(content, name, message, rig, tmp_path)
         vertex_weights(rig, VertexOptions({"elbow": 0}))
     with pytest.raises(InputError, match="fewer than three"):
         vertex_weights(rig, VertexOptions(default=0.0))
+
+
+def test_a_prior_means_the_same_however_few_vertices_count(rig, meshes):
+    """The distance is the mean square over the vertices that count: 20 of them, as markers, weigh as much as all."""
+    weights = torch.zeros(len(rig.rest_vertices))
+    weights[:20] = 1.0
+    in_space, constraints = RigInMeshSpace(rig, MeshSpace.from_rig(rig)), resolve_constraints(rig, ControlOptions())
+    solver = build_solver(TrackingOptions(), in_space, constraints, weights, None, "levenberg_marquardt")
+    costs = [solver.objective.cost(torch.full((1, 7), value), solver.space.encode(meshes[:1])) for value in (0.5, 0.2)]
+    controls = [rig.lower + (rig.upper - rig.lower) * torch.full((1, 7), value) for value in (0.5, 0.2)]
+    apart = [0.5 * (rig(one) - meshes[:1])[:, :20].square().sum(dim=2).mean() for one in controls]
+    expected = (apart[0] - apart[1]) * len(rig.rest_vertices)
+    assert torch.allclose(costs[0] - costs[1], expected[None], rtol=1e-2)

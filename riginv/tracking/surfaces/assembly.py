@@ -106,7 +106,7 @@ def build_scan_parts(
     kept = torch.tensor(numbers[inside])
     excluded = excluded_frames(scans.path, kept, frames.exclude)
     rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
-    settings = ScanSettings(noise_mm=options.noise_mm)
+    settings = ScanSettings(noise_mm=options.noise_of_measurements_mm)
     actor = actor_of_scans(options.actor, reading, scans, units, rig)
     fitted = rig if actor is None else ActorRig(rig, actor)
     notes = [*scans.facts.notes, *units.notes, note]

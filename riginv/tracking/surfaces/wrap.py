@@ -81,7 +81,7 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
     outer = np.flatnonzero(exposure(rest, faces) > EXPOSED)
     border = border_edges(faces)
     scale, motion = _similarity(rest, faces, outer, scan, settings)
-    skin = _skin(rest, faces, outer)
+    skin = skin_component(rest, faces, outer)
     moving, displacement = np.flatnonzero(skin), np.zeros_like(rest)
     attracted = np.zeros(len(rest), bool)
     attracted[outer] = True
@@ -165,7 +165,7 @@ def _similarity_step(
     return scale * factor, Motion(small @ motion.rotation, factor * small @ (motion.shift - centre) + centre + change[3:6])
 
 
-def _skin(rest: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> np.ndarray:
+def skin_component(rest: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> np.ndarray:
     """Whether each vertex is in the connected component with most outer vertices, `(vertex,)`."""
     _, part = connected_components(_adjacency(faces, len(rest)), directed=False)
     return part == np.bincount(part[outer]).argmax()

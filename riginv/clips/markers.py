@@ -1,0 +1,213 @@
+"""Clips of markers, and their readers for TRC and CSV; `riginv.clips.c3d` reads C3D."""
+
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from riginv.clips.csv_table import read_csv
+from riginv.clips.options import UNITS
+from riginv.clips.sequence import SourceFacts
+from riginv.clips.times import FrameTimes, frames_from_times
+from riginv.errors import InputError, printable
+from riginv.runs.files import is_file, read_bytes
+
+MAX_MARKERS = 2000  # more are no markers but a scan
+MAX_CELLS = 200_000_000  # of a text file
+SUFFIXES = (".c3d", ".trc", ".csv")
+AXIS = re.compile(r"(.+?)[ ._:\-]([xyz])", re.IGNORECASE)  # of a column: `nose.x`, `nose_X`, `nose:X`, `nose X`
+TIMES = ("time", "seconds")
+FRAMES = ("frame", "frame#", "field")
+UNIT_WORDS = {"mm": "mm", "millimeters": "mm", "millimetres": "mm", "cm": "cm", "m": "m", "meters": "m", "metres": "m"}
+UNIT_WORDS |= {unit: unit for unit in UNITS} | {"in": "inch", "inches": "inch", "ft": "foot", "feet": "foot"}
+
+
+@dataclass
+class MarkerClip:
+    """Observed markers, in the units and axes of the file.
+
+    Attributes:
+        path: the name in messages.
+        names: of the markers.
+        points: `(frame, marker, 3)` float32; NaN in gaps.
+        frame_numbers: `(frame,)`, rising.
+        facts: what was read and what was left out.
+        fps: frames per second; None where the file does not give it.
+        unit_mm: millimetres per unit; None where the file does not give it.
+        up: the up axis, `x`, `y` or `z`; None where the file does not give it.
+
+    Raises:
+        InputError: there are no markers, no frames, too many markers, two of one name, or frame numbers that do not rise.
+    """
+
+    path: str
+    names: tuple[str, ...]
+    points: np.ndarray
+    frame_numbers: np.ndarray
+    facts: SourceFacts
+    fps: float | None = None
+    unit_mm: float | None = None
+    up: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.names:
+            raise InputError(f"{self.path}: no markers in it, expected the points of a few at least: export them with the take")
+        if not len(self.points):
+            raise InputError(f"{self.path}: no frames in it; expected at least one: export it again")
+        if len(self.names) > MAX_MARKERS:
+            raise InputError(f"{self.path}: {len(self.names)} markers, expected at most {MAX_MARKERS}: is it a scan?")
+        twice = sorted({name for name in self.names if self.names.count(name) > 1})
+        if twice:
+            raise InputError(f"{self.path}: marker {printable(twice[0])!r} is there twice: each name once; rename one of them")
+        if (np.diff(self.frame_numbers) <= 0).any():
+            raise InputError(f"{self.path}: its frame numbers do not rise: each frame may stand there once; number them anew")
+
+    def select(self, names: Sequence[str], points: np.ndarray, frame_numbers: np.ndarray) -> "MarkerClip":
+        """The same clip with other markers or frames."""
+        return MarkerClip(self.path, tuple(names), points, frame_numbers, self.facts, self.fps, self.unit_mm, self.up)
+
+
+def open_markers(path: str) -> MarkerClip:
+    """The markers of a .c3d, .trc or .csv file.
+
+    Raises:
+        InputError: the file is missing or damaged, holds no markers, or has another suffix.
+    """
+    given = Path(path)
+    suffix = given.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: clips of markers end in {', '.join(SUFFIXES)}; export the take as one of these")
+    if not is_file(given):
+        raise InputError(f"{path}: no such file; clip=PATH names a take of markers")
+    if suffix == ".trc":
+        return read_trc(given)
+    if suffix == ".csv":
+        return read_marker_csv(given)
+    from riginv.clips.c3d import read_c3d  # which needs the class of this module
+
+    return read_c3d(given)
+
+
+def without_gaps_at_zero(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Points `(frame, marker, 3)` with NaN where one is exactly at the origin or not finite, and a note on the former."""
+    at_zero = (points == 0).all(axis=2)
+    gap = at_zero | ~np.isfinite(points).all(axis=2)
+    count = int(at_zero.sum())
+    notes = (f"{count:,} markers at exactly 0, 0, 0 were taken as gaps.",) if count else ()
+    return np.where(gap[..., None], np.nan, points).astype(np.float32), notes
+
+
+def unit_in_mm(path: Path, text: str) -> tuple[float | None, tuple[str, ...]]:
+    """Millimetres per unit of a unit's name in a file; None, and a note, where it is not known."""
+    word = UNIT_WORDS.get(text.strip().lower())
+    if word is None:
+        found = f"its unit {printable(text.strip())[:20]!r} is not known" if text.strip() else "it does not name its unit"
+        return None, (f"{path.name}: {found}: guessed from the rig's size (reading.unit=mm says it).",)
+    return UNITS[word], ()
+
+
+def read_trc(path: Path) -> MarkerClip:
+    """A TRC file (Motion Analysis, OpenSim): four header lines of tab-separated fields, then a line for each frame.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    lines = [line.split("\t") for line in _text(path).splitlines()]
+    if len(lines) < 5 or not lines[0][0].startswith("PathFileType"):
+        raise InputError(f"{path}: no TRC file: expected a first line that begins with PathFileType: export it again")
+    header = {name.strip(): value.strip() for name, value in zip(lines[1], lines[2])}
+    labels = [cell.strip() for cell in lines[3]]
+    columns = [(column, name) for column, name in enumerate(labels) if column >= 2 and name]
+    if any(later - column != 3 for (column, _), (later, _) in itertools.pairwise(columns)) or (columns and columns[0][0] != 2):
+        raise InputError(f"{path}, line 4: markers' names must stand three columns apart, from the third: export it again")
+    rows = [(number, cells) for number, cells in enumerate(lines[4:], start=5) if any(cell.strip() for cell in cells)]
+    if rows and not rows[0][1][0].strip():  # the line of X1, Y1, Z1
+        rows = rows[1:]
+    width = 2 + 3 * len(columns)
+    if len(rows) * width > MAX_CELLS:
+        raise InputError(f"{path}: {len(rows) * width:,} numbers, expected at most {MAX_CELLS:,}: cut the take")
+    values = np.full((len(rows), width), np.nan)
+    for row, (line, cells) in enumerate(rows):
+        if any(cell.strip() for cell in cells[width:]) or len(cells) < 2:
+            raise InputError(
+                f"{path}, line {line}: {len(cells)} fields, expected {width}: 3 for each of {len(columns)} markers"
+            )
+        for column, cell in enumerate(cells[:width]):
+            values[row, column] = _number(path, line, cell)
+    counted = header.get("NumFrames", "")
+    notes = [] if counted in ("", str(len(rows))) else [f"its header promises {counted[:12]} frames, it has {len(rows)}."]
+    points, more = without_gaps_at_zero(values[:, 2:].reshape(len(rows), len(columns), 3))
+    times = FrameTimes(np.arange(len(rows))) if np.isnan(values[:, 0]).any() else FrameTimes(_whole(path, values[:, 0]))
+    rate = _rate(header.get("DataRate", ""))
+    unit, unit_notes = unit_in_mm(path, header.get("Units", ""))
+    facts = SourceFacts("TRC markers", rate_source="DataRate", notes=(*notes, *more, *unit_notes))
+    return MarkerClip(str(path), tuple(name for _, name in columns), points, times.numbers, facts, rate, unit)
+
+
+def read_marker_csv(path: Path) -> MarkerClip:
+    """A CSV with columns `NAME.x`, `NAME.y`, `NAME.z` for each marker, and perhaps `frame` and `time` in seconds.
+
+    Empty cells and `nan` are gaps.
+
+    Raises:
+        InputError: it is damaged, or lacks an axis of a marker.
+    """
+    table = read_csv(path)
+    axes: dict[str, dict[str, int]] = {}
+    for column, title in enumerate(table.header):
+        if match := AXIS.fullmatch(title):
+            axes.setdefault(match[1], {})[match[2].lower()] = column
+    for name, found in axes.items():
+        if len(found) != 3:
+            raise InputError(f"{path}: marker {name!r} has columns for {', '.join(found)}, expected x, y and z")
+    columns = [found[axis] for found in axes.values() for axis in "xyz"]
+    for column in columns:
+        if column in table.faults and table.faults[column].text.strip().lower() not in ("", "nan"):
+            table.column(column)  # says where, and what is wrong
+    points, notes = without_gaps_at_zero(table.numbers[:, columns].reshape(len(table), len(axes), 3))
+    named = {title.lower(): column for column, title in enumerate(table.header)}
+    frame = next((named[name] for name in FRAMES if name in named), None)
+    time = next((named[name] for name in TIMES if name in named), None)
+    times = FrameTimes(np.arange(len(table)))
+    if time is not None:
+        times = frames_from_times(table.column(time), "times")
+    numbers = times.numbers if frame is None else _whole(path, table.column(frame))
+    source = SourceFacts("CSV markers", rate_source=times.rate_source, notes=(*table.notes, *times.notes, *notes))
+    return MarkerClip(str(path), tuple(axes), points, numbers, source, times.fps)
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: no text: expected a TRC file: export it again") from None
+
+
+def _number(path: Path, line: int, cell: str) -> float:
+    text = cell.strip()
+    if text.lower() in ("", "nan"):
+        return np.nan
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(
+            f"{path}, line {line}: found {printable(text)[:40]!r}, expected a number, or nothing in a gap"
+        ) from None
+    return value if abs(value) < 1e30 else np.nan
+
+
+def _whole(path: Path, values: np.ndarray) -> np.ndarray:
+    if not np.isfinite(values).all() or (values != np.round(values)).any() or (np.abs(values) > 2**53).any():
+        raise InputError(f"{path}: its frame numbers are no whole numbers: number them anew")
+    return values.astype(np.int64)
+
+
+def _rate(text: str) -> float | None:
+    try:
+        rate = float(text)
+    except ValueError:
+        return None
+    return rate if 0 < rate <= 1e6 else None

@@ -1,0 +1,1 @@
+"""Inversion of a few dozen markers on a rig's surface."""

@@ -1,0 +1,199 @@
+"""The parts of an inversion of markers, built from its options."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.clips.clip import excluded_frames
+from riginv.clips.description import ClipDescription, FrameSpan
+from riginv.clips.markers import MarkerClip, open_markers
+from riginv.clips.motion_check import ClipMotion
+from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.units import GUESSED, TO_Y_UP, ClipUnits, SizeLimits, units_from_size
+from riginv.errors import InputError
+from riginv.rig.interface import LinearRig
+from riginv.tracking.constraints import ControlConstraints, resolve_constraints
+from riginv.tracking.markers.map_file import matched, read_map
+from riginv.tracking.markers.objective import MarkerObjective, MarkerRig
+from riginv.tracking.markers.placement import Placement
+from riginv.tracking.options import TrackingOptions
+from riginv.tracking.priors.files import load_prior
+from riginv.tracking.priors.performances import default_prior
+from riginv.tracking.priors.prior import ControlPrior, independent_measurements
+from riginv.tracking.rigid import fit_rigid
+from riginv.tracking.stability import has_root_controls
+
+LIMITS = SizeLimits(("mm", "cm", "m"), 3.0, 3.0)  # wide enough for another pose
+
+
+@dataclass(frozen=True)
+class MarkerParts:
+    """The parts of an inversion of markers.
+
+    Attributes:
+        clip: the markers that the map has, in the file's unit, and the frames that were asked for.
+        points: these in mm, y up, `(frame, marker, 3)`; NaN in gaps and in excluded frames.
+        units: of the clip.
+        objective: of the solvers.
+        all_frames: of the file.
+        excluded: number of excluded frames.
+        notes: what was guessed.
+    """
+
+    clip: MarkerClip
+    points: Tensor
+    units: ClipUnits
+    objective: MarkerObjective
+    all_frames: FrameSpan
+    excluded: int
+    notes: list[str]
+
+    def describe(self) -> ClipDescription:
+        """What was read of the clip."""
+        clip, numbers = self.clip, self.clip.frame_numbers
+        flat = self.points[torch.isfinite(self.points).all(dim=2).sum(dim=1).argmax()].numpy()
+        size = np.nan_to_num(np.nanmax(flat, axis=0) - np.nanmin(flat, axis=0))
+        steps = np.diff(numbers)
+        return ClipDescription(
+            file=Path(clip.path).name or clip.path,
+            facts=clip.facts,
+            vertices=len(clip.names),
+            faces=0,
+            frames=FrameSpan(int(numbers[0]), int(numbers[-1]), len(numbers)),
+            all_frames=self.all_frames,
+            missing=int((steps // steps.min() - 1).sum()) if len(steps) else 0,
+            missing_first=(),
+            excluded=self.excluded,
+            fps=self.units.fps,
+            rate_source=self.units.rate_source,
+            unit_mm=self.units.mm,
+            unit_source=self.units.unit_source,
+            up=self.units.up,
+            up_source=self.units.up_source,
+            motion=ClipMotion(len(numbers), len(numbers), 0, tuple(size.tolist()), 0.0, 0.0, ()),
+            notes=tuple(self.notes),
+        )
+
+
+def build_marker_parts(
+    path: str, options: TrackingOptions, rig: LinearRig, reading: ReadingOptions, frames: FrameOptions
+) -> MarkerParts:
+    """Read a clip of markers and its map, and build the objective.
+
+    Raises:
+        InputError: an option is not supported for markers, a file cannot be read, or the names do not match.
+    """
+    if options.markers is None:
+        raise InputError(
+            "correspondence=markers needs markers=FILE.yaml, the places of the markers (riginv.markers proposes it)"
+        )
+    constraints = resolve_constraints(rig, options.controls)
+    _check(options, constraints)
+    whole = open_markers(path)
+    clip, placement, notes = matched(whole, read_map(Path(options.markers), rig), options.markers, reading)
+    clip, excluded = chosen_frames(clip, frames)
+    units = marker_units(clip, placement, rig, reading)
+    points = in_millimetres(clip.points, units)
+    points[excluded] = torch.nan
+    prior, note = _prior(options.prior, rig)
+    objective = build_objective(rig, placement, constraints, prior, options.motion != "keep", options)
+    if options.motion == "auto" and has_root_controls(objective.rig):
+        objective.moves = False
+        notes.append(f"rigid motion is left to the controls of rig '{rig.name}' that move all of it (motion=remove removes it)")
+    numbers = whole.frame_numbers
+    span = FrameSpan(int(numbers[0]), int(numbers[-1]), len(numbers))
+    notes = [*clip.facts.notes, *units.notes, *notes, note]
+    return MarkerParts(clip, points, units, objective, span, int(excluded.sum()), notes)
+
+
+def build_objective(
+    rig: LinearRig,
+    placement: Placement,
+    constraints: ControlConstraints,
+    prior: ControlPrior,
+    moves: bool,
+    options: TrackingOptions,
+) -> MarkerObjective:
+    """The objective of markers, with the prior weighted for their number and noise."""
+    free = constraints.free.nonzero()[:, 0]
+    measurements = independent_measurements(placement.points(rig.rest_vertices).cpu())
+    learned = prior.subset(free.cpu()).weighed(options.noise_of_measurements_mm, measurements)
+    solver, penalties = options.solver, constraints.penalties_of_free()
+    marker_rig = MarkerRig(rig, free, constraints.values, placement)
+    return MarkerObjective(marker_rig, placement, moves, solver.prior, solver.sparsity, penalties, learned)
+
+
+def _check(options: TrackingOptions, constraints: ControlConstraints) -> None:
+    """Raise InputError for options that are not supported for markers."""
+    if options.method not in (None, "clip", "levenberg_marquardt"):
+        raise InputError(f"method={options.method} is not for markers: leave it out, or method=levenberg_marquardt")
+    if bool(constraints.static.any()):
+        raise InputError("controls.static is not for correspondence=markers yet: leave it out")
+
+
+def _prior(path: str | None, rig: LinearRig) -> tuple[ControlPrior, str]:
+    """The prior in a folder or the rig's default one, and a note."""
+    if path is not None:
+        prior = load_prior(Path(path), rig)
+        return prior, f"prior of {path}: {prior.source}"
+    return default_prior(rig), "no prior=FILE was given: performances that riginv makes up say which controls go together"
+
+
+def chosen_frames(clip: MarkerClip, frames: FrameOptions) -> tuple[MarkerClip, Tensor]:
+    """The frames that were asked for, and which of them are excluded, `(frame,)`.
+
+    Raises:
+        InputError: there are none.
+    """
+    numbers = clip.frame_numbers
+    first = numbers[0] if frames.first is None else frames.first
+    last = numbers[-1] if frames.last is None else frames.last
+    inside = (numbers >= first) & (numbers <= last)
+    if not inside.any():
+        raise InputError(f"{clip.path}: frames {first} to {last} were asked for, it has {numbers[0]} to {numbers[-1]}")
+    kept = clip.select(clip.names, clip.points[inside], numbers[inside])
+    return kept, excluded_frames(clip.path, torch.tensor(kept.frame_numbers), frames.exclude)
+
+
+def in_millimetres(points: np.ndarray, units: ClipUnits) -> Tensor:
+    """Points `(frame, marker, 3)` of a file in mm, y up."""
+    return units.mm * torch.from_numpy(points) @ units.axes.T
+
+
+def marker_units(clip: MarkerClip, placement: Placement, rig: LinearRig, reading: ReadingOptions) -> ClipUnits:
+    """The units of markers: guessed from their size beside the rig's markers at rest, and the up axis from their pose.
+
+    Raises:
+        InputError: no frame has half of the markers, or they are absurdly small or large.
+    """
+    known = np.isfinite(clip.points).all(axis=2)
+    row = int(known.sum(axis=1).argmax())
+    there = known[row]
+    if there.sum() < max(3, len(there) / 2):
+        raise InputError(f"{clip.path}: no frame has more than {there.sum()} of {len(there)} markers: there is nothing to fit")
+    rest = placement.points(rig.rest_vertices).cpu()[there]
+    seen = torch.from_numpy(clip.points[row][there])
+    units = units_from_size(clip, _size(seen), _size(rest), rig.name, reading, LIMITS)
+    if reading.up != "auto" or clip.up is not None:
+        return units
+    upright = fit_rigid(rest[None], units.mm * seen[None], torch.ones(len(rest)))[0, :3, 1]  # where the rig's y axis points
+    up = "xyz"[int(upright.argmax())]
+    notes = [note for note in units.notes if "taken for up" not in note]
+    notes.append(f"{up} taken for up, as the markers stand (reading.up={up} says it)")
+    return units._replace(axes=TO_Y_UP[up], up=up, up_source=GUESSED, notes=notes)
+
+
+def frame_units(clip: MarkerClip, anchors: Placement | None, rig: LinearRig, reading: ReadingOptions) -> ClipUnits:
+    """The units of a clip of one frame, from the size of some markers whose places are known, or from that of the rig."""
+    points, rest = torch.from_numpy(clip.points[0]), rig.rest_vertices.cpu()
+    if anchors is not None:
+        points, rest = points[[clip.names.index(name) for name in anchors.names]], anchors.points(rest)
+    return units_from_size(clip, _size(points), _size(rest), rig.name, reading, LIMITS)
+
+
+def _size(points: Tensor) -> float:
+    """Twice the root mean square distance of points `(point, 3)` from their mean."""
+    return 2 * float((points - points.mean(dim=0)).square().sum(dim=1).mean().sqrt())

@@ -1,0 +1,67 @@
+"""Where to put markers: the points of a rig's skin that tell most about its whole mesh."""
+
+import numpy as np
+import torch
+
+from riginv.rig.interface import LinearRig
+from riginv.tracking.markers.placement import Placement, at_vertices
+from riginv.tracking.priors.prior import ControlPrior
+from riginv.tracking.regions import label, regions_of
+from riginv.tracking.surfaces.rig_surface import EXPOSED, exposure
+from riginv.tracking.surfaces.wrap import skin_component
+
+CANDIDATES = 3000  # vertices of the skin that are tried, at most
+OPEN = 0.5  # fraction of unoccluded rays at a vertex that a marker can be glued to
+SPACING = 0.02  # least distance of two markers, relative to the rig's size
+
+
+@torch.no_grad()
+def suggest_layout(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: float, offset_mm: float | None) -> Placement:
+    """Markers at vertices, chosen one by one: each reduces the variance of the whole mesh most (A-optimal design).
+
+    The variance is that of the prior's Gaussian after markers of some noise, linear about its mean.
+
+    Args:
+        offset_mm: of the markers from the skin; None: to be calibrated.
+    """
+    rest, faces = rig.rest_vertices.cpu().double().numpy(), rig.faces.cpu().numpy()
+    outer = marker_skin(rest, faces)
+    some = torch.from_numpy(outer[:: -(-len(outer) // CANDIDATES)])
+    span = rig.upper - rig.lower
+    _, jacobian = rig.coefficient_jacobian((rig.lower + span * prior.mean.to(span))[None])
+    roots = span[:, None].double() * torch.linalg.cholesky(prior.covariance)
+    columns = rig.basis.flatten(1).T.double() @ (jacobian.dense()[0].double() @ roots)
+    whole, here = columns.T @ columns, columns.unflatten(0, (-1, 3))[some]
+    variance, noise = torch.eye(columns.shape[1], dtype=torch.float64), noise_mm**2 * torch.eye(3, dtype=torch.float64)
+    places, spacing_mm = rig.rest_vertices[some], SPACING * float(np.ptp(rest, axis=0).max())
+    chosen, too_near = list[int](), torch.zeros(len(some), dtype=torch.bool)
+    for _ in range(min(count, len(some))):
+        half = here @ variance
+        measured = half @ here.mT + noise
+        gain = torch.linalg.solve(measured, half @ whole @ half.mT).diagonal(dim1=1, dim2=2).sum(dim=1)
+        gain[too_near] = -1.0
+        best = int(gain.argmax())
+        chosen.append(best)
+        too_near |= (places - places[best]).norm(dim=1) < spacing_mm
+        variance = variance - half[best].T @ torch.linalg.solve(measured[best], half[best])
+    vertices = some[chosen].tolist()
+    return at_vertices(rig, _names(rig, vertices), vertices, offset_mm)
+
+
+def marker_skin(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Indices of vertices that a marker can be glued to: exposed skin, no eyeballs, teeth or inner mouth."""
+    exposed = exposure(rest, faces)
+    outer = np.flatnonzero(exposed > EXPOSED)
+    found = np.flatnonzero(skin_component(rest, faces, outer if len(outer) else np.arange(len(rest))) & (exposed > OPEN))
+    return found if len(found) else np.arange(len(rest))
+
+
+def _names(rig: LinearRig, vertices: list[int]) -> list[str]:
+    """Names by region, such as `mouth03`; without regions `m03`."""
+    labels, counts = label(regions_of(rig), len(rig.rest_vertices)), dict[str, int]()
+    names = []
+    for vertex in vertices:
+        region = labels[vertex] or "m"
+        counts[region] = counts.get(region, 0) + 1
+        names.append(f"{region}{counts[region]:02d}")
+    return names

@@ -1,0 +1,109 @@
+"""Inversion of a clip of markers: each frame on its own, labels and offsets, then all frames together."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from riginv.errors import InputError
+from riginv.solvers.clip import smoothed, solve_clip
+from riginv.solvers.every_mesh import refine_meshes, solve_frames
+from riginv.tracking.markers.calibration import calibrate
+from riginv.tracking.markers.labels import mend_labels
+from riginv.tracking.markers.objective import FEWEST, MarkerObjective, pack
+from riginv.tracking.markers.placement import Placement
+from riginv.tracking.options import SolverOptions
+
+KEY_DISTANCE, MORE_STEPS = 8, 2  # of `solve_frames`: the whole clip is solved afterwards
+TOLERANCE = 3e-2  # of `solve_clip`
+REFINE_STEPS = 10  # of each frame, after offsets or labels have changed
+
+
+@dataclass(frozen=True)
+class MarkerTrack:
+    """The inversion of a clip of markers.
+
+    Attributes:
+        controls: `(frame, control)`, within the rig's limits.
+        motion: from the rig's mesh to the markers, mm, y up, `(frame, 4, 4)`; None where it is not removed.
+        placement: of the markers, with calibrated offsets.
+        points: the observed markers, labels mended, `(frame, marker, 3)`; NaN in gaps.
+        residual_mm: distance of each observed marker from the rig's, `(frame, marker)`; NaN in gaps.
+        swapped: whether a marker carried another's label, `(frame, marker)`.
+        stray: whether an observed marker was left out, `(frame, marker)`.
+        known: whether a frame has enough markers to be solved, `(frame,)`.
+    """
+
+    controls: Tensor
+    motion: Tensor | None
+    placement: Placement
+    points: Tensor
+    residual_mm: Tensor
+    swapped: Tensor
+    stray: Tensor
+    known: Tensor
+
+
+def track_markers(
+    objective: MarkerObjective,
+    points: Tensor,
+    numbers: Tensor,
+    options: SolverOptions,
+    noise_mm: float,
+    is_smooth: bool = True,
+    advance: Callable[[str, int], None] = lambda what, frames: None,
+) -> MarkerTrack:
+    """Controls and rigid motion of a clip.
+
+    Args:
+        points: observed markers `(frame, marker, 3)`, mm, y up; NaN in gaps.
+        numbers: frame numbers `(frame,)`.
+        noise_mm: standard deviation of a marker's error.
+        is_smooth: whether all frames are solved together in the end, with smooth curves.
+        advance: reports progress.
+
+    Raises:
+        InputError: no frame has enough markers.
+    """
+    packed = pack(points, torch.ones(points.shape[:2]))
+    known = torch.isfinite(packed).all(dim=1)
+    if not bool(known.any()):
+        raise InputError(
+            f"no frame has {FEWEST} markers of the map: there is nothing to fit; does the clip have the right labels?"
+        )
+    advance("each frame", 0)
+    found = solve_frames(objective, packed, 1, options.steps, MORE_STEPS, rounds=0, key_distance=KEY_DISTANCE)
+    advance("labels and offsets", 0)
+    labelled = mend_labels(objective, points, found.units, noise_mm, numbers)
+    packed, found.units = pack(labelled.points, labelled.weights), labelled.units
+    if bool(objective.placement.calibrated.any()):
+        objective = objective.at_offsets(calibrate(objective, packed, found.units, noise_mm))
+        more = refine_meshes(objective, packed, found.units, REFINE_STEPS)
+        labelled = mend_labels(objective, points, torch.where(known[:, None], more.units, found.units), noise_mm, numbers)
+        packed, found.units = pack(labelled.points, labelled.weights), labelled.units
+    found.skipped = ~torch.isfinite(packed).all(dim=1)
+    units = smoothed(found, options.blur if is_smooth else 0.0, numbers)
+    if is_smooth:
+        advance("the whole clip", 0)
+        steps = (options.smoothness, options.clip_steps, 0)
+        units = solve_clip(objective, packed, units, *steps, tolerance=TOLERANCE, numbers=numbers)
+    seen = objective.residuals(units, pack(labelled.points, torch.ones(points.shape[:2])).nan_to_num(0.0))
+    used = objective.residuals(units, packed.nan_to_num(0.0))
+    return MarkerTrack(
+        objective.all_controls(units),
+        _matrices(*used.motion) if objective.moves else None,
+        objective.placement,
+        labelled.points,
+        torch.where(seen.weights > 0, seen.residual.norm(dim=2), torch.nan),
+        labelled.swapped,
+        labelled.stray,
+        ~found.skipped,
+    )
+
+
+def _matrices(rotation: Tensor, translation: Tensor) -> Tensor:
+    """Rotations and translations as `(frame, 4, 4)`."""
+    result = torch.eye(4).to(rotation).repeat(len(rotation), 1, 1)
+    result[:, :3, :3], result[:, :3, 3] = rotation, translation
+    return result
