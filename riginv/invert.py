@@ -29,7 +29,7 @@ from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
 from riginv.tracking.assembly import build_parts
-from riginv.tracking.clip_optimum import with_optimum
+from riginv.tracking.clip_optimum import with_accuracy, with_optimum
 from riginv.tracking.correspondence import by_surface
 from riginv.tracking.options import AfterOptions, LookOptions, TrackingOptions
 from riginv.tracking.report import InversionProgress, show
@@ -116,6 +116,7 @@ def invert_vertices(
         found = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
         progress.advance("the optimum", 0)
         errors = with_optimum(found.errors, clip, found, parts.evaluator)
+        errors = with_accuracy(errors, clip, found, true_rig)
         facts, source = made_by(settings, parts.method), Path(settings.clip).name
         animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
         with atomic_write(out) as folder:

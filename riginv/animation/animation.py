@@ -1,5 +1,6 @@
 """The result of an inversion: controls over time, and the errors of each frame."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -101,6 +102,7 @@ class FrameErrors:
         frame_numbers: of the evaluated frames, `(frame,)`; None: those of the animation.
         neutral_mm: mean error of the neutral mesh, `(frame,)`; None: not measured.
         optimum: lowest errors on a few frames; None: not known.
+        controls: the accuracy of the controls, by the names of metrics.json; empty where the true ones are not known.
     """
 
     mean_mm: Tensor
@@ -111,6 +113,7 @@ class FrameErrors:
     frame_numbers: Tensor | None = None
     neutral_mm: Tensor | None = None
     optimum: SampledOptimum | None = None
+    controls: Mapping[str, Any] = field(default_factory=dict)
 
     def summary(self) -> dict[str, float]:
         """Mean errors, mm, over all known frames, and over those with a known optimum."""

@@ -48,6 +48,8 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: M
     if errors.optimum is not None:
         evaluated = animation.frame_numbers if errors.frame_numbers is None else errors.frame_numbers
         content["errors"]["least_error_frames"] = evaluated[errors.optimum.rows].tolist()
+    if errors.controls:
+        content["control_accuracy"] = errors.controls
     if clip is not None:
         content["clip"] = clip
     if animation.motion is not None:

@@ -13,6 +13,7 @@ from riginv.animation.resampling import resampled
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.description_text import in_short, rows
+from riginv.runs.tables import control_lines
 from riginv.tracking.options import AfterOptions, LookOptions
 from riginv.tracking.rigid import remove_motion
 from riginv.tracking.run import Advance
@@ -68,7 +69,8 @@ def write_views(
     if look.page:
         advance("page", 0)
         names.append(PAGE)
-        source = ClipSource(in_short(described), rows(described, None), described.warnings, described.notes)
+        notes_of_clip = (*described.notes, *control_lines(errors.controls))
+        source = ClipSource(in_short(described), rows(described, None), described.warnings, notes_of_clip)
         note = write_viewer(folder / PAGE, animation, errors, targets, clip=source).note
         notes += [f"{PAGE}: {note}"]
     if look.sheet:
