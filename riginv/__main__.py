@@ -17,6 +17,7 @@ COMMANDS = {
     "sample": "sample poses of a rig into a store on disk",
     "export_onnx": "a trained inverse as an ONNX file",
     "learn_prior": "learn which controls occur together, from inverted takes",
+    "missing": "the shapes that a rig lacks for a clip, with the controls that call for them",
     "wrap": "fit the mesh of a rig to a scan of a neutral face",
     "reproduce": "the tables, figures and claims of the paper in one report",
 }

@@ -28,7 +28,7 @@ FLOORS = [
     {"training"},
     {"methods"},
     {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx", "sample", "inspect"},
-    {"learn_prior", "wrap"},
+    {"learn_prior", "missing", "wrap"},
     {"reproduce"},
     {"__main__"},
 ]
