@@ -124,7 +124,7 @@ def confused_pairs(effects: ControlEffects, found: Tensor, true: Tensor) -> tupl
         row, column = divmod(index, len(cancelled))
         if cancelled[row, column] > 0:
             names = effects.names[row], effects.names[column]
-            pairs.append(ConfusedPair(*names, int(frames[row, column]), float(fractions[row, column])))
+            pairs.append(ConfusedPair(*names, int(frames[row, column]), min(float(fractions[row, column]), 1.0)))
     return tuple(pairs)
 
 

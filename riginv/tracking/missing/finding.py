@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from riginv.geometry.kernels.library import pure_torch
+from riginv.geometry.neighbours import evenly
 from riginv.meshes.metrics import mean_distance
 from riginv.rig.interface import LinearRig
 from riginv.rig.jacobian import Jacobian
@@ -17,6 +18,8 @@ from riginv.tracking.missing.drivers import Driver, Factors
 from riginv.tracking.missing.search import choose_drivers, fit_shapes
 
 ROUNDS, STEPS = 3, 6  # alternations; Levenberg-Marquardt steps in each
+STRONGEST, SPREAD = 12, 60  # frames that shapes are fitted to: the strongest of each driver, and evenly spread ones
+TANGENTS, MOVING = 12, 1e-3  # active controls of a frame: their number, at most, and their least distance from neutral
 SPARSITY = 2e-5  # mm^2 of mean squared error for a control at its whole range: of two explanations that with fewer controls
 
 
@@ -96,13 +99,13 @@ def find_missing(
         chosen = choose_drivers(signals, factors.likelihoods(drivers), residual, most)
         if not chosen:
             break
-        shapes = fit_shapes(signals[:, chosen], residual)
+        shapes = fitted(rig, signals[:, chosen], residual, controls)
         augmented = RigWithShapes(rig, factors, [drivers[number] for number in chosen], shapes)
         controls = solve_again(augmented, meshes, controls)
     if augmented is None:
         return None
     weights = augmented.weights(controls)
-    shapes = fit_shapes(weights, meshes - rig(controls))
+    shapes = fitted(rig, weights, meshes - rig(controls), controls)
     lost = weights.square().sum(dim=0) * shapes.square().sum(dim=(1, 2))
     order = lost.argsort(descending=True)
     order = order[lost[order] > 0]
@@ -113,6 +116,27 @@ def find_missing(
         with_first.append(float(mean_distance(posed, meshes).mean()))
     after = mean_distance(posed, meshes)
     return Missing(final, controls, shapes[order], weights[:, order], with_first, before, after)
+
+
+def fitted(rig: LinearRig, signals: Tensor, residual: Tensor, controls: Tensor) -> Tensor:
+    """The shapes of drivers with signals `(frame, driver)`: from frames where they are strongest, and evenly spread ones."""
+    strongest = signals.topk(min(STRONGEST, len(signals)), dim=0).indices.flatten()
+    rows = torch.cat([strongest, evenly(SPREAD, len(signals))]).unique()
+    return fit_shapes(signals[rows], residual[rows], tangents(rig, controls[rows]))
+
+
+def tangents(rig: LinearRig, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame column number"]:
+    """Orthonormal displacements of all vertices by the most active controls of each frame."""
+    span = rig.upper - rig.lower
+    away = (controls - rig.neutral_controls).abs() / span
+    sizes, active = away.topk(min(TANGENTS, len(span)), dim=1)
+    result = controls.new_zeros(len(controls), active.shape[1], rig.basis[0].numel())
+    for row in range(len(controls)):
+        kept = active[row, sizes[row] > MOVING]
+        if len(kept):
+            jacobian = rig.coefficient_jacobian(controls[row : row + 1])[1].of_controls(kept).dense()[0]
+            result[row, : len(kept)] = torch.linalg.qr((jacobian.T @ rig.basis.flatten(1)).T)[0].T
+    return result
 
 
 def solve_again(rig: LinearRig, meshes: Tensor, controls: Tensor) -> Tensor:

@@ -1,5 +1,7 @@
 """Which drivers call for a shape, and the shapes: orthogonal matching pursuit in which each vertex votes for its driver."""
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -8,7 +10,7 @@ VERTICES = 400  # that vote
 NEAR_BEST = 0.97  # of the gain of a vertex's best driver: such drivers have its vote
 MIN_NEW = 0.02  # of a driver's energy that must lie outside of those found so far
 MIN_GAIN = 0.002  # of the squared residual that a further shape must explain
-RIDGE = 1e-6  # of the largest driver
+RIDGE = 1e-4  # of a driver of unit length
 SPARSE, SPARSE_MM = 0.02, 0.02  # displacements below this fraction of a shape's largest, or below so many mm, are left out
 
 
@@ -53,13 +55,46 @@ def choose_drivers(
 
 
 def fit_shapes(
-    signals: Float[Tensor, "frame driver"], residual: Float[Tensor, "frame vertex 3"]
+    signals: Float[Tensor, "frame driver"],
+    residual: Float[Tensor, "frame vertex 3"],
+    tangents: Float[Tensor, "frame column number"],
 ) -> Float[Tensor, "driver vertex 3"]:
-    """The sparse shapes, mm, with which the chosen drivers explain a residual best, by least squares."""
-    gram = signals.T.double() @ signals.double()
-    gram.diagonal().add_(RIDGE * gram.diagonal().amax())
-    right = (signals.T @ residual.flatten(1)).double()
-    shapes = torch.linalg.solve(gram, right).to(residual.dtype).unflatten(1, residual.shape[1:])
+    """The sparse shapes, mm, with which the chosen drivers explain a residual best.
+
+    Controls that were solved without a shape have taken up what they could of it. So what active controls can make is left free
+    in each frame: the squared residual outside of their tangents is minimised (variable projection), by conjugate gradients.
+
+    Args:
+        tangents: orthonormal displacements of the mesh by the active controls of each frame; zeros where there are fewer.
+    """
+    scale = signals.norm(dim=0).clamp_min(1e-6)
+    scaled = signals / scale
+
+    def outside(meshes: Tensor) -> Tensor:
+        return meshes - (tangents.transpose(1, 2) @ (tangents @ meshes[..., None]))[..., 0]
+
+    def normal(shapes: Tensor) -> Tensor:
+        return scaled.T @ outside(scaled @ shapes) + RIDGE * shapes
+
+    shapes = conjugate_gradients(normal, scaled.T @ outside(residual.flatten(1))) / scale[:, None]
+    shapes = shapes.unflatten(1, residual.shape[1:])
     length = shapes.norm(dim=2)
     least = (SPARSE * length.amax(dim=1, keepdim=True)).clamp_min(SPARSE_MM)
     return torch.where((length > least)[..., None], shapes, 0.0)
+
+
+def conjugate_gradients(operator: Callable[[Tensor], Tensor], right: Tensor, steps: int = 80) -> Tensor:
+    """The solution of a symmetric positive semidefinite system, from 0."""
+    solution, residual = torch.zeros_like(right), right.clone()
+    direction, size = residual.clone(), residual.square().sum()
+    first = size.clone()
+    for _ in range(steps):
+        if float(size) <= 1e-8 * float(first):
+            break
+        image = operator(direction)
+        step = size / (direction * image).sum().clamp_min(1e-20)
+        solution += step * direction
+        residual -= step * image
+        size, before = residual.square().sum(), size
+        direction = residual + size / before * direction
+    return solution
