@@ -23,11 +23,13 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
+from riginv.tracking.alternation import WindowInverter, WindowResult
 from riginv.tracking.assembly import build_parts
 from riginv.tracking.missing.finding import find_missing
 from riginv.tracking.missing.results import rows_of, sentence, table_of, write_missing
 from riginv.tracking.options import TrackingOptions
 from riginv.tracking.report import InversionProgress
+from riginv.tracking.rigid import fit_rigid
 from riginv.training.assembly import build_rig
 
 MAX_NUMBERS = 60_000_000  # of all meshes together: 240 MB
@@ -43,6 +45,7 @@ class MissingConfig(TrackingOptions):
     clip: str
     out: str
     bundle: str | None
+    curves: str | None
     shapes: PositiveInt
     factors: PositiveInt
     max_frames: PositiveInt
@@ -75,22 +78,42 @@ def run(config: DictConfig) -> None:
     clip, notes = open_clip(settings.clip, rig, settings.reading, settings.frames)
     if clip.controls is not None:
         raise InputError(f"{settings.clip}: curves of the rig's controls: the rig makes them exactly; give meshes of the clip")
+    known = true_controls(settings, clip, rig)
     show_clip(clip)
     with exclusive_lock(out), InversionProgress(min(len(clip), settings.max_frames), notes) as progress:
-        meshes, controls, numbers = invert_some(settings, clip, rig, inverse, progress)
+        meshes, controls, rows = invert_some(settings, clip, rig, inverse, known, progress)
+        numbers = clip.frame_numbers[rows]
         progress.advance("missing shapes", 0)
-        found = find_missing(rig, meshes, controls, settings.shapes, settings.factors)
-        rows = rows_of(found, numbers) if found else []
+        found = find_missing(rig, meshes, controls, settings.shapes, settings.factors, known is not None)
+        facts = rows_of(found, numbers) if found else []
         if found:
             with atomic_write(out) as folder:
                 folder.mkdir()
-                files = write_missing(folder, found, rows)
+                files = write_missing(folder, found, facts)
     console = Console()
     if not found:
         show_lines(["  Nothing in the clip calls for a shape that the rig lacks: nothing was written."], console=console)
         return
-    console.print(table_of(found, rows))
+    console.print(table_of(found, facts))
     show_lines([f"  {sentence(found)}", f"  {out}: {', '.join(files)}"], console=console)
+
+
+def true_controls(settings: MissingConfig, clip: Clip, rig: LinearRig) -> Tensor | None:
+    """The controls `(frame, control)` of all frames of a clip from `settings.curves`; None: they are not known.
+
+    Raises:
+        InputError: the curves are none of the rig, or have other frames.
+    """
+    if settings.curves is None:
+        return None
+    curves = open_clip(settings.curves, rig, ReadingOptions(), settings.frames)[0]
+    if curves.controls is None:
+        raise InputError(f"curves={settings.curves}: meshes, expected curves of the rig's controls (.csv or .npz)")
+    if not torch.equal(curves.frame_numbers, clip.frame_numbers):
+        raise InputError(
+            f"curves={settings.curves}: {len(curves)} frames, and {settings.clip} has {len(clip)}, or other numbers"
+        )
+    return curves.controls.to(rig.lower)
 
 
 def build_solved_rig(settings: MissingConfig) -> tuple[Inverse | None, LinearRig]:
@@ -113,22 +136,37 @@ def build_solved_rig(settings: MissingConfig) -> tuple[Inverse | None, LinearRig
 
 
 def invert_some(
-    settings: MissingConfig, clip: Clip, rig: LinearRig, inverse: Inverse | None, progress: InversionProgress
+    settings: MissingConfig,
+    clip: Clip,
+    rig: LinearRig,
+    inverse: Inverse | None,
+    known: Tensor | None,
+    progress: InversionProgress,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Meshes without rigid motion `(frame, vertex, 3)`, controls and numbers of frames that are evenly spread."""
+    """Meshes without rigid motion `(frame, vertex, 3)`, controls and rows of frames that are evenly spread."""
     parts = build_parts(settings, clip, rig, rig, inverse)
     most = max(1, min(settings.max_frames, MAX_NUMBERS // rig.rest_vertices.numel()))
     rows = evenly(most, len(clip))
     meshes, controls, kept = [], [], []
     for some in rows.split(settings.window):
-        found = parts.inverter.invert(torch.cat([clip.vertices(row, row + 1) for row in some.tolist()]))
+        vertices = torch.cat([clip.vertices(row, row + 1) for row in some.tolist()])
+        found = parts.inverter.invert(vertices) if known is None else unsolved(parts.inverter, vertices, known[some])
         meshes.append(found.filled[found.solvable])
         controls.append(found.controls[found.solvable])
         kept.append(some[found.solvable])
         progress.advance("inverting", len(some))
     if not len(torch.cat(kept)):
         raise InputError(f"{settings.clip}: no frame has enough known vertices: there is nothing to invert")
-    return torch.cat(meshes), torch.cat(controls), clip.frame_numbers[torch.cat(kept)]
+    return torch.cat(meshes), torch.cat(controls), torch.cat(kept)
+
+
+def unsolved(inverter: WindowInverter, vertices: Tensor, controls: Tensor) -> WindowResult:
+    """The meshes of known controls, without the rigid motion that fits them best."""
+    motion = None
+    if inverter.anchors is not None:
+        anchors = inverter.anchors.for_window(torch.isfinite(vertices).all(dim=2))
+        motion = fit_rigid(anchors.mesh(controls), vertices[:, anchors.vertices], anchors.weights)
+    return inverter.result(vertices, controls, motion, torch.ones(len(vertices), dtype=torch.bool))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from riginv.geometry.neighbours import evenly
@@ -125,7 +125,7 @@ class Factors:
         return [drivers[number] for number in order if strength[number] > 0]
 
     @torch.no_grad()
-    def likelihoods(self, drivers: list[Driver]) -> Float[Tensor, "driver vertex"]:
+    def likelihoods(self, drivers: list[Driver], voters: Int[Tensor, " voter"]) -> Float[Tensor, "driver voter"]:
         """How likely each driver is to call for a shape at each vertex: simple ones, where all factors move the mesh."""
         rig = self.rig
         ends = [rig.upper[number] if sign > 0 else rig.lower[number] for number, sign in self.sides]
@@ -137,7 +137,7 @@ class Factors:
         moved[lengths.amax(dim=1) <= 0] = 1  # they move it with others alone
         by_control = {number: row for row, (number, _) in reversed(list(enumerate(self.sides)))}
         rows = [side if side < len(self.sides) else by_control[self.owners[side]] for side in range(len(self.names))]
-        found = torch.empty(len(drivers), len(rig.rest_vertices))
+        moved, found = moved[:, voters], torch.empty(len(drivers), len(voters))
         for number, driver in enumerate(drivers):
             least = moved[[rows[factor] for factor in driver.factors]].amin(dim=0)
             found[number] = (ELSEWHERE + (1 - ELSEWHERE) * least) * SIMPLER ** (len(driver.factors) - 1)

@@ -15,10 +15,10 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.missing.drivers import Driver, Factors
-from riginv.tracking.missing.search import choose_drivers, fit_shapes
+from riginv.tracking.missing.search import MIN_GAIN, MIN_GAIN_KNOWN, choose_drivers, fit_shapes, voters
 
 ROUNDS, STEPS = 3, 6  # alternations; Levenberg-Marquardt steps in each
-STRONGEST, SPREAD = 12, 60  # frames that shapes are fitted to: the strongest of each driver, and evenly spread ones
+STRONGEST, SPREAD = 6, 40  # frames that shapes are fitted to: the strongest of each driver, and evenly spread ones
 TANGENTS, MOVING = 12, 1e-3  # active controls of a frame: their number, at most, and their least distance from neutral
 SPARSITY = 2e-5  # mm^2 of mean squared error for a control at its whole range: of two explanations that with fewer controls
 
@@ -83,11 +83,13 @@ def find_missing(
     controls: Float[Tensor, "frame control"],
     most: int,
     most_factors: int,
+    known: bool = False,
 ) -> Missing | None:
     """The shapes, at most `most`, that a rig lacks for meshes, mm; None: none explains anything of the residual.
 
     Args:
-        controls: a first inversion.
+        controls: a first inversion, or the true ones.
+        known: whether they are the true ones: they are not solved again.
         most_factors: of a product of controls.
     """
     factors, before = Factors(rig), mean_distance(rig(controls), meshes)
@@ -96,16 +98,20 @@ def find_missing(
         residual, values = meshes - rig(controls), factors.values(controls)
         drivers = factors.candidates(values, most_factors)
         signals = factors.products(values, drivers) if drivers else values[:, :0]
-        chosen = choose_drivers(signals, factors.likelihoods(drivers), residual, most)
+        voting = voters(residual)
+        likelihoods, min_gain = factors.likelihoods(drivers, voting), MIN_GAIN_KNOWN if known else MIN_GAIN
+        chosen = choose_drivers(signals, likelihoods, residual[:, voting], most, min_gain)
         if not chosen:
             break
-        shapes = fitted(rig, signals[:, chosen], residual, controls)
+        shapes = fitted(rig, signals[:, chosen], residual, controls, known)
         augmented = RigWithShapes(rig, factors, [drivers[number] for number in chosen], shapes)
+        if known:
+            break
         controls = solve_again(augmented, meshes, controls)
     if augmented is None:
         return None
     weights = augmented.weights(controls)
-    shapes = fitted(rig, weights, meshes - rig(controls), controls)
+    shapes = fitted(rig, weights, meshes - rig(controls), controls, known)
     lost = weights.square().sum(dim=0) * shapes.square().sum(dim=(1, 2))
     order = lost.argsort(descending=True)
     order = order[lost[order] > 0]
@@ -118,8 +124,10 @@ def find_missing(
     return Missing(final, controls, shapes[order], weights[:, order], with_first, before, after)
 
 
-def fitted(rig: LinearRig, signals: Tensor, residual: Tensor, controls: Tensor) -> Tensor:
+def fitted(rig: LinearRig, signals: Tensor, residual: Tensor, controls: Tensor, known: bool) -> Tensor:
     """The shapes of drivers with signals `(frame, driver)`: from frames where they are strongest, and evenly spread ones."""
+    if known:
+        return fit_shapes(signals, residual)
     strongest = signals.topk(min(STRONGEST, len(signals)), dim=0).indices.flatten()
     rows = torch.cat([strongest, evenly(SPREAD, len(signals))]).unique()
     return fit_shapes(signals[rows], residual[rows], tangents(rig, controls[rows]))
@@ -131,11 +139,11 @@ def tangents(rig: LinearRig, controls: Float[Tensor, "frame control"]) -> Float[
     away = (controls - rig.neutral_controls).abs() / span
     sizes, active = away.topk(min(TANGENTS, len(span)), dim=1)
     result = controls.new_zeros(len(controls), active.shape[1], rig.basis[0].numel())
-    for row in range(len(controls)):
-        kept = active[row, sizes[row] > MOVING]
-        if len(kept):
-            jacobian = rig.coefficient_jacobian(controls[row : row + 1])[1].of_controls(kept).dense()[0]
-            result[row, : len(kept)] = torch.linalg.qr((jacobian.T @ rig.basis.flatten(1)).T)[0].T
+    for rows in torch.arange(len(controls)).split(32):
+        for row, jacobian in zip(rows.tolist(), rig.coefficient_jacobian(controls[rows])[1].dense()):
+            kept = active[row, sizes[row] > MOVING]
+            columns = (jacobian[:, kept].T @ rig.basis.flatten(1)).T
+            result[row, : len(kept)] = torch.linalg.qr(columns)[0].T if len(kept) else 0
     return result
 
 
