@@ -18,6 +18,7 @@ COMMANDS = {
     "export_onnx": "a trained inverse as an ONNX file",
     "learn_prior": "learn which controls occur together, from inverted takes",
     "markers": "where the markers of a take are on a rig, or where to put them",
+    "missing": "the shapes that a rig lacks for a clip, with the controls that call for them",
     "wrap": "fit the mesh of a rig to a scan of a neutral face",
     "reproduce": "the tables, figures and claims of the paper in one report",
 }

@@ -22,6 +22,7 @@ from riginv.evaluation.optimum import find_optima
 from riginv.methods.base import Method, suited_methods
 from riginv.methods.comparison import ComparisonProgress, keep_rows, kept_rows, show, write_tables
 from riginv.methods.evaluation import evaluated_row
+from riginv.rig.control_effects import ControlEffects
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import find_run_folder, plain_config
@@ -67,7 +68,7 @@ def compare(config: DictConfig) -> None:
     folder.begin()
     with ComparisonProgress(len(methods)) as progress:
         progress.at("the optimum", "many starts on a few meshes of each set")
-        optima = find_optima(true_rig, sets)
+        optima, effects = find_optima(true_rig, sets), ControlEffects.of_rig(true_rig)
         for name, method in methods.items():
             facts = {"config": specs[name].config, "fingerprint": method.fingerprint}
             rows = kept_rows(folder.path, name, facts)
@@ -76,7 +77,7 @@ def compare(config: DictConfig) -> None:
                 seconds, rows = prepare(method, settings.seed), []
                 for meshes in sets:
                     progress.at(name, meshes.name.replace("_", " "))
-                    row = evaluated_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name))
+                    row = evaluated_row(name, method, true_rig, meshes, seconds, optima.get(meshes.name), effects)
                     rows.append(row.as_dict())
                 keep_rows(folder.path, name, {**facts, "source": method.source}, rows)
             progress.finished(name, rows)

@@ -36,7 +36,7 @@ from riginv.tracking.actors.actor import Actor, posed_actor
 from riginv.tracking.actors.files import write_actor
 from riginv.tracking.actors.finding import find_actor
 from riginv.tracking.assembly import build_parts
-from riginv.tracking.clip_optimum import with_optimum
+from riginv.tracking.clip_optimum import with_accuracy, with_optimum
 from riginv.tracking.correspondence import by_surface
 from riginv.tracking.markers.assembly import build_marker_parts
 from riginv.tracking.markers.results import marker_errors, marker_remarks, write_marker_tables
@@ -132,6 +132,7 @@ def invert_vertices(
         found = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
         progress.advance("the optimum", 0)
         errors = with_optimum(found.errors, clip, found, parts.evaluator)
+        errors = with_accuracy(errors, clip, found, true_rig)
         facts, source = made_by(settings, parts.method, actor), Path(settings.clip).name
         animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
         with atomic_write(out) as folder:

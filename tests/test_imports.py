@@ -29,7 +29,7 @@ FLOORS = [
     {"training"},
     {"methods"},
     {"train", "evaluate", "check", "contact_sheet", "compare", "invert", "export_onnx", "sample", "inspect"},
-    {"learn_prior", "markers", "wrap"},
+    {"learn_prior", "markers", "missing", "wrap"},
     {"reproduce"},
     {"__main__"},
 ]

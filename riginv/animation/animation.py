@@ -1,5 +1,6 @@
 """The result of an inversion: controls over time, and the errors of each frame."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -123,6 +124,7 @@ class FrameErrors:
         neutral_mm: mean error of the neutral mesh, `(frame,)`; None: not measured.
         optimum: lowest errors on a few frames; None: not known.
         markers: the residuals of each marker, where the clip is one of markers.
+        controls: the accuracy of the controls, by the names of metrics.json; empty where the true ones are not known.
     """
 
     mean_mm: Tensor
@@ -134,6 +136,7 @@ class FrameErrors:
     neutral_mm: Tensor | None = None
     optimum: SampledOptimum | None = None
     markers: tuple[MarkerErrors, ...] = ()
+    controls: Mapping[str, Any] = field(default_factory=dict)
 
     def summary(self) -> dict[str, float]:
         """Mean errors, mm, over all known frames, and over those with a known optimum."""

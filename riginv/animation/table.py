@@ -53,6 +53,8 @@ def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: M
             {key: value if isinstance(value, str) else in_json(value) for key, value in marker._asdict().items()}
             for marker in errors.markers
         ]
+    if errors.controls:
+        content["control_accuracy"] = errors.controls
     if clip is not None:
         content["clip"] = clip
     if animation.motion is not None:

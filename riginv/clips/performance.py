@@ -36,9 +36,9 @@ def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simul
         curves = _arkit_strokes(list(shapes), frames)
     elif isinstance(rig, LinearRig) and rig.has_blendshapes:
         shapes = dict(zip(rig.coefficient_names[: rig.primary_count], rig.basis[: rig.primary_count]))
-        curves = _strokes(list(shapes), frames)
+        curves = strokes(list(shapes), frames)
     elif shapes:
-        curves = _strokes(list(shapes), frames)
+        curves = strokes(list(shapes), frames)
     else:
         return None
     clip = WeightedShapes(name, rig.rest_vertices, torch.stack(list(shapes.values())), curves.to(rig.dtype), FPS)
@@ -56,7 +56,7 @@ def _size(clip: WeightedShapes) -> str:
     )
 
 
-def _strokes(names: list[str], frames: int) -> Tensor:
+def strokes(names: list[str], frames: int) -> Tensor:
     """Curves `(frame, shape)` in [0, 1], as large and as sparse as performances are, however many shapes there are.
 
     Against 2,800 frames of a production's animation of 72 shapes, on the same shapes: 6.4 of them above 0.02 at a time (there

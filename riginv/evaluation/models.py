@@ -11,6 +11,7 @@ from riginv.evaluation.results import EvaluationResult, check_same_controls, eva
 from riginv.inference.bundle import read_bundle
 from riginv.inference.inverse import Inverse, load_inverse
 from riginv.meshes.rendering import comparison
+from riginv.rig.control_effects import ControlEffects
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet
 from riginv.runs.files import atomic_write, write_json
@@ -61,12 +62,14 @@ def evaluate_model(
         if not isinstance(model, Inverse):
             return [evaluate_rig(rig, held_out)]
         sets = [held_out, *([clip] if clip else [])]
-        return [*(evaluate_inverse(model, rig, meshes) for meshes in sets), evaluate_rig(rig, held_out.named("surrogate"))]
+        found = [evaluate_inverse(model, rig, meshes).with_accuracy(ControlEffects.of_rig(rig)) for meshes in sets]
+        return [*found, evaluate_rig(rig, held_out.named("surrogate"))]
     if not isinstance(model, Inverse):
         return [evaluate_rig(model, random_poses(true_rig, poses))]
     sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]
     optima = find_optima(true_rig, sets)
-    results = [evaluate_inverse(model, true_rig, meshes) for meshes in sets]
+    effects = ControlEffects.of_rig(true_rig)
+    results = [evaluate_inverse(model, true_rig, meshes).with_accuracy(effects) for meshes in sets]
     for result in results:
         if optimum := optima.get(result.meshes.name):
             result.metrics.update(optimum.metrics(result))

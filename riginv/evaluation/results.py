@@ -2,16 +2,19 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from inspect import signature
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from riginv.config.building import ClassSpec
 from riginv.errors import InputError
+from riginv.evaluation.control_accuracy import ControlAccuracy, control_accuracy
 from riginv.meshes.metrics import mean_distance, roughness
 from riginv.meshes.rendering import Pair
+from riginv.rig.control_effects import ControlEffects
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import MeshSet
 
@@ -24,24 +27,35 @@ class EvaluationResult:
 
     Attributes:
         metrics: by `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (the error of neutral controls),
-            and for a clip `roughness`; `evaluate_model` adds the optimum.
+            for a clip `roughness`, and those of `accuracy`; `evaluate_model` adds the optimum.
         errors_mm: the mean vertex error of each mesh, `(mesh,)`.
         meshes: the set.
         rig: the rig that made the meshes: the true rig, or the surrogate being evaluated.
         controls: the predicted controls, `(mesh, control)`.
+        accuracy: of these controls; None: the true ones are not known, or were given.
     """
 
-    metrics: dict[str, float]
+    metrics: dict[str, Any]
     errors_mm: Tensor
     meshes: MeshSet
     rig: RigBackend
     controls: Tensor
+    accuracy: ControlAccuracy | None = None
 
     def worst_and_median(self) -> list[Pair]:
         """The worst and the median mesh of the set, to look at."""
         order = self.errors_mm.argsort(descending=True).tolist()
         name = self.meshes.name.replace("_", " ")
         return [self._pair(order[0], f"{name}, worst"), self._pair(order[len(order) // 2], f"{name}, median")]
+
+    def with_accuracy(self, effects: ControlEffects) -> "EvaluationResult":
+        """The same with the accuracy of the controls, where the set has the true ones."""
+        true = self.meshes.controls
+        if true is None:
+            return self
+        accuracy = control_accuracy(effects, self.controls, true, self.meshes.fps is not None)
+        figures = {f"{self.meshes.name}/{key}": value for key, value in accuracy.as_json().items()}
+        return replace(self, metrics={**self.metrics, **figures}, accuracy=accuracy)
 
     @torch.no_grad()
     def _pair(self, row: int, label: str) -> Pair:

@@ -96,5 +96,6 @@ def _row(sweep: Path, record: JobRecord) -> Row:
     apart = dict(text.lstrip("+~").split("=", 1) for text in record.swept if "=" in text) or {"job": record.name}
     file = sweep / record.name / METRICS
     metrics = read_json(file) if record.state == FINISHED and file.is_file() else {}
+    metrics = {key: value for key, value in metrics.items() if not isinstance(value, list)}
     ended = {"folder": record.name, "host": record.host, "why": record.why}
     return {**apart, "state": record.state, "took_seconds": record.seconds, **metrics, **ended}

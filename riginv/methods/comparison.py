@@ -11,10 +11,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 
 from riginv.config.values import fits
 from riginv.errors import InputError
+from riginv.methods.evaluation import ACCURACY
 from riginv.runs.console import Bar
 from riginv.runs.files import atomic_write, read_json, write_json, write_text
 from riginv.runs.run_folder import METRICS
-from riginv.runs.tables import EXACT, WITHIN_REACH_MM, csv_text, markdown_text, new_table
+from riginv.runs.tables import CONTROLS_LEGEND, EXACT, WITHIN_REACH_MM, csv_text, markdown_text, new_table
 
 CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "methods"
 HEADINGS = {
@@ -27,8 +28,11 @@ HEADINGS = {
     "ms_per_frame": "ms a\nframe",
     "training_seconds": "train-\ning s",
     "optimum_ratio": "times\noptimum",
+    "control_precision": "preci-\nsion",
+    "control_recall": "re-\ncall",
+    "control_error_weighted": "control\nerror",
 }
-MAY_BE_MISSING = ("roughness", "optimum_ratio", "optimum_mm")
+MAY_BE_MISSING = ("roughness", "optimum_ratio", "optimum_mm", *ACCURACY)
 ROW = {
     **dict.fromkeys((*HEADINGS, "optimum_mm"), float),
     **dict.fromkeys(MAY_BE_MISSING, float | None),
@@ -63,9 +67,10 @@ def read_kept(path: Path) -> dict[str, Any]:
     kept = read_json(path)
     rows = kept.get("rows")
     whole = fits(kept.get("source"), str) and fits(rows, list[Mapping[str, Any]])
-    if not whole or not rows or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
+    rows = [{**dict.fromkeys(ACCURACY), **row} for row in rows] if whole else []  # earlier versions did not measure it
+    if not rows or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
         raise InputError(f"{path}: not what a finished method left there: altered; remove it, and the method is run again")
-    return kept
+    return {**kept, "rows": rows}
 
 
 def write_tables(folder: Path) -> Rows:
@@ -95,7 +100,7 @@ def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
         "  Vertex errors on the true rig at the predicted controls. Roughness: mean squared second difference "
         "of the curves. Controls in use: how many are not at neutral, averaged over the meshes. Times optimum: the error "
         "over the least that Levenberg-Marquardt found from many starts, on a few of the meshes; "
-        f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes.",
+        f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes. {CONTROLS_LEGEND}",
         highlight=False,
         soft_wrap=True,
     )

@@ -11,15 +11,18 @@ from riginv.evaluation.optimum import Optimum
 from riginv.evaluation.results import evaluate_controls
 from riginv.meshes.metrics import nonzero_controls
 from riginv.methods.base import Method
+from riginv.rig.control_effects import ControlEffects
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import MeshSet
+
+ACCURACY = ("control_precision", "control_recall", "control_error_weighted")
 
 
 @dataclass(frozen=True)
 class Row:
     """What a method reached on a set; the fields but the last are the columns of compare.csv.
 
-    None: of roughness, where the set is no clip; of the optimum, where none is known.
+    None: of roughness, where the set is no clip; of the optimum and of the controls, where these are not known.
     """
 
     method: str
@@ -32,6 +35,9 @@ class Row:
     training_seconds: float
     optimum_ratio: float | None
     optimum_mm: float | None
+    control_precision: float | None = None
+    control_recall: float | None = None
+    control_error_weighted: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -61,11 +67,13 @@ def evaluated_row(
     meshes: MeshSet,
     training_seconds: float,
     optimum: Optimum | None = None,
+    effects: ControlEffects | None = None,
 ) -> Row:
     """Invert a set with a method, and evaluate its controls on the true rig.
 
     Args:
         optimum: the best possible on some of the meshes, where it is known.
+        effects: of the true rig's controls: the accuracy of controls is measured where the set has the true ones.
 
     Raises:
         InputError: the method gives controls that are not numbers, of another shape, or outside the rig's limits.
@@ -76,6 +84,8 @@ def evaluated_row(
     seconds = time.perf_counter() - began - clocked.seconds
     _check(name, controls, true_rig, len(meshes))
     result = evaluate_controls(true_rig, meshes, controls)
+    if effects is not None:
+        result = result.with_accuracy(effects)
     values = {key.partition("/")[2]: value for key, value in result.metrics.items()}
     return Row(
         method=name,
@@ -88,6 +98,7 @@ def evaluated_row(
         training_seconds=training_seconds,
         optimum_ratio=optimum.ratio(result) if optimum else None,
         optimum_mm=optimum.mean_mm if optimum else None,
+        **{key: values.get(key) for key in ACCURACY},
     )
 
 

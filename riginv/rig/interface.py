@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
@@ -72,6 +73,8 @@ class RigBackend(nn.Module, ABC):
         notes: sentences for the user about what was repaired or guessed when the rig was read.
         contents: a short description such as `52 primary shapes, 12 in-betweens`; may be empty.
         poses_subsets: whether `vertex_subset` is implemented: some vertices can be posed for less than all of them.
+        mesh_file: the file of the rest mesh, whose polygons meshes for users have; None: there is none.
+        unit_mm: millimetres per unit of the rig's files.
         held_out: the evaluation poses of a rig that is known by recorded poses alone; None: the rig can be posed.
 
     Raises:
@@ -82,6 +85,8 @@ class RigBackend(nn.Module, ABC):
     notes: tuple[str, ...] = ()
     contents: str = ""
     poses_subsets: bool = False
+    mesh_file: Path | None = None
+    unit_mm: float = 1.0
     held_out: "MeshSet | None" = None
     lower: Tensor
     upper: Tensor

@@ -23,6 +23,19 @@ SETS = {
     "walk": ("walk", "the rig's own walk, as no clip was given (capture=CLIP)"),
     "rig_agreement": ("rig agreement", "both rigs on the same random controls"),
 }
+CONTROL_COLUMNS = (
+    ("control_precision", "preci-\nsion"),
+    ("control_recall", "recall"),
+    ("control_error", "error"),
+    ("control_error_weighted", "weighted\nerror"),
+    ("control_correlation", "corre-\nlation"),
+)
+CONTROL_WORDS = {key: heading.replace("-\n", "").replace("\n", " ") for key, heading in CONTROL_COLUMNS}
+SHOWN_PAIRS = 3
+CONTROLS_LEGEND = (
+    "Precision and recall: of active controls, more than 2 % of their range from neutral. Error: mean, in fractions of "
+    "the range; weighted: by how far each control moves the mesh."
+)
 WITHIN_REACH_MM = 0.005  # a least error below this: the rig can make these meshes
 EXACT = "exact"  # shown instead of the ratio to the optimum
 NO_RIG = "none"  # the `true_rig` of a recorded rig in metrics.json
@@ -102,9 +115,57 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
         highlight=False,
         soft_wrap=True,
     )
+    _print_controls(console, metrics)
     console.print()
     for note in notes:
         console.print(f"  {note}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _print_controls(console: Console, metrics: Mapping[str, Any]) -> None:
+    """Show how near the controls are to the true ones, on the sets where these are known."""
+    counts = ("active_controls", "true_active_controls")
+    names = [name for name in sets_of(metrics) if all(metrics.get(f"{name}/{key}") is not None for key in counts)]
+    if not names:
+        return
+    table = new_table(["test set", *(heading for _, heading in CONTROL_COLUMNS), "active\n(true)"], "Controls")
+    table.show_edge, table.columns[0].no_wrap = False, True
+    for name in names:
+        values = [metrics.get(f"{name}/{key}") for key, _ in CONTROL_COLUMNS]
+        shown = ["-" if value is None else f"{value:.3f}" for value in values]
+        active, true = (metrics[f"{name}/{key}"] for key in counts)
+        table.add_row(SETS.get(name, (name,))[0], *shown, f"{active:.1f} ({true:.1f})")
+    console.print("", table, "")
+    lines = [CONTROLS_LEGEND]
+    for name in names:
+        accuracy = {key.partition("/")[2]: value for key, value in metrics.items() if key.startswith(f"{name}/")}
+        lines += pair_lines(accuracy, f" on {SETS.get(name, (name,))[0]}")
+    for line in dict.fromkeys(lines):
+        console.print(f"  {line}", highlight=False, soft_wrap=True, markup=False)
+
+
+def control_lines(accuracy: Mapping[str, Any]) -> list[str]:
+    """The accuracy of controls, by the names of metrics.json, in sentences for the user; none where it is empty."""
+    if not accuracy:
+        return []
+    figures = [f"{name} {accuracy[key]:.3f}" for key, name in CONTROL_WORDS.items() if key in accuracy]
+    return [
+        f"Controls against the true ones of the clip: {', '.join(figures)} (errors in fractions of the range).",
+        *pair_lines(accuracy),
+    ]
+
+
+def pair_lines(accuracy: Mapping[str, Any], where: str = "") -> list[str]:
+    """The confused controls, and those that the mesh cannot tell apart, in sentences for the user."""
+    pairs = [
+        f"{pair['instead']} in place of {pair['control']} ({pair['fraction']:.0%} of what it lacks, {pair['frames']} frames)"
+        for pair in (accuracy.get("confused_controls") or ())[:SHOWN_PAIRS]
+    ]
+    same, still = (accuracy.get(key) or () for key in ("controls_counted_as_one", "controls_without_effect"))
+    return [
+        *([f"Confused controls{where}: {'; '.join(pairs)}."] if pairs else []),
+        *([f"The mesh cannot tell apart, counted as one: {'; '.join(' = '.join(group) for group in same)}."] if same else []),
+        *([f"Controls that move no vertex, not counted: {', '.join(still)}."] if still else []),
+    ]
 
 
 def _times_optimum(metrics: Mapping[str, Any], name: str) -> str:

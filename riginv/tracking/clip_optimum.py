@@ -1,4 +1,4 @@
-"""The lowest error that a rig can reach on a few frames of a clip, for comparison."""
+"""What an inversion is compared with: the lowest error that the rig can reach on a few frames, and the true controls."""
 
 from dataclasses import replace
 
@@ -6,10 +6,12 @@ import torch
 
 from riginv.animation.animation import FrameErrors, SampledOptimum
 from riginv.clips.clip import Clip
+from riginv.evaluation.control_accuracy import control_accuracy
 from riginv.evaluation.optimum import TOLERANCE
 from riginv.geometry.neighbours import evenly
 from riginv.meshes.metrics import mean_distance
-from riginv.rig.interface import LinearRig
+from riginv.rig.control_effects import ControlEffects
+from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import descend_mean_distance, refine_meshes, solve_meshes
 from riginv.solvers.objective import Objective
@@ -19,6 +21,15 @@ from riginv.tracking.run import Inversion
 
 FRAMES = 8
 STARTS, STEPS, DESCENT_STEPS = 3, 60, 100
+
+
+def with_accuracy(errors: FrameErrors, clip: Clip, found: Inversion, true_rig: RigBackend) -> FrameErrors:
+    """The errors of an inversion, with the accuracy of its controls where the clip has the true ones."""
+    known = ~errors.mean_mm.isnan()
+    if clip.controls is None or not bool(known.any()):
+        return errors
+    accuracy = control_accuracy(ControlEffects.of_rig(true_rig), found.controls[known], clip.controls[known], is_clip=True)
+    return replace(errors, controls=accuracy.as_json())
 
 
 @torch.no_grad()

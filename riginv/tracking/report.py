@@ -14,7 +14,7 @@ from torch import Tensor
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import Bar
-from riginv.runs.tables import new_table
+from riginv.runs.tables import control_lines, new_table
 from riginv.tracking.regions import STILL
 
 LISTED_FRAMES = 5
@@ -91,6 +91,8 @@ def show(
     )
     if errors.optimum is not None:
         console.print(f"  {_optimum(errors, len(errors.optimum.rows))}", highlight=False, soft_wrap=True)
+    for line in control_lines(errors.controls):
+        console.print(f"  {line}", highlight=False, soft_wrap=True, markup=False)
     if animation.motion is not None:
         console.print(f"  Rigid motion was removed: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
     counts = Counter(flag for flags in errors.flags for flag in flags)

@@ -13,6 +13,7 @@ from riginv.animation.resampling import resampled
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.description_text import in_short, rows
+from riginv.runs.tables import control_lines
 from riginv.tracking.actors.actor import Actor
 from riginv.tracking.actors.files import write_actor
 from riginv.tracking.options import AfterOptions, LookOptions
@@ -81,7 +82,8 @@ def write_views(
         advance("page", 0)
         names.append(PAGE)
         facts = [*rows(described, None), *([("actor", actor.sentence)] if actor else [])]
-        source = ClipSource(in_short(described), facts, described.warnings, described.notes)
+        notes_of_clip = (*described.notes, *control_lines(errors.controls))
+        source = ClipSource(in_short(described), facts, described.warnings, notes_of_clip)
         note = write_viewer(folder / PAGE, animation, errors, targets, clip=source).note
         notes += [f"{PAGE}: {note}"]
     if look.sheet:

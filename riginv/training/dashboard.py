@@ -84,7 +84,7 @@ def log_results(trainer: L.Trainer, metrics: dict[str, float]) -> None:
     """Log every final metric, and the optimum of each set as a line through its chart."""
     writer, names = writer_of(trainer), sets_of(metrics)
     for key, value in metrics.items():
-        if key.split("/")[0] in names:
+        if key.split("/")[0] in names and not isinstance(value, list):
             writer.add_scalar(f"{RESULT}/{key}", value, trainer.global_step)
     for name in names:
         if (optimum := metrics.get(f"{name}/{OPTIMUM}")) is not None:

@@ -1,5 +1,6 @@
 """The table of a finished run, and the next commands."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,13 @@ from riginv.errors import InputError
 from riginv.runs.files import read_json
 from riginv.runs.run_folder import BUNDLE, METRICS, POSES, RunFolder
 from riginv.runs.tables import COLUMNS, print_results, sets_of
+
+PAIR = {"control": str, "instead": str, "frames": int, "fraction": float}
+LISTS: dict[str, Any] = {
+    "confused_controls": list[Mapping[str, str | float]],
+    "controls_counted_as_one": list[list[str]],
+    "controls_without_effect": list[str],
+}
 
 
 def show(folder: RunFolder, rig: str) -> None:
@@ -42,9 +50,9 @@ def checked(path: Path, metrics: dict[str, Any]) -> dict[str, Any]:
     """
     needed = {"train/steps", "train/seconds", "true_rig"} | {f"{name}/{key}" for name in sets_of(metrics) for key, _ in COLUMNS}
     for key in sorted(needed | metrics.keys()):
-        expected = str if key == "true_rig" else float if key in needed else float | None
-        if not fits(metrics.get(key), expected):
-            raise InputError(
-                f"{path}: {key} is {metrics.get(key)!r:.80}: altered; delete the file and use resume=true to evaluate again"
-            )
+        expected = str if key == "true_rig" else float if key in needed else LISTS.get(key.partition("/")[2], float | None)
+        value = metrics.get(key)
+        pairs = value if expected is LISTS["confused_controls"] and fits(value, expected) else []
+        if not fits(value, expected) or not all(fits(pair.get(name), hint) for pair in pairs for name, hint in PAIR.items()):
+            raise InputError(f"{path}: {key} is {value!r:.80}: altered; delete the file and use resume=true to evaluate again")
     return metrics

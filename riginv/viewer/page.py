@@ -202,6 +202,8 @@ def _figures(errors: FrameErrors) -> list[list[str]]:
         "max_error_mm": "mm worst vertex",
     }
     shown = [[name, f"{values[key]:.3g}"] for key, name in named.items() if key in values]
+    accuracy = {"control_precision": "precision of controls", "control_recall": "recall of controls"}
+    shown += [[name, f"{errors.controls[key]:.3f}"] for key, name in accuracy.items() if key in errors.controls]
     return [*shown, ["frames with a flag", f"{len(errors.flagged):,}"]]
 
 

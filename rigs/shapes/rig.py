@@ -61,6 +61,7 @@ class ShapesRig(LinearRig):
         name = neutral_path.resolve().parent.name
         super().__init__(name, controls, rest, faces, basis, shapes.names, primary_count=len(shapes.primaries))
         self.shapes, self.logic = shapes, logic
+        self.mesh_file, self.unit_mm = neutral_path, float(unit_mm)
         self.contents, self.notes = shapes.counts(), (*misspelt_notes(shapes), *notes_of(geometry))
         LOG.debug(self.describe())
 

@@ -22,7 +22,8 @@ from tests.solvers.test_solvers import poses
 
 TOY = ["rig=toy", f"--config-dir={ROOT / 'tests/conf'}", "poses=12"]
 COLUMNS = (
-    "method,set,mean_vertex_error_mm,max_vertex_error_mm,roughness,nonzero_controls,ms_per_frame,training_seconds,optimum_ratio"
+    "method,set,mean_vertex_error_mm,max_vertex_error_mm,roughness,nonzero_controls,ms_per_frame,training_seconds,optimum_ratio,"
+    "control_precision,control_recall,control_error_weighted"
 )
 
 
@@ -43,6 +44,9 @@ def test_methods_stand_side_by_side(run):
     assert float(smooth["roughness"]) < float(best["roughness"])
     assert float(rows["neutral", "rig_poses"]["nonzero_controls"]) == 0
     assert rows["neutral", "rig_poses"]["roughness"] == ""
+    assert float(rows["neutral", "rig_poses"]["control_recall"]) == 0
+    assert rows["neutral", "rig_poses"]["control_precision"] == rows["neutral", "random_combinations"]["control_recall"] == ""
+    assert float(rows["levenberg_marquardt", "rig_poses"]["control_recall"]) > 0.8
     assert "times" in outcome.text and "levenberg" in outcome.text
     assert "**clip**: riginv" in (outcome.folder / "compare.md").read_text()
     assert (outcome.folder / "compare.png").read_bytes()[:4] == b"\x89PNG"

@@ -1,0 +1,149 @@
+"""Drivers of shapes: controls, in-betweens of controls, and products of these."""
+
+import itertools
+import re
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from riginv.geometry.neighbours import evenly
+from riginv.rig.interface import LinearRig
+
+HATS = ((0.0, 0.5, 1.0), (0.0, 0.25, 0.5), (0.25, 0.5, 0.75), (0.5, 0.75, 1.0))  # of in-betweens that are tried
+INBETWEEN = re.compile(r"(.+?)(\d\d)")
+SIMPLER = 0.98  # likelihood of a driver with one factor more
+ELSEWHERE = 0.85  # likelihood of a shape where one of its factors does not move the mesh
+MOVES = 0.05  # of a control's largest displacement: a vertex moves with it
+ACTIVE, MIN_PEAK = 0.05, 0.15  # of a factor in a frame, of a product in its best frame
+FRAMES, FACTORS, MAX_DRIVERS = 700, 12, 6000  # looked at for products: frames, the strongest factors of each; products kept
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A product of factors.
+
+    Attributes:
+        factors: indices of the factors.
+        name: their names joined by underscores, as `rig=shapes` names combinations.
+    """
+
+    factors: tuple[int, ...]
+    name: str
+
+
+class Factors:
+    """The values that shapes may be driven by: each side of each control, in-betweens of the rig, in-betweens that it may lack.
+
+    Attributes:
+        names: of the factors; the lower side of a two-sided control is `-NAME`.
+        owners: the control of each factor.
+        hats: three knots of each in-between that the rig may lack, by factor.
+    """
+
+    def __init__(self, rig: LinearRig) -> None:
+        self.rig = rig
+        lower, upper, neutral = rig.lower.tolist(), rig.upper.tolist(), rig.neutral_controls.tolist()
+        control_of = {name: number for number, name in enumerate(rig.control_names)}
+        self.sides = [(number, 1) for number in range(len(neutral)) if upper[number] > neutral[number]]
+        self.sides += [(number, -1) for number in range(len(neutral)) if lower[number] < neutral[number]]
+        self.names = [("" if sign > 0 else "-") + rig.control_names[number] for number, sign in self.sides]
+        self.owners = [number for number, _ in self.sides]
+        self.coefficients = []
+        for row, name in enumerate(rig.coefficient_names):
+            found = INBETWEEN.fullmatch(name)
+            if found and found[1] in control_of and name not in control_of:
+                self.coefficients.append(row)
+                self.names.append(name)
+                self.owners.append(control_of[found[1]])
+        self.hats: dict[int, tuple[int, tuple[float, float, float]]] = {}
+        known = {*rig.control_names, *rig.coefficient_names}
+        for side, hat in itertools.product(range(len(self.sides)), HATS):
+            name = f"{self.names[side]}{round(100 * hat[1]):02d}"
+            if name not in known:
+                self.hats[len(self.names)] = (side, hat)
+                self.names.append(name)
+                self.owners.append(self.owners[side])
+
+    def values(self, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame factor"]:
+        """The factors `(frame, factor)` in [0, 1] of controls `(frame, control)`."""
+        rig, away = self.rig, controls - self.rig.neutral_controls.to(controls)
+        up, down = (rig.upper - rig.neutral_controls).to(controls), (rig.neutral_controls - rig.lower).to(controls)
+        sides = [(away[:, n] / up[n] if sign > 0 else -away[:, n] / down[n]).clamp_min(0) for n, sign in self.sides]
+        found = torch.stack(sides, dim=1)
+        between = [rig.coefficients(controls)[:, self.coefficients]] if self.coefficients else []
+        hats = [_hat(found[:, side], hat)[:, None] for side, hat in self.hats.values()]
+        return torch.cat([found, *between, *hats], dim=1)
+
+    def pose(self, driver: Driver) -> Float[Tensor, "1 control"]:
+        """The controls `(1, control)` at which a driver is 1."""
+        rig, pose = self.rig, self.rig.neutral_controls[None].clone()
+        for factor in driver.factors:
+            number, name = self.owners[factor], self.names[factor]
+            end = rig.lower[number] if name.startswith("-") else rig.upper[number]
+            digits = None if factor < len(self.sides) else INBETWEEN.fullmatch(name)
+            pose[0, number] = torch.lerp(rig.neutral_controls[number], end, int(digits[2]) / 100 if digits else 1.0)
+        return pose
+
+    def neighbours(self, driver: Driver) -> list[int]:
+        """The rig's in-betweens (rows of its basis) of the control that an in-between belongs to; they make room for it."""
+        if driver.factors[0] not in self.hats:
+            return []
+        first, owner = len(self.sides), self.owners[driver.factors[0]]
+        return [row for number, row in enumerate(self.coefficients) if self.owners[first + number] == owner]
+
+    def products(self, values: Float[Tensor, "frame factor"], drivers: list[Driver]) -> Float[Tensor, "frame driver"]:
+        """The drivers `(frame, driver)` from the values of the factors."""
+        most = max((len(driver.factors) for driver in drivers), default=1)
+        one = torch.cat([values, values.new_ones(len(values), 1)], dim=1)
+        index = torch.tensor([[*driver.factors, *[values.shape[1]] * (most - len(driver.factors))] for driver in drivers])
+        result = one[:, index[:, 0]]
+        for column in index.T[1:]:
+            result = result * one[:, column]
+        return result
+
+    def candidates(self, values: Float[Tensor, "frame factor"], most: int) -> list[Driver]:
+        """In-betweens, and products of up to `most` factors, that a clip calls for and that the rig has no shape for."""
+        plain = range(len(self.sides) + len(self.coefficients))
+        found: dict[tuple[int, ...], None] = {(number,): None for number in self.hats}
+        for row in values[evenly(FRAMES, len(values))][:, list(plain)]:
+            active = (row > ACTIVE).nonzero()[:, 0]
+            strongest = sorted(active[row[active].argsort(descending=True)[:FACTORS]].tolist())
+            for count in range(2, most + 1):
+                found.update(dict.fromkeys(itertools.combinations(strongest, count)))
+        taken = {tuple(sorted(name.split("_"))) for name in self.rig.coefficient_names}
+        drivers = []
+        for factors in found:
+            name = "_".join(self.names[number] for number in factors)
+            owners = {self.owners[number] for number in factors}
+            if len(owners) == len(factors) and tuple(sorted(name.split("_"))) not in taken:
+                drivers.append(Driver(factors, name))
+        signals = self.products(values, drivers) if drivers else values[:, :0]
+        strength = torch.where(signals.amax(dim=0) >= MIN_PEAK, signals.square().sum(dim=0), 0.0)
+        order = strength.argsort(descending=True, stable=True)[:MAX_DRIVERS].tolist()
+        return [drivers[number] for number in order if strength[number] > 0]
+
+    @torch.no_grad()
+    def likelihoods(self, drivers: list[Driver], voters: Int[Tensor, " voter"]) -> Float[Tensor, "driver voter"]:
+        """How likely each driver is to call for a shape at each vertex: simple ones, where all factors move the mesh."""
+        rig = self.rig
+        ends = [rig.upper[number] if sign > 0 else rig.lower[number] for number, sign in self.sides]
+        poses = rig.neutral_controls.repeat(len(ends), 1)
+        for row, (number, _) in enumerate(self.sides):
+            poses[row, number] = ends[row]
+        lengths = torch.cat([(rig(pose[None]) - rig.rest_vertices).norm(dim=2) for pose in poses])
+        moved = (lengths / (MOVES * lengths.amax(dim=1, keepdim=True)).clamp_min(1e-6)).clamp_max(1)
+        moved[lengths.amax(dim=1) <= 0] = 1  # they move it with others alone
+        by_control = {number: row for row, (number, _) in reversed(list(enumerate(self.sides)))}
+        rows = [side if side < len(self.sides) else by_control[self.owners[side]] for side in range(len(self.names))]
+        moved, found = moved[:, voters], torch.empty(len(drivers), len(voters))
+        for number, driver in enumerate(drivers):
+            least = moved[[rows[factor] for factor in driver.factors]].amin(dim=0)
+            found[number] = (ELSEWHERE + (1 - ELSEWHERE) * least) * SIMPLER ** (len(driver.factors) - 1)
+        return found
+
+
+def _hat(values: Tensor, hat: tuple[float, float, float]) -> Tensor:
+    left, middle, right = hat
+    return torch.minimum((values - left) / (middle - left), (right - values) / (right - middle)).clamp_min(0)

@@ -1,0 +1,154 @@
+"""Alternation of shapes and controls: shapes explain what the rig cannot do, controls are solved again with the shapes."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from riginv.geometry.kernels.library import pure_torch
+from riginv.geometry.neighbours import evenly
+from riginv.meshes.metrics import mean_distance
+from riginv.rig.interface import LinearRig
+from riginv.rig.jacobian import Jacobian
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.solvers.every_mesh import refine_meshes
+from riginv.solvers.objective import Objective
+from riginv.tracking.missing.drivers import Driver, Factors
+from riginv.tracking.missing.search import MIN_GAIN, MIN_GAIN_KNOWN, choose_drivers, fit_shapes, voters
+
+ROUNDS, STEPS = 3, 6  # alternations; Levenberg-Marquardt steps in each
+STRONGEST, SPREAD = 6, 40  # frames that shapes are fitted to: the strongest of each driver, and evenly spread ones
+TANGENTS, MOVING = 12, 1e-3  # active controls of a frame: their number, at most, and their least distance from neutral
+SPARSITY = 2e-5  # mm^2 of mean squared error for a control at its whole range: of two explanations that with fewer controls
+
+
+class RigWithShapes(LinearRig):
+    """A rig with further shapes, which products of its controls drive.
+
+    Args:
+        shapes: `(driver, vertex, 3)`, mm.
+    """
+
+    def __init__(self, rig: LinearRig, factors: Factors, drivers: list[Driver], shapes: Tensor) -> None:
+        names = [*rig.coefficient_names, *(driver.name for driver in drivers)]
+        basis = torch.cat([rig.basis, shapes.to(rig.basis)])
+        super().__init__(rig.name, rig.controls, rig.rest_vertices, rig.faces, basis, names)
+        self.source, self.factors, self.drivers = rig, factors, drivers
+
+    def coefficients(self, controls: Tensor) -> Tensor:
+        return torch.cat([self.source.coefficients(controls), self.weights(controls)], dim=1)
+
+    def weights(self, controls: Tensor) -> Tensor:
+        """The weights `(frame, driver)` of the further shapes."""
+        return self.factors.products(self.factors.values(controls), self.drivers)
+
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        found, jacobian = self.source.coefficient_jacobian(controls)
+        with torch.enable_grad(), pure_torch():
+            given = controls.detach().requires_grad_()
+            weights = self.weights(given)
+            rows = torch.eye(weights.shape[1]).to(weights)[:, None].expand(-1, len(controls), -1)
+            more = torch.autograd.grad(weights, given, rows, is_grads_batched=True)[0].transpose(0, 1)
+        inner = torch.cat([jacobian.dense(), more], dim=1)
+        return torch.cat([found, weights.detach()], dim=1), Jacobian(inner=inner)
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Shapes that a rig lacks for a clip, most important first.
+
+    Attributes:
+        rig: the rig with these shapes.
+        controls: of the clip with them, `(frame, control)`.
+        shapes: `(shape, vertex, 3)`, mm, sparse.
+        weights: of the shapes, `(frame, shape)`.
+        with_first_mm: mean error, mm, with the first shapes alone: one, two, and so on.
+        before_mm, after_mm: mean error of each frame without and with the shapes, `(frame,)`.
+    """
+
+    rig: RigWithShapes
+    controls: Tensor
+    shapes: Tensor
+    weights: Tensor
+    with_first_mm: list[float]
+    before_mm: Tensor
+    after_mm: Tensor
+
+
+@torch.no_grad()
+def find_missing(
+    rig: LinearRig,
+    meshes: Float[Tensor, "frame vertex 3"],
+    controls: Float[Tensor, "frame control"],
+    most: int,
+    most_factors: int,
+    known: bool = False,
+) -> Missing | None:
+    """The shapes, at most `most`, that a rig lacks for meshes, mm; None: none explains anything of the residual.
+
+    Args:
+        controls: a first inversion, or the true ones.
+        known: whether they are the true ones: they are not solved again.
+        most_factors: of a product of controls.
+    """
+    factors, before = Factors(rig), mean_distance(rig(controls), meshes)
+    augmented = None
+    for _ in range(ROUNDS):
+        residual, values = meshes - rig(controls), factors.values(controls)
+        drivers = factors.candidates(values, most_factors)
+        signals = factors.products(values, drivers) if drivers else values[:, :0]
+        voting = voters(residual)
+        likelihoods, min_gain = factors.likelihoods(drivers, voting), MIN_GAIN_KNOWN if known else MIN_GAIN
+        chosen = choose_drivers(signals, likelihoods, residual[:, voting], most, min_gain)
+        if not chosen:
+            break
+        shapes = fitted(rig, signals[:, chosen], residual, controls, known)
+        augmented = RigWithShapes(rig, factors, [drivers[number] for number in chosen], shapes)
+        if known:
+            break
+        controls = solve_again(augmented, meshes, controls)
+    if augmented is None:
+        return None
+    weights = augmented.weights(controls)
+    shapes = fitted(rig, weights, meshes - rig(controls), controls, known)
+    lost = weights.square().sum(dim=0) * shapes.square().sum(dim=(1, 2))
+    order = lost.argsort(descending=True)
+    order = order[lost[order] > 0]
+    final = RigWithShapes(rig, factors, [augmented.drivers[number] for number in order.tolist()], shapes[order])
+    posed, with_first = rig(controls), []
+    for number in order.tolist():
+        posed += weights[:, number, None, None] * shapes[number]
+        with_first.append(float(mean_distance(posed, meshes).mean()))
+    after = mean_distance(posed, meshes)
+    return Missing(final, controls, shapes[order], weights[:, order], with_first, before, after)
+
+
+def fitted(rig: LinearRig, signals: Tensor, residual: Tensor, controls: Tensor, known: bool) -> Tensor:
+    """The shapes of drivers with signals `(frame, driver)`: from frames where they are strongest, and evenly spread ones."""
+    if known:
+        return fit_shapes(signals, residual)
+    strongest = signals.topk(min(STRONGEST, len(signals)), dim=0).indices.flatten()
+    rows = torch.cat([strongest, evenly(SPREAD, len(signals))]).unique()
+    return fit_shapes(signals[rows], residual[rows], tangents(rig, controls[rows]))
+
+
+def tangents(rig: LinearRig, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame column number"]:
+    """Orthonormal displacements of all vertices by the most active controls of each frame."""
+    span = rig.upper - rig.lower
+    away = (controls - rig.neutral_controls).abs() / span
+    sizes, active = away.topk(min(TANGENTS, len(span)), dim=1)
+    result = controls.new_zeros(len(controls), active.shape[1], rig.basis[0].numel())
+    for rows in torch.arange(len(controls)).split(32):
+        for row, jacobian in zip(rows.tolist(), rig.coefficient_jacobian(controls[rows])[1].dense()):
+            kept = active[row, sizes[row] > MOVING]
+            columns = (jacobian[:, kept].T @ rig.basis.flatten(1)).T
+            result[row, : len(kept)] = torch.linalg.qr(columns)[0].T if len(kept) else 0
+    return result
+
+
+def solve_again(rig: LinearRig, meshes: Tensor, controls: Tensor) -> Tensor:
+    """The controls of meshes, solved with few steps from those that are known."""
+    objective = Objective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), sparsity=SPARSITY)
+    coordinates = torch.cat([objective.rig.space.encode(some) for some in meshes.split(128)])
+    return objective.to_controls(refine_meshes(objective, coordinates, objective.units(controls), STEPS).units)

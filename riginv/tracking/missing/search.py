@@ -1,0 +1,111 @@
+"""Which drivers call for a shape, and the shapes: orthogonal matching pursuit in which each vertex votes for its driver."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+VERTICES = 400  # that vote
+NEAR_BEST = 0.97  # of the gain of a vertex's best driver: such drivers have its vote
+MIN_NEW = 0.005  # of a driver's energy that must lie outside of those found so far
+MIN_GAIN, MIN_GAIN_KNOWN = 0.002, 1e-4  # of the squared residual that a further shape must explain; with the true controls
+RIDGE = 1e-4  # of a driver of unit length
+SPARSE, SPARSE_MM = 0.02, 0.02  # displacements below this fraction of a shape's largest, or below so many mm, are left out
+
+
+def voters(residual: Float[Tensor, "frame vertex 3"]) -> Int[Tensor, " voter"]:
+    """The vertices that vote: evenly spread ones of those with a residual, mm."""
+    energy = residual.square().sum(dim=(0, 2))
+    moving = (energy > 1e-3 * energy.amax()).nonzero()[:, 0]
+    return moving[:: max(1, len(moving) // VERTICES)]
+
+
+def choose_drivers(
+    signals: Float[Tensor, "frame driver"],
+    likelihoods: Float[Tensor, "driver voter"],
+    target: Float[Tensor, "frame voter 3"],
+    most: int,
+    min_gain: float = MIN_GAIN,
+) -> list[int]:
+    """The drivers, at most `most`, that together explain a residual, best first.
+
+    Vertices vote, each for the driver that explains it best, so that shapes stay local: the left side of a face has its own
+    driver where left and right nearly move together.
+
+    Args:
+        likelihoods: factors on the gains: how likely a driver is to call for a shape at a vertex.
+        target: the residual, mm, at the vertices that vote.
+        min_gain: fraction of the squared residual that a further shape must explain.
+    """
+    shape, target = target.shape[1:], target.flatten(1).clone()
+    total, signals = target.square().sum(), signals.clone()
+    before = signals.square().sum(dim=0)
+    chosen: list[int] = []
+    while len(chosen) < most and len(signals.T):
+        size = signals.square().sum(dim=0)
+        usable = size > MIN_NEW * before
+        gains = (signals.T @ target).unflatten(1, shape).square().sum(dim=2) / size.clamp_min(1e-9)[:, None]
+        gains = torch.where(usable[:, None], gains, 0.0)
+        weighted = gains * likelihoods
+        votes = torch.where(weighted >= NEAR_BEST * weighted.amax(dim=0), weighted, 0.0).sum(dim=1)
+        best = int(votes.argmax())
+        if float(gains[best].sum()) < min_gain * float(total):
+            break
+        chosen.append(best)
+        direction = signals[:, best] / size[best].sqrt()
+        target -= direction[:, None] * (direction @ target)
+        signals -= direction[:, None] * (direction @ signals)
+    return chosen
+
+
+def fit_shapes(
+    signals: Float[Tensor, "frame driver"],
+    residual: Float[Tensor, "frame vertex 3"],
+    tangents: Float[Tensor, "frame column number"] | None = None,
+) -> Float[Tensor, "driver vertex 3"]:
+    """The sparse shapes, mm, with which the chosen drivers explain a residual best.
+
+    Controls that were solved without a shape have taken up what they could of it. So what active controls can make is left free
+    in each frame: the squared residual outside of their tangents is minimised (variable projection), by conjugate gradients.
+
+    Args:
+        tangents: orthonormal displacements of the mesh by the active controls of each frame; zeros where there are fewer.
+            None: the controls are the true ones, and nothing is left free.
+    """
+    scale = signals.norm(dim=0).clamp_min(1e-6)
+    scaled = signals / scale
+    gram = scaled.T @ scaled
+
+    def outside(meshes: Tensor) -> Tensor:
+        if tangents is None:
+            return meshes
+        return meshes - (tangents.transpose(1, 2) @ (tangents @ meshes[..., None]))[..., 0]
+
+    def normal(shapes: Tensor) -> Tensor:
+        if tangents is None:
+            return gram @ shapes + RIDGE * shapes
+        return scaled.T @ outside(scaled @ shapes) + RIDGE * shapes
+
+    shapes = conjugate_gradients(normal, scaled.T @ outside(residual.flatten(1))) / scale[:, None]
+    shapes = shapes.unflatten(1, residual.shape[1:])
+    length = shapes.norm(dim=2)
+    least = (SPARSE * length.amax(dim=1, keepdim=True)).clamp_min(SPARSE_MM)
+    return torch.where((length > least)[..., None], shapes, 0.0)
+
+
+def conjugate_gradients(operator: Callable[[Tensor], Tensor], right: Tensor, steps: int = 60) -> Tensor:
+    """The solution of a symmetric positive semidefinite system, from 0."""
+    solution, residual = torch.zeros_like(right), right.clone()
+    direction, size = residual.clone(), residual.square().sum()
+    first = size.clone()
+    for _ in range(steps):
+        if float(size) <= 1e-8 * float(first):
+            break
+        image = operator(direction)
+        step = size / (direction * image).sum().clamp_min(1e-20)
+        solution += step * direction
+        residual -= step * image
+        size, before = residual.square().sum(), size
+        direction = residual + size / before * direction
+    return solution

@@ -1,0 +1,150 @@
+"""Shapes that a rig lacks: taken away from a folder of shapes, found again in a clip, and added to it."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from riginv.tracking.missing.finding import find_missing
+from rigs.shapes import ShapesRig
+from tests.config.test_bad_input import refused
+from tests.conftest import ROOT
+from tests.rigs.dna.files import shared
+from tests.support.sculpts import write_obj
+
+PRIMARIES = ("brow", "cheek", "jaw", "lid", "lip", "nose")
+GONE = ("brow_lid", "jaw_lip", "nose50")
+KEPT = ("cheek_jaw",)
+FRAMES = 90
+TOY = [f"--config-dir={ROOT / 'tests/conf'}"]
+
+
+def bump(points: np.ndarray, seed: int, width: float) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    middle = rng.normal(size=3)
+    near = np.exp(-0.5 * (np.linalg.norm(points - 5 * middle / np.linalg.norm(middle), axis=1) / width) ** 2)
+    return np.where(near > 0.05, near, 0)[:, None] * rng.normal(size=3)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """A folder of shapes, cm; the same without three of them; and a clip of the whole one."""
+    where = tmp_path_factory.mktemp("missing")
+    sphere = trimesh.creation.icosphere(2, radius=5.0)
+    points, faces = np.asarray(sphere.vertices), sphere.faces.tolist()
+    deltas = {name: bump(points, number, 4.0) for number, name in enumerate(PRIMARIES)}
+    deltas |= {name: 0.6 * bump(points, 20 + number, 2.0) for number, name in enumerate((*GONE, *KEPT))}
+    for folder, left_out in (("whole", ()), ("less", GONE)):
+        (where / folder).mkdir()
+        write_obj(where / folder / "neutral.obj", points, faces)
+        np.savez(where / folder / "deltas.npz", **{name: delta for name, delta in deltas.items() if name not in left_out})
+    rig = ShapesRig(str(where / "whole"), unit_mm=10)
+    time = np.linspace(0, 6 * np.pi, FRAMES)[:, None]
+    rates = np.linspace(0.6, 2.1, len(PRIMARIES))
+    controls = torch.tensor(np.clip(np.sin(time * rates + np.arange(len(PRIMARIES))), 0, 1)).float()
+    np.savez(where / "take.npz", vertices=(rig(controls) / 10).numpy(), fps=30.0)
+    np.savez(where / "curves.npz", controls=controls.numpy(), names=np.array(rig.control_names), fps=30.0)
+    return where
+
+
+def test_the_shapes_are_found_with_their_drivers_and_can_be_added(folders, run, tmp_path):
+    outcome = run("missing", "rig=shapes", f"rig.folder={folders / 'less'}", "rig.unit_mm=10", "motion=keep", "reading.unit=cm",
+                  f"clip={folders / 'take.npz'}", f"curves={folders / 'curves.npz'}", f"out={folders / 'out'}")  # fmt: skip
+    assert outcome.code == 0, outcome.text
+    facts = json.loads((folders / "out/missing.json").read_text())
+    whole = ShapesRig(str(folders / "whole"), unit_mm=10)
+    with np.load(folders / "out/shapes.npz") as deltas:
+        for name in GONE:
+            true = whole.basis[whole.coefficient_names.index(name)].numpy() / 10
+            cosine = (deltas[name] * true).sum() / np.linalg.norm(deltas[name]) / np.linalg.norm(true)
+            assert cosine > 0.98, name
+    row = next(row for row in facts["shapes"] if row["name"] == "jaw_lip")
+    assert row["drivers"] == ["jaw", "lip"] and row["frames"] > 3 and 0 < row["vertices"] < 162
+    assert facts["mean_error_mm_with_shapes"] < 0.2 * facts["mean_error_mm"]
+    errors = [row["mean_error_mm_with_first"] for row in facts["shapes"]]
+    assert errors[-1] == pytest.approx(facts["mean_error_mm_with_shapes"], abs=1e-5) and errors[0] > errors[-1]
+    assert facts["sentence"] in outcome.text and "would take away" in outcome.text
+    assert (folders / "out/missing.png").read_bytes()[:4] == b"\x89PNG"
+
+    pose, bare = torch.full((1, len(PRIMARIES)), 0.5), ShapesRig(str(folders / "less"), unit_mm=10)
+    for kind, files in (("sculpts", [f"{name}.obj" for name in GONE]), ("deltas", ["shapes.npz"])):
+        folder = shutil.copytree(folders / "less", tmp_path / kind)
+        for file in files:
+            shutil.copy(folders / "out" / file, folder / file)
+        rig = ShapesRig(str(folder), unit_mm=10)
+        assert set(GONE) <= set(rig.coefficient_names)
+        assert rig.control_names == whole.control_names
+        off, before = ((each(pose) - whole(pose)).norm(dim=2).mean() for each in (rig, bare))
+        assert float(off) < 0.3 * float(before), kind
+
+
+def test_controls_are_solved_for_where_they_are_not_known(folders, run):
+    outcome = run("missing", "rig=shapes", f"rig.folder={folders / 'less'}", "rig.unit_mm=10", "motion=keep", "reading.unit=cm",
+                  f"clip={folders / 'take.npz'}", f"out={folders / 'solved'}", "max_frames=60")  # fmt: skip
+    assert outcome.code == 0, outcome.text
+    facts = json.loads((folders / "solved/missing.json").read_text())
+    assert set(GONE) <= {row["name"] for row in facts["shapes"]}
+    assert facts["mean_error_mm_with_shapes"] < 0.5 * facts["mean_error_mm"]
+
+
+def test_a_clip_that_the_rig_makes_lacks_nothing(folders, run):
+    outcome = run("missing", "rig=shapes", f"rig.folder={folders / 'whole'}", "rig.unit_mm=10", "motion=keep", "max_frames=20",
+                  f"clip={folders / 'take.npz'}", f"out={folders / 'none'}", "reading.unit=cm")  # fmt: skip
+    assert outcome.code == 0 and "Nothing in the clip calls for a shape" in outcome.text, outcome.text
+    assert not (folders / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["rig=toy", "clip=nowhere.npz"], "nowhere.npz"),
+        (["clip=a.npz"], "give bundle=DIR, a trained inverse, or rig=NAME"),
+        (["rig=toy", "clip=a.npz", "factors=9"], "factors is 9, expected 1 to 6"),
+        (["rig=toy", "clip=a.npz", "shapes=0"], "shapes is 0"),
+        (["rig=toy", "clip=a.npz", "method=clip"], "method=clip: expected refined or levenberg_marquardt"),
+        (["rig=toy", "clip=a.npz", "method=refined"], "needs a trained network"),
+        (["rig=toy", "clip=a.npz", "bundle=nowhere"], "nowhere"),
+        (["rig=shapes", "rig.folder=nowhere", "clip=a.npz", "curves=b.npz"], "nowhere: no such folder"),
+    ],
+)
+def test_mistakes_are_named(run, arguments, says, tmp_path):
+    refused(run("missing", *TOY, *arguments, f"out={tmp_path / 'out'}"), says)
+    assert not (tmp_path / "out").exists()
+
+
+def test_curves_of_the_rig_are_refused(run, tmp_path):
+    np.savez(tmp_path / "take.npz", controls=np.zeros((4, 7), np.float32), fps=30.0)
+    given = ["rig=toy", f"clip={tmp_path / 'take.npz'}", f"out={tmp_path / 'out'}"]
+    refused(run("missing", *TOY, *given), "give meshes of the clip")
+
+
+@pytest.mark.slow
+def test_correctives_of_a_production_face_are_found_in_its_animation(tmp_path):
+    """Of 20 that were taken away, at random, and that move more than 1 mm; the controls of the animation are known."""
+    logic = json.loads(shared("aura/logic.json").read_text())
+    arrays, frames = np.load(shared("aura/shapes.npz")), np.load(shared("aura/animation.npz"))["controls"][::7]
+    points = np.c_[arrays["rest"], np.ones(len(arrays["rest"]))]
+    deltas = np.einsum("vb,kibj,vj->kvi", arrays["weights"], arrays["transforms"], points, optimize=True)
+    table = {shape["name"]: deltas[number].astype(np.float32) for number, shape in enumerate(logic["aura_shapes"])}
+    for folder in ("whole", "less"):
+        (tmp_path / folder).mkdir()
+        write_obj(tmp_path / folder / "neutral.obj", arrays["rest"], arrays["quads"].tolist())
+    np.savez(tmp_path / "whole/deltas.npz", **table)
+    whole = ShapesRig(str(tmp_path / "whole"), unit_mm=10)
+    given = [control if isinstance(control, str) else control["name"] for control in logic["controls"]]
+    columns = [given.index(name) for name in whole.control_names]
+    controls = torch.tensor(np.clip(frames.astype(np.float32), 0, 1)[:, columns])
+    largest = whole.basis.norm(dim=2).amax(dim=1) * whole.coefficients(controls).amax(dim=0)
+    parts = {part for members in whole.shapes.combinations.values() for part in members}
+    moving = [name for name, size in zip(whole.coefficient_names[72:], largest[72:]) if size > 1 and name not in parts]
+    gone = set(np.random.default_rng(0).choice(moving, 20, replace=False).tolist())
+    np.savez(tmp_path / "less/deltas.npz", **{name: delta for name, delta in table.items() if name not in gone})
+    found = find_missing(ShapesRig(str(tmp_path / "less"), unit_mm=10), whole(controls), controls, 24, 4, known=True)
+    true = {tuple(sorted(name.split("_"))): whole.basis[whole.coefficient_names.index(name)].flatten() for name in gone}
+    pairs = [(true.get(tuple(sorted(driver.name.split("_")))), shape) for driver, shape in zip(found.rig.drivers, found.shapes)]
+    cosines = [float(torch.cosine_similarity(one, shape.flatten(), dim=0)) for one, shape in pairs if one is not None]
+    assert sum(cosine > 0.9 for cosine in cosines) >= 13, cosines
+    assert float(found.after_mm.mean()) < 0.2 * float(found.before_mm.mean())
