@@ -263,6 +263,17 @@ class LinearRig(RigBackend):
         """The difference of features `(batch, feature)`; a rig with angles among them takes the shorter way round."""
         return after - before
 
+    def first_guess(self, vertices: Float[Tensor, "frame vertex 3"]) -> Float[Tensor, "frame control"] | None:
+        """A guess at the controls `(frame, control)` of consecutive meshes `(frame, vertex, 3)`, mm, near the solution.
+
+        It may exceed the limits. None for rigs that have none: solvers then start from features or near neutral.
+        """
+        return None
+
+    def continuous(self, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame control"]:
+        """Controls `(frame, control)` of the same meshes that change least from frame to frame, such as angles without jumps."""
+        return controls
+
     def coefficients_with_joint_noise(
         self, controls: Float[Tensor, "batch control"], parts: Float[Tensor, "batch part"]
     ) -> Float[Tensor, "batch coefficient"]:

@@ -148,6 +148,11 @@ class Objective:
         return (distance if weights is None else weights * distance) + self._prior(units)[0]
 
     @torch.no_grad()
+    def prior_cost(self, units: Float[Tensor, "mesh control"]) -> Float[Tensor, " mesh"]:
+        """The part of the objective `(mesh,)` that does not depend on the mesh."""
+        return self._prior(units)[0]
+
+    @torch.no_grad()
     def gradient(
         self, units: Float[Tensor, "mesh control"], coordinates: Float[Tensor, "mesh coordinate"]
     ) -> Float[Tensor, "mesh control"]:

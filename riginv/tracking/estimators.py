@@ -7,7 +7,7 @@ from torch import Tensor
 
 from riginv.inference.inverse import Inverse
 from riginv.rig.mesh_space import MeshSpace
-from riginv.solvers.every_mesh import refine_meshes, solve_frames
+from riginv.solvers.every_mesh import EXACT, refine_meshes, solve_frames, solve_from_guess
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import Objective
 from riginv.tracking.constraints import ControlConstraints
@@ -94,13 +94,29 @@ class SolverEstimator(ControlEstimator):
         if self.start is not None:
             start = self.units(self.start.estimate(vertices))
             found = refine_meshes(self.objective, coordinates, start, self.steps)
+        elif (guess := self._first_guess(vertices)) is not None:
+            found = solve_from_guess(self.objective, coordinates, guess, self.steps)
         else:
             found = solve_frames(self.objective, coordinates, self.key_starts, self.steps, descent_steps=self.descent_steps)
         return self.controls(found.units)
 
+    def _first_guess(self, vertices: Tensor) -> Tensor | None:
+        """The rig's own guess, as fractions of the ranges, if it has one."""
+        filled = torch.where(torch.isfinite(vertices), vertices, self.rig.rest_vertices)
+        guess = self.rig.first_guess(filled)
+        return None if guess is None else self.objective.units(guess).nan_to_num(0.5).clamp(0, 1)
+
     def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)
         return self.controls(refine_meshes(self.objective, coordinates, self.units(controls), REFINE_STEPS).units)
+
+    def is_exact(self, coordinates: Tensor, controls: Tensor) -> bool:
+        """Whether controls `(frame, control)` that began as the rig's own guess make all known meshes exactly."""
+        if self.rig.first_guess(self.rig.rest_vertices[None]) is None:
+            return False
+        batches = zip(self.units(controls).split(BATCH_SIZE), coordinates.split(BATCH_SIZE))
+        cost = torch.cat([self.objective.cost(*batch) - self.objective.prior_cost(batch[0]) for batch in batches])
+        return not bool((cost > EXACT * self.objective.vertex_count).any())  # NaN where a mesh is not known
 
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates, units = self.space.encode(vertices), self.units(controls)

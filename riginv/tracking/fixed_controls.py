@@ -49,3 +49,7 @@ class FixedControlsRig(LinearRig):
 
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
         return self.rig.feature_change(before, after)
+
+    def first_guess(self, vertices: Tensor) -> Tensor | None:
+        guess = self.rig.first_guess(vertices)
+        return None if guess is None else guess[:, self.free]

@@ -9,7 +9,8 @@ from rigs.dna.draft import Draft, MeshDraft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
 from rigs.dna.exports.joints import JointDrive, add_joints
 from rigs.gltf import GltfRig
-from rigs.gltf.motion import ANGLES, AXES
+from rigs.gltf.joint_controls import ANGLES
+from rigs.gltf.motion import AXES
 
 SEQUENCE = "zyx"  # R = Rx Ry Rz
 SAME_MM = 1e-2

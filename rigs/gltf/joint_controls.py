@@ -1,0 +1,138 @@
+"""Controls of joints: which there are, their order of rotation and their ranges, from what the file's animations do."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from riginv.geometry.euler import ORDERS, continuous_angles, euler_angles
+from riginv.rig.interface import Control
+from rigs.gltf.avatar import Avatar
+from rigs.gltf.frames import Frames
+from rigs.gltf.node_motion import NodeMotion
+
+Choice = Literal["auto"] | bool
+ANGLES, MOVES, SCALES = ("rx", "ry", "rz"), ("tx", "ty", "tz"), ("sx", "sy", "sz")
+LIMIT_DEG = 60.0  # of an angle that no animation takes farther
+MARGIN, MARGIN_DEG, MARGIN_SIZE = 0.1, 5.0, 0.01  # beyond what animations do: of their range, degrees, of the mesh's size
+LARGE_DEG = 60.0  # of the middle angle: beyond it another order of rotation may serve better
+STEEPEST_DEG = 360.0 * 20  # farthest limit of an angle: twenty turns
+LEAST_SCALE, MOST_SCALE = 1e-3, 1e3
+UNIFORM = 1e-3  # difference of scales along the three axes that counts as none
+
+
+class Drives(NamedTuple):
+    """What the controls of joints do, in the order of the controls: angles of all frames, then translations, then scales.
+
+    Attributes:
+        controls: with their ranges.
+        orders: the axes of each frame's rotations, the outermost first, `(frame, 3)`.
+        moved: frames with translations, three controls each, `(moved,)`.
+        scaled: frame of each scale control, `(scale,)`.
+        scaled_axes: the axes that it scales, 1 or 0, `(scale, 3)`.
+    """
+
+    controls: list[Control]
+    orders: Tensor
+    moved: Tensor
+    scaled: Tensor
+    scaled_axes: Tensor
+
+
+def joint_drives(
+    avatar: Avatar,
+    frames: Frames,
+    motions: dict[int, list[NodeMotion]],
+    limit_deg: float | None,
+    translation: Choice,
+    scale: Choice,
+) -> Drives:
+    """The controls of joints.
+
+    Args:
+        limit_deg: of all angles, on either side of 0; None: from the animations, `LIMIT_DEG` at least.
+        translation, scale: for all joints or none; `auto`: for those that an animation moves or scales, and translations
+            for the roots of an animated skeleton.
+    """
+    controls: list[Control] = []
+    orders = torch.tensor([ORDERS[0]] * len(frames.names))
+    for number, (name, node) in enumerate(zip(frames.names, frames.nodes)):
+        samples = [torch.tensor(one.rotations) for one in motions.get(node, []) if one.rotations is not None]
+        limits = [] if limit_deg is None else [(-limit_deg, limit_deg)] * 3
+        if limit_deg is None:
+            orders[number] = _best_order(samples)
+            limits = _angle_limits(samples, orders[number])
+        controls += [Control(f"{name}.{axis}", *limit, unit="deg") for axis, limit in zip(ANGLES, limits)]
+    moved = _chosen(frames, motions, translation, lambda one: one.translations is not None, roots=True)
+    size = float(np.linalg.norm(np.ptp(avatar.rest, axis=0)))
+    for number in moved:
+        unit = avatar.mm * frames.parent_scales[number].numpy()
+        found = [unit * one.translations for one in motions.get(frames.nodes[number], []) if one.translations is not None]
+        away = np.concatenate([np.zeros((1, 3)), *found])
+        more = MARGIN * np.ptp(away, axis=0) + (MARGIN_SIZE if found else 1.0) * size
+        limits = zip((away.min(axis=0) - more).tolist(), (away.max(axis=0) + more).tolist())
+        controls += [Control(f"{frames.names[number]}.{axis}", *limit, unit="mm") for axis, limit in zip(MOVES, limits)]
+    scaled, axes = [], []
+    for number in _chosen(frames, motions, scale, lambda one: one.scales is not None):
+        found = [one.scales for one in motions.get(frames.nodes[number], []) if one.scales is not None]
+        values = np.concatenate([np.ones((1, 3)), *found])
+        uniform = bool(np.ptp(values, axis=1).max() < UNIFORM) and bool(found)
+        low, high = (
+            (values.min(axis=0) / (1 + MARGIN)).clip(LEAST_SCALE),
+            (values.max(axis=0) * (1 + MARGIN)).clip(None, MOST_SCALE),
+        )
+        low, high = (low, high) if found else (low / 2, high * 2)
+        for axis, label in enumerate(SCALES if not uniform else ("s",)):
+            controls.append(Control(f"{frames.names[number]}.{label}", float(low[axis]), float(high[axis]), 1.0))
+            scaled.append(number)
+            axes.append([1.0] * 3 if uniform else np.eye(3)[axis].tolist())
+    return Drives(
+        controls,
+        orders,
+        torch.tensor(moved, dtype=torch.long),
+        torch.tensor(scaled, dtype=torch.long),
+        torch.tensor(axes).view(-1, 3),
+    )
+
+
+def _chosen(
+    frames: Frames,
+    motions: dict[int, list[NodeMotion]],
+    choice: Choice,
+    does: Callable[[NodeMotion], bool],
+    roots: bool = False,
+) -> list[int]:
+    """The frames that have a kind of control."""
+    numbers = range(len(frames.names))
+    if choice != "auto":
+        return [number for number in numbers if choice]
+    animated = roots and any(frames.nodes[number] in motions for number in numbers)
+    return [
+        number
+        for number in numbers
+        if any(does(one) for one in motions.get(frames.nodes[number], [])) or (animated and frames.parents[number] < 0)
+    ]
+
+
+def _best_order(samples: list[Tensor]) -> Tensor:
+    """The order of rotations whose middle angle stays farthest from gimbal lock; XYZ unless that comes near it."""
+    found = torch.cat(samples)[:, None] if samples else torch.eye(3, dtype=torch.float64)[None, None]
+    largest = []
+    for order in ORDERS:
+        orders = torch.tensor([order])
+        largest.append(float(euler_angles(found, orders)[..., order[1]].abs().max()))
+    best = 0 if largest[0] <= np.radians(LARGE_DEG) else int(np.argmin(largest))
+    return torch.tensor(ORDERS[best])
+
+
+def _angle_limits(samples: list[Tensor], order: Tensor) -> list[tuple[float, float]]:
+    """Limits of the three angles, degrees, that all animations keep."""
+    orders, far = order[None], torch.full((1, 3), np.radians(STEEPEST_DEG), dtype=torch.float64)
+    curves = [continuous_angles(euler_angles(one[:, None], orders), orders, -far, far)[:, 0] for one in samples]
+    angles = torch.rad2deg(torch.cat([torch.zeros(1, 3, dtype=torch.float64), *curves])).numpy()
+    low, high = angles.min(axis=0), angles.max(axis=0)
+    more = MARGIN_DEG + MARGIN * (high - low)
+    low, high = np.minimum(low - more, -LIMIT_DEG), np.maximum(high + more, LIMIT_DEG)
+    return list(zip(low.tolist(), high.tolist()))
