@@ -171,10 +171,12 @@ class LinearRig(RigBackend):
             in captures; `coefficients_with_joint_noise` applies them. Empty where a rig has none.
         is_fitted: whether the basis was fitted to sampled poses: its coefficients are scaled by their spread and have no names.
         is_surrogate: whether it is a learned surrogate of another rig, its `true_rig()`.
+        length_scale: factor on the lengths in mm that solvers take for small, for rigs whose files may be in any unit.
     """
 
     is_fitted: bool = False
     is_surrogate: bool = False
+    length_scale: float = 1.0
     basis: Tensor
     joint_noise: Tensor
 

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from riginv.geometry.kernels.library import Kernels, kernels_for
 from riginv.rig.jacobian import Jacobian
 
 BATCH_SIZE = 16  # Gram matrices at a time: they fit a processor's cache
@@ -41,6 +42,7 @@ class SubtreeSums:
 
     def __init__(self, parents: Sequence[int], levels: Sequence[Tensor]) -> None:
         self.parents, self.levels = torch.tensor(parents), levels
+        self.deepest_first = torch.cat(list(levels)).flip(0).contiguous()
         self.below = torch.eye(len(parents), dtype=torch.bool)  # (ancestor, joint)
         for level in levels[1:]:
             self.below[:, level] |= self.below[:, self.parents[level]]
@@ -116,8 +118,21 @@ class SubtreeJacobian(Jacobian):
         blocks = self.tree.blocks(metric)
         if blocks is None:
             return Jacobian(inner=self.dense()).gram(metric)
+        compiled = kernels_for(blocks, self.matrices)
+        if compiled is not None:
+            return self._chosen(self._chosen(self._compiled(compiled, blocks)).transpose(1, 2))
         found = [self._gram(blocks, slice(first, first + BATCH_SIZE)) for first in range(0, len(self.matrices), BATCH_SIZE)]
         return self._chosen(self._chosen(torch.cat(found)).transpose(1, 2))
+
+    def _compiled(self, compiled: Kernels, blocks: Tensor) -> Tensor:
+        """The Gram matrices by a kernel."""
+        values = torch.cat([values.flatten(1, 2) for _, values in self.generators], dim=1).contiguous()
+        owners = torch.cat([joints.repeat_interleave(values.shape[2]) for joints, values in self.generators])
+        result = values.new_empty(len(values), len(owners), len(owners))
+        tree = (self.tree.parents, self.tree.deepest_first, len(self.tree.parents))
+        given = (blocks, self.matrices.contiguous(), *tree, owners, values, len(owners), result, len(result))
+        compiled.call("subtree_gram", values.dtype, *given)
+        return result
 
     def _gram(self, blocks: Tensor, rows: slice) -> Tensor:
         matrices, generators = self.matrices[rows], [(joints, values[rows]) for joints, values in self.generators]

@@ -39,7 +39,7 @@ def solve_meshes(
         first = first_start(objective, target)
         best = levenberg_marquardt(objective, target, first, steps, tolerance)
         for number in range(1, starts):
-            open_rows = (best.cost > EXACT * objective.vertex_count).nonzero()[:, 0]
+            open_rows = (best.cost > EXACT * objective.squared_mm).nonzero()[:, 0]
             if not len(open_rows):
                 break
             if number == 1 and descent_steps:
@@ -117,9 +117,14 @@ def solve_from_guess(
     Frames that do not become exact restart from their neighbours' solutions, from both sides.
     """
     found = refine_meshes(objective, coordinates, guess, steps, NEAR)
-    for shift in (1, -1):
-        if bool((found.cost - objective.prior_cost(found.units) > EXACT * objective.vertex_count).any()):
-            _restart(objective, coordinates, found, shift, steps)
+    for start, pace in (("before", NEAR), ("after", NEAR), ("guess", FAR)):
+        distance = found.cost - objective.prior_cost(found.units)
+        rows = (distance > EXACT * objective.squared_mm).nonzero()[:, 0]
+        if not len(rows):
+            break
+        others = rows - 1 if start == "before" else rows + 1
+        units = guess[rows] if start == "guess" else found.units[others.clamp(0, len(guess) - 1)]
+        found.take_better(rows, refine_meshes(objective, coordinates[rows], units, steps, pace))
     return found
 
 

@@ -134,9 +134,9 @@ def _solve(
         taken[active] += 1
         small = gained <= tolerance * near.cost
         idle[active] = torch.where(small, idle[active] + 1, 0)
-        last = (gained > 0) & (gained <= LEAST_GAIN * objective.vertex_count)
+        last = (gained > 0) & (gained <= LEAST_GAIN * objective.squared_mm)
         if pace.enough:
-            last |= found - objective.prior_cost(moved) <= pace.enough * objective.vertex_count
+            last |= found - objective.prior_cost(moved) <= pace.enough * objective.squared_mm
         converged[active] = last | (idle[active] >= IDLE) | (small & (chosen >= MOST_DAMPING))
         active = active[~converged[active]]
     if len(unknown := (torch.isnan(cost) & ~skipped).nonzero()[:, 0]):  # with 0 steps

@@ -91,7 +91,8 @@ class Objective:
     ) -> None:
         self.rig = rig
         self.vertex_count = rig.space.vertex_count
-        self.prior, self.sparsity = prior * self.vertex_count, sparsity * self.vertex_count
+        self.squared_mm = self.vertex_count * rig.rig.length_scale**2  # a mean squared distance of 1 mm^2
+        self.prior, self.sparsity = prior * self.squared_mm, sparsity * self.squared_mm
         self.is_sparse = bool(torch.as_tensor(sparsity).any())
         dtype = dtype or rig.linear_map.dtype
         self.map = rig.linear_map.to(dtype)

@@ -21,7 +21,7 @@ class FixedControlsRig(LinearRig):
     def __init__(self, rig: LinearRig, free: Tensor, values: Tensor) -> None:
         controls = [rig.controls[number] for number in free.tolist()]
         super().__init__(rig.name, controls, rig.rest_vertices, rig.faces, rig.basis, rig.coefficient_names, rig.primary_count)
-        self.rig, self.differentiable = rig, rig.differentiable
+        self.rig, self.differentiable, self.length_scale = rig, rig.differentiable, rig.length_scale
         self.register_buffer("free", free, persistent=False)
         self.register_buffer("values", values.to(rig.dtype), persistent=False)
 

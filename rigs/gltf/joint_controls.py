@@ -18,7 +18,8 @@ ANGLES, MOVES, SCALES = ("rx", "ry", "rz"), ("tx", "ty", "tz"), ("sx", "sy", "sz
 LIMIT_DEG = 60.0  # of an angle that no animation takes farther
 MARGIN, MARGIN_DEG, MARGIN_SIZE = 0.1, 5.0, 0.01  # beyond what animations do: of their range, degrees, of the mesh's size
 LARGE_DEG = 60.0  # of the middle angle: beyond it another order of rotation may serve better
-STEEPEST_DEG = 360.0 * 20  # farthest limit of an angle: twenty turns
+FARTHEST_DEG = 360.0 * 20  # limit of an angle: twenty turns
+CURVES = 128  # of joints whose angles are followed together
 LEAST_SCALE, MOST_SCALE = 1e-3, 1e3
 UNIFORM = 1e-3  # difference of scales along the three axes that counts as none
 
@@ -58,13 +59,14 @@ def joint_drives(
     """
     controls: list[Control] = []
     orders = torch.tensor([ORDERS[0]] * len(frames.names))
-    for number, (name, node) in enumerate(zip(frames.names, frames.nodes)):
-        samples = [torch.tensor(one.rotations) for one in motions.get(node, []) if one.rotations is not None]
-        limits = [] if limit_deg is None else [(-limit_deg, limit_deg)] * 3
-        if limit_deg is None:
-            orders[number] = _best_order(samples)
-            limits = _angle_limits(samples, orders[number])
-        controls += [Control(f"{name}.{axis}", *limit, unit="deg") for axis, limit in zip(ANGLES, limits)]
+    rotations = [[one.rotations for one in motions.get(node, []) if one.rotations is not None] for node in frames.nodes]
+    if limit_deg is None:
+        orders = torch.stack([_best_order(each) for each in rotations])
+        limits = _angle_limits(rotations, orders)
+    else:
+        limits = [[(-limit_deg, limit_deg)] * 3] * len(frames.names)
+    for name, each in zip(frames.names, limits):
+        controls += [Control(f"{name}.{axis}", *limit, unit="deg") for axis, limit in zip(ANGLES, each)]
     moved = _chosen(frames, motions, translation, lambda one: one.translations is not None, roots=True)
     size = float(np.linalg.norm(np.ptp(avatar.rest, axis=0)))
     for number in moved:
@@ -116,23 +118,30 @@ def _chosen(
     ]
 
 
-def _best_order(samples: list[Tensor]) -> Tensor:
+def _best_order(samples: list[np.ndarray]) -> Tensor:
     """The order of rotations whose middle angle stays farthest from gimbal lock; XYZ unless that comes near it."""
-    found = torch.cat(samples)[:, None] if samples else torch.eye(3, dtype=torch.float64)[None, None]
+    found = torch.tensor(np.concatenate(samples))[:, None] if samples else torch.eye(3, dtype=torch.float64)[None, None]
     largest = []
     for order in ORDERS:
-        orders = torch.tensor([order])
-        largest.append(float(euler_angles(found, orders)[..., order[1]].abs().max()))
+        angles = euler_angles(found, torch.tensor([order]))
+        largest.append(float(angles[..., order[1]].abs().max()))
     best = 0 if largest[0] <= np.radians(LARGE_DEG) else int(np.argmin(largest))
     return torch.tensor(ORDERS[best])
 
 
-def _angle_limits(samples: list[Tensor], order: Tensor) -> list[tuple[float, float]]:
-    """Limits of the three angles, degrees, that all animations keep."""
-    orders, far = order[None], torch.full((1, 3), np.radians(STEEPEST_DEG), dtype=torch.float64)
-    curves = [continuous_angles(euler_angles(one[:, None], orders), orders, -far, far)[:, 0] for one in samples]
-    angles = torch.rad2deg(torch.cat([torch.zeros(1, 3, dtype=torch.float64), *curves])).numpy()
-    low, high = angles.min(axis=0), angles.max(axis=0)
+def _angle_limits(rotations: list[list[np.ndarray]], orders: Tensor) -> list[list[tuple[float, float]]]:
+    """Limits of the three angles of each frame, degrees, that all animations keep."""
+    low, high = np.zeros((len(orders), 3)), np.zeros((len(orders), 3))
+    curves = [(number, samples) for number, each in enumerate(rotations) for samples in each]
+    for first in range(0, len(curves), CURVES):
+        numbers = np.array([number for number, _ in curves[first : first + CURVES]])
+        some = [samples for _, samples in curves[first : first + CURVES]]
+        longest = max(map(len, some))
+        padded = np.stack([np.concatenate([one, np.repeat(one[-1:], longest - len(one), axis=0)]) for one in some], axis=1)
+        of_curve, far = orders[numbers], torch.full((len(some), 3), np.radians(FARTHEST_DEG), dtype=torch.float64)
+        angles = continuous_angles(euler_angles(torch.tensor(padded), of_curve), of_curve, -far, far).numpy()
+        np.minimum.at(low, numbers, np.degrees(angles.min(axis=0)))
+        np.maximum.at(high, numbers, np.degrees(angles.max(axis=0)))
     more = MARGIN_DEG + MARGIN * (high - low)
     low, high = np.minimum(low - more, -LIMIT_DEG), np.maximum(high + more, LIMIT_DEG)
-    return list(zip(low.tolist(), high.tolist()))
+    return [list(zip(*each)) for each in zip(low.tolist(), high.tolist())]

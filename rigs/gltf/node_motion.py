@@ -12,7 +12,7 @@ from rigs.gltf.channels import animation_names, read_channels
 from rigs.gltf.container import GltfFile
 from rigs.gltf.scene import Scene
 
-MOST_SAMPLES = 4096  # of a channel
+MOST_SAMPLES = 2048  # of a channel
 BETWEEN = 3  # samples between two keys
 ANGLE = 1e-4  # radians, translations relative to the mesh, and scales: smaller differences from rest are no motion
 

@@ -22,6 +22,7 @@ from rigs.gltf.node_motion import node_motions
 from rigs.gltf.selection import mesh_names
 
 STILL = 1e-5  # of the mesh's size: smaller translations of a joint are none
+METRE = 1000.0  # mm: the size of a skinned mesh for which the solvers' lengths are meant
 SHOWN = 9  # targets shown as expressions
 
 
@@ -104,6 +105,8 @@ class GltfRig(LinearRig):
         count = 0 if joints or any(defaults) else len(controls)  # blendshape weights are 0 at rest
         super().__init__(avatar.file.path.stem, controls, rest, torch.tensor(avatar.faces), basis, names, count)
         self.targets, self.joint_motion, self.joint_orders = tuple(avatar.targets), motion, orders
+        if motion is not None:
+            self.length_scale = float((rest.amax(dim=0) - rest.amin(dim=0)).max().clamp_min(1e-6)) / METRE
         self._guess: FirstGuess | None = None
         self.parts = tuple((submesh.label, submesh.start, submesh.start + submesh.count) for submesh in avatar.submeshes)
         self.file, self.unit_mm, self.notes = avatar.file.path, float(unit_mm), tuple(avatar.file.notes)

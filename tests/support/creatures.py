@@ -1,4 +1,4 @@
-"""Skinned creatures with animations of their own, written as glTF: tubes around bones, as large and as small as exporters leave them."""
+"""Skinned creatures with animations of their own, written as glTF: tubes around bones."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -149,7 +149,7 @@ def write_creature(path: Path, creature: Creature, frames: int = 84, unit: float
     above[:3, :3] = unit * up.as_matrix()
     worlds, nodes, channels = [], [], []
     times = np.arange(frames) / FPS
-    for number, bone in enumerate(creature.bones):
+    for bone in creature.bones:
         world = np.eye(4)
         world[:3, :3], world[:3, 3] = unit * _frame(bone, rng), unit * bone.head
         local = np.linalg.inv(worlds[bone.parent] if bone.parent >= 0 else above) @ world
