@@ -1,7 +1,7 @@
 """Rotations by three angles about coordinate axes, in any order of the axes, with continuous curves of the angles.
 
-An order is a permutation `(first, middle, last)` of the axes 0 to 2: R = R_first R_middle R_last, as roma's and SciPy's 'XYZ'. Angles
-are stored by axis, not by position in the order.
+An order is a permutation `(first, middle, last)` of the axes 0 to 2: R = R_first R_middle R_last, as roma's and SciPy's 'XYZ'.
+Angles are stored by axis, not by position in the order.
 """
 
 from itertools import permutations
@@ -58,8 +58,8 @@ def continuous_angles(
 ) -> Float[Tensor, "frame joint 3"]:
     """The same rotations by angles, radians, that change least from frame to frame, within limits where that is possible.
 
-    Two triples make one rotation: the second has the first and last angle half a turn further, and half a turn less the middle one.
-    Full turns are added to either.
+    Two triples make one rotation: the second has the first and last angle half a turn further, and half a turn less the middle
+    one. Full turns are added to either.
     """
     middle = torch.zeros(orders.shape, dtype=torch.bool).scatter_(1, orders[:, 1:2], True)
     turn, found = 2 * torch.pi, torch.empty_like(angles)

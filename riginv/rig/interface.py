@@ -273,7 +273,7 @@ class LinearRig(RigBackend):
         return None
 
     def continuous(self, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame control"]:
-        """Controls `(frame, control)` of the same meshes that change least from frame to frame, such as angles without jumps."""
+        """Controls `(frame, control)` of the same meshes that change least from frame to frame: angles without jumps."""
         return controls
 
     def coefficients_with_joint_noise(

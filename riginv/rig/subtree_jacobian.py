@@ -1,8 +1,8 @@
 """The Jacobian of linear blend skinning by joint controls, in products over the subtrees of the skeleton.
 
-A control of a joint moves everything below it as one piece: the derivative of the skinning matrix M of each of these joints is X M,
-with one affine generator X for the control. So J^T G J needs sums of 4x4 blocks over subtrees, and never the dense Jacobian:
-for a hundred joints a hundredth of the work.
+A control of a joint moves everything below it as one piece: the derivative of the skinning matrix M of each of these joints is
+X M, with one affine generator X for the control. So J^T G J needs sums of 4x4 blocks over subtrees, and never the dense
+Jacobian: for a hundred joints a hundredth of the work.
 """
 
 from collections.abc import Sequence
@@ -59,8 +59,9 @@ class SubtreeSums:
         """A metric of 3x4 matrices as `(joint, 4, 4 joint)`, where it treats their three rows alike and apart; else None."""
         seen, blocks = self._blocks
         if seen is not metric:
-            self._blocks = metric, _blocks(metric, len(self.parents))
-        return self._blocks[1] if seen is not metric else blocks
+            blocks = _blocks(metric, len(self.parents))
+            self._blocks = metric, blocks
+        return blocks
 
 
 def _blocks(metric: Tensor, joints: int) -> Tensor | None:

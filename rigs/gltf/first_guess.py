@@ -1,6 +1,4 @@
-"""A first guess at the controls of joints, from a mesh: the rotation of each joint by the vertices that follow it, root to leaf."""
-
-from collections.abc import Sequence
+"""A first guess at the controls of joints: the rotation of each by the vertices that follow it, from root to leaf."""
 
 import roma
 import torch

@@ -20,6 +20,7 @@ MARGIN, MARGIN_DEG, MARGIN_SIZE = 0.1, 5.0, 0.01  # beyond what animations do: o
 LARGE_DEG = 60.0  # of the middle angle: beyond it another order of rotation may serve better
 FARTHEST_DEG = 360.0 * 20  # limit of an angle: twenty turns
 CURVES = 128  # of joints whose angles are followed together
+SCALE_RANGE = 1.25  # of joints that no animation scales, on either side of 1
 LEAST_SCALE, MOST_SCALE = 1e-3, 1e3
 UNIFORM = 1e-3  # difference of scales along the three axes that counts as none
 
@@ -85,7 +86,7 @@ def joint_drives(
             (values.min(axis=0) / (1 + MARGIN)).clip(LEAST_SCALE),
             (values.max(axis=0) * (1 + MARGIN)).clip(None, MOST_SCALE),
         )
-        low, high = (low, high) if found else (low / 2, high * 2)
+        low, high = (low, high) if found else (low / SCALE_RANGE, high * SCALE_RANGE)
         for axis, label in enumerate(SCALES if not uniform else ("s",)):
             controls.append(Control(f"{frames.names[number]}.{label}", float(low[axis]), float(high[axis]), 1.0))
             scaled.append(number)

@@ -127,7 +127,7 @@ class GltfRig(LinearRig):
 
     @torch.no_grad()
     def first_guess(self, vertices: Tensor) -> Tensor | None:
-        """Controls of consecutive meshes from the rotation of each joint's own vertices; None without joints or with targets."""
+        """Controls of consecutive meshes by the vertices of each joint; None without joints or with morph targets."""
         if self.joint_motion is None or self.targets:
             return None
         if self._guess is None:

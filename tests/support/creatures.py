@@ -97,7 +97,7 @@ def fox() -> Creature:
     head = next(number for number, bone in enumerate(creature.bones) if bone.name == "head")
     for side, sign in (("L", 1), ("R", -1)):
         creature.chain(
-            f"ear_{side}_", head, creature.bones[head].head + [0.04 * sign, 0.05, 0], [0, 0.04, 0], 3, 0.02, swing=30
+            f"ear_{side}_", head, creature.bones[head].head + np.array([0.04 * sign, 0.05, 0]), [0, 0.04, 0], 3, 0.02, swing=30
         )
     return creature
 
