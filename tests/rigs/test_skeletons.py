@@ -1,6 +1,7 @@
 """Skinned creatures of glTF files: the controls of their joints, and their own clips inverted."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,14 +120,14 @@ def test_wrong_settings_are_named(fox_file, fields, says):
 
 
 def test_an_animation_that_cannot_be_read_is_noted_and_sets_no_limits(fox_file, tmp_path):
-    data = bytearray(open(fox_file, "rb").read())
+    data = Path(fox_file).read_bytes()
     length = int.from_bytes(data[12:16], "little")
     document = json.loads(data[20 : 20 + length])
     document["animations"][0]["channels"][0]["sampler"] = 999
-    text = json.dumps(document, separators=(",", ":")).encode()
-    assert len(text) <= length
-    data[20 : 20 + length] = text.ljust(length)
-    (tmp_path / "damaged.glb").write_bytes(bytes(data))
+    text = json.dumps(document).encode()
+    text = text.ljust(len(text) + -len(text) % 4)
+    sizes = (len(data) - length + len(text)).to_bytes(4, "little") + len(text).to_bytes(4, "little")
+    (tmp_path / "damaged.glb").write_bytes(data[:8] + sizes + data[16:20] + text + data[20 + length :])
     rig = GltfRig(str(tmp_path / "damaged.glb"), joints=True)
     assert any("Animation 'gait' gives the joints no limits" in note for note in rig.notes)
     assert all(control.unit == "deg" and control.upper == 60 for control in rig.controls)
