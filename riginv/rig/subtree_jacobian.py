@@ -6,7 +6,7 @@ Jacobian: for a hundred joints a hundredth of the work.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -154,5 +154,4 @@ class SubtreeJacobian(Jacobian):
         return values if self.scale is None else values * self.scale.view(-1, *[1] * (values.ndim - 2))
 
     def _with(self, columns: Tensor | None, scale: Tensor | None) -> "SubtreeJacobian":
-        fields = {"tree": self.tree, "matrices": self.matrices, "generators": self.generators}
-        return SubtreeJacobian(**fields, columns=columns, scale=scale)
+        return replace(self, columns=columns, scale=scale)

@@ -49,7 +49,7 @@ def invert_clip(clip: Clip, inverter: WindowInverter, evaluator: FrameEvaluator,
         kept.add(start, found)
         advance("inverting", len(vertices))
     kept.check(clip)
-    kept.controls = evaluator.rig.continuous(kept.controls)
+    kept.controls = _continuous(inverter, kept.controls)
     return kept.finished(interpolate_controls(kept.controls, kept.known, clip.frame_numbers), clip, evaluator)
 
 
@@ -78,7 +78,7 @@ def invert_smoothly(
         converged[rows] = estimator.converged(found.filled, found.controls)  # of the frame alone
         advance("each frame", len(vertices))
     kept.check(clip)
-    kept.controls = evaluator.rig.continuous(kept.controls)
+    kept.controls = _continuous(inverter, kept.controls)
     if estimator.is_exact(coordinates, kept.controls):  # made by the rig itself: smoothing would only move it away
         controls = interpolate_controls(kept.controls, kept.known, clip.frame_numbers)
         return _evaluated(controls, converged, kept, clip, inverter, evaluator, window, advance)
@@ -89,6 +89,14 @@ def invert_smoothly(
     steps = (options.smoothness, options.clip_steps, options.mean_steps)
     smooth = solve_clip(estimator.objective, coordinates, begin, *steps, numbers=clip.frame_numbers)
     return _evaluated(estimator.controls(smooth), converged, kept, clip, inverter, evaluator, window, advance)
+
+
+def _continuous(inverter: WindowInverter, controls: Tensor) -> Tensor:
+    """The same controls without jumps between equal angles, where all are free to change."""
+    estimator = inverter.estimator
+    if not isinstance(estimator, SolverEstimator) or len(estimator.rig.free) < controls.shape[1]:
+        return controls
+    return inverter.rig.continuous(controls)
 
 
 def _evaluated(

@@ -10,8 +10,9 @@ from riginv.geometry.kinematics import compose, transform_from
 from rigs.gltf.motion import JointMotion
 
 POWER = 3  # of the skin weights: vertices that follow a joint alone count most
+BESIDE = 0.05  # of a bone's square: how much the rotations of parent and child decide on that of a joint without vertices
 HELD = 2e-3  # of a joint's vertices: how much the parent's rotation counts, which decides where they are too few
-LEAST_WEIGHT = 0.05  # of its vertices in total: a joint with less takes all vertices below it, too
+DOMINANT = 0.5  # greatest skin weight of a joint: with less it has no vertices of its own, and takes all below it
 
 
 class FirstGuess:
@@ -29,7 +30,7 @@ class FirstGuess:
         weights = points[:, 3]
         below = motion.tree.below.double() @ weights
         alone = weights.pow(POWER)
-        poor = alone.sum(dim=1) < LEAST_WEIGHT
+        poor = weights.amax(dim=1) < DOMINANT
         centres = motion.rest[..., 3].double()
         own = points[:, :3].mT / weights[..., None].clamp_min(1e-9)
         places = torch.where(poor[:, None, None], rest - centres[:, None], own)
@@ -40,7 +41,7 @@ class FirstGuess:
         self.spread = (around * (places - self.middles[:, None])).sum(dim=(1, 2)).float()
         self.estimate = torch.cat([around.mT, alone[:, None]], dim=1).flatten(0, 1).float()  # (4 frame, vertex)
         self.middles = self.middles.float()
-        self.scaled = set(motion.scaled.tolist())
+        self.poor = set(poor.nonzero()[:, 0].tolist())
         linear = motion.rest[..., :3]
         self.upright = roma.special_procrustes(linear.double()).float()  # the frames' axes without their scales
 
@@ -50,6 +51,7 @@ class FirstGuess:
         found = (self.estimate @ vertices).unflatten(1, (-1, 4))
         covariance, centre = found[:, :, :3].mT, found[:, :, 3]
         rotations = self._rotations(covariance)
+        self._bridge(rotations, centre)
         motion = self.motion
         parents = torch.tensor(motion.parents)
         above = torch.where((parents < 0)[:, None, None], torch.eye(3), rotations[:, parents.clamp_min(0)])
@@ -69,6 +71,26 @@ class FirstGuess:
             held = HELD * self.spread[level].clamp_min(1e-12)[:, None, None] * above
             result[:, level] = roma.special_procrustes(covariance[:, level] + held)
         return result
+
+    def _bridge(self, rotations: Tensor, centre: Tensor) -> None:
+        """Replace the rotations of joints without vertices: each points from where its parent carries it to its children."""
+        parents, places = self.motion.parents, self.motion.rest[..., 3]
+
+        def carried(place: Tensor, joint: int) -> Tensor:
+            offset = place - places[joint] - self.middles[joint]
+            return centre[:, joint] + (rotations[:, joint] @ offset[:, None])[..., 0]
+
+        for joint in (joint for level in self.motion.levels for joint in level.tolist() if joint in self.poor):
+            children, parent = [child for child, above in enumerate(parents) if above == joint], parents[joint]
+            if not children:
+                continue
+            start = carried(places[joint], parent if parent >= 0 else joint)
+            total = torch.zeros_like(rotations[:, joint])
+            for child in children:
+                bone, ends = places[child] - places[joint], carried(places[child], child) - start
+                beside = rotations[:, child] + (rotations[:, parent] if parent >= 0 else 0.0)
+                total += ends[:, :, None] * bone + BESIDE * bone.square().sum().clamp_min(1e-6) * beside
+            rotations[:, joint] = roma.special_procrustes(total)
 
     def _moves(self, rotations: Tensor, relative: Tensor, centre: Tensor) -> Tensor:
         """Translations `(mesh, moved frame, 3)`, from where the fitted vertices are."""

@@ -59,45 +59,50 @@ def joint_drives(
             for the roots of an animated skeleton.
     """
     controls: list[Control] = []
-    orders = torch.tensor([ORDERS[0]] * len(frames.names))
     rotations = [[one.rotations for one in motions.get(node, []) if one.rotations is not None] for node in frames.nodes]
     if limit_deg is None:
         orders = torch.stack([_best_order(each) for each in rotations])
         limits = _angle_limits(rotations, orders)
     else:
+        orders = torch.tensor([ORDERS[0]] * len(frames.names))
         limits = [[(-limit_deg, limit_deg)] * 3] * len(frames.names)
     for name, each in zip(frames.names, limits):
-        controls += [Control(f"{name}.{axis}", *limit, unit="deg") for axis, limit in zip(ANGLES, each)]
+        controls += [Control(f"{name}.{axis}", low, high, unit="deg") for axis, (low, high) in zip(ANGLES, each)]
     moved = _chosen(frames, motions, translation, lambda one: one.translations is not None, roots=True)
-    size = float(np.linalg.norm(np.ptp(avatar.rest, axis=0)))
     for number in moved:
-        unit = avatar.mm * frames.parent_scales[number].numpy()
-        found = [unit * one.translations for one in motions.get(frames.nodes[number], []) if one.translations is not None]
-        away = np.concatenate([np.zeros((1, 3)), *found])
-        more = MARGIN * np.ptp(away, axis=0) + (MARGIN_SIZE if found else 1.0) * size
-        limits = zip((away.min(axis=0) - more).tolist(), (away.max(axis=0) + more).tolist())
-        controls += [Control(f"{frames.names[number]}.{axis}", *limit, unit="mm") for axis, limit in zip(MOVES, limits)]
+        controls += _translation_controls(avatar, frames, number, motions.get(frames.nodes[number], []))
     scaled, axes = [], []
     for number in _chosen(frames, motions, scale, lambda one: one.scales is not None):
-        found = [one.scales for one in motions.get(frames.nodes[number], []) if one.scales is not None]
-        values = np.concatenate([np.ones((1, 3)), *found])
-        uniform = bool(np.ptp(values, axis=1).max() < UNIFORM) and bool(found)
-        low, high = (
-            (values.min(axis=0) / (1 + MARGIN)).clip(LEAST_SCALE),
-            (values.max(axis=0) * (1 + MARGIN)).clip(None, MOST_SCALE),
-        )
-        low, high = (low, high) if found else (low / SCALE_RANGE, high * SCALE_RANGE)
-        for axis, label in enumerate(SCALES if not uniform else ("s",)):
-            controls.append(Control(f"{frames.names[number]}.{label}", float(low[axis]), float(high[axis]), 1.0))
-            scaled.append(number)
-            axes.append([1.0] * 3 if uniform else np.eye(3)[axis].tolist())
-    return Drives(
-        controls,
-        orders,
-        torch.tensor(moved, dtype=torch.long),
-        torch.tensor(scaled, dtype=torch.long),
-        torch.tensor(axes).view(-1, 3),
-    )
+        more, their_axes = _scale_controls(frames.names[number], motions.get(frames.nodes[number], []))
+        controls += more
+        scaled += [number] * len(more)
+        axes += their_axes
+    moved_frames, scaled_frames = (torch.tensor(numbers, dtype=torch.long) for numbers in (moved, scaled))
+    return Drives(controls, orders, moved_frames, scaled_frames, torch.tensor(axes).view(-1, 3))
+
+
+def _translation_controls(avatar: Avatar, frames: Frames, number: int, motions: list[NodeMotion]) -> list[Control]:
+    """Three translations of a frame, mm along its parent's axes."""
+    size = float(np.linalg.norm(np.ptp(avatar.rest, axis=0)))
+    unit = avatar.mm * frames.parent_scales[number].numpy()
+    found = [unit * one.translations for one in motions if one.translations is not None]
+    away = np.concatenate([np.zeros((1, 3)), *found])
+    more = MARGIN * np.ptp(away, axis=0) + (MARGIN_SIZE if found else 1.0) * size
+    reach = zip(MOVES, (away.min(axis=0) - more).tolist(), (away.max(axis=0) + more).tolist())
+    return [Control(f"{frames.names[number]}.{axis}", low, high, unit="mm") for axis, low, high in reach]
+
+
+def _scale_controls(name: str, motions: list[NodeMotion]) -> tuple[list[Control], list[list[float]]]:
+    """The scales of a frame, and which axes each acts on: one for all where animations scale them alike."""
+    found = [one.scales for one in motions if one.scales is not None]
+    values = np.concatenate([np.ones((1, 3)), *found])
+    margin = 1 + MARGIN if found else SCALE_RANGE
+    low = (values.min(axis=0) / margin).clip(LEAST_SCALE).tolist()
+    high = (values.max(axis=0) * margin).clip(None, MOST_SCALE).tolist()
+    if found and np.ptp(values, axis=1).max() < UNIFORM:
+        return [Control(f"{name}.s", min(low), max(high), 1.0)], [[1.0, 1.0, 1.0]]
+    controls = [Control(f"{name}.{axis}", least, most, 1.0) for axis, least, most in zip(SCALES, low, high)]
+    return controls, np.eye(3).tolist()
 
 
 def _chosen(
