@@ -122,6 +122,10 @@ class SolverEstimator(ControlEstimator):
 
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates, units = self.space.encode(vertices), self.units(controls)
-        more = levenberg_marquardt(self.objective, coordinates, units, 1)
-        gained = self.objective.cost(units, coordinates) - more.cost
-        return ~(gained > 0.5 * UNCONVERGED_MM**2 * self.objective.squared_mm)
+        cost, most = self.objective.cost(units, coordinates), 0.5 * UNCONVERGED_MM**2 * self.objective.squared_mm
+        rows = (cost > most).nonzero()[:, 0]  # the others have less to gain than that
+        found = torch.ones(len(vertices), dtype=torch.bool)
+        if len(rows):
+            more = levenberg_marquardt(self.objective, coordinates[rows], units[rows], 1)
+            found[rows] = ~(cost[rows] - more.cost > most)
+        return found
