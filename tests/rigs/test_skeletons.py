@@ -16,7 +16,7 @@ from riginv.rig.subtree_jacobian import SubtreeJacobian
 from riginv.solvers.objective import Objective
 from rigs.gltf import GltfRig
 from tests.rigs.test_gltf_joints import dancer
-from tests.support.creatures import CREATURES, FPS, Creature, fox, write_creature
+from tests.support.creatures import CREATURES, Creature, fox, write_creature
 
 
 @pytest.fixture(scope="module")
@@ -155,9 +155,11 @@ def test_a_creature_is_recovered_from_its_own_clip_in_any_unit(tmp_path, unit):
 @pytest.mark.parametrize("name", list(CREATURES))
 def test_creatures_are_recovered_from_their_own_clips(tmp_path, name):
     file = str(write_creature(tmp_path / f"{name}.glb", CREATURES[name]()))
-    error, converged, controls = inverted(GltfRig(file, joints=True), file)
+    rig = GltfRig(file, joints=True)
+    error, converged, controls = inverted(rig, file)
     assert error < 2e-6 and converged >= 0.99
-    assert controls.diff(dim=0).abs().max() < 40 * 30 / FPS  # a leap would be a half or a full turn
+    angles = controls[:, [control.unit == "deg" for control in rig.controls]]
+    assert angles.diff(dim=0).abs().max() < 100  # a leap would be a half or a full turn
 
 
 def test_a_root_that_turns_several_times_has_a_continuous_curve(tmp_path):
