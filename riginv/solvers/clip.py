@@ -61,7 +61,7 @@ def solve_clip(
         if len(found) - stop <= lookahead:
             stop = len(found)  # no window is shorter than its look-ahead
         rows, known = slice(first, stop), max(first - 2, 0)
-        scaled = smoothness * objective.vertex_count
+        scaled = smoothness * objective.squared_mm
         before, apart = found[known:first], frame_steps[known : stop - 1]
         frames = _Window(objective, coordinates[rows], weights[rows], before, scaled, apart)
         found[rows] = frames.solve(found[rows], steps, tolerance)

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from riginv.solvers.levenberg_marquardt import TOLERANCE, Solution, levenberg_marquardt
+from riginv.solvers.levenberg_marquardt import FAR, NEAR, TOLERANCE, Pace, Solution, levenberg_marquardt
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import descend, first_start, start_at_random
 
@@ -40,7 +40,7 @@ def solve_meshes(
         first = first_start(objective, target)
         best = levenberg_marquardt(objective, target, first, steps, tolerance)
         for number in range(1, starts):
-            open_rows = (best.cost > EXACT * objective.vertex_count).nonzero()[:, 0]
+            open_rows = (best.cost > EXACT * objective.squared_mm).nonzero()[:, 0]
             if not len(open_rows):
                 break
             if number == 1 and descent_steps:
@@ -55,12 +55,16 @@ def solve_meshes(
 
 
 def refine_meshes(
-    objective: Objective, coordinates: Float[Tensor, "mesh coordinate"], start: Float[Tensor, "mesh control"], steps: int
+    objective: Objective,
+    coordinates: Float[Tensor, "mesh coordinate"],
+    start: Float[Tensor, "mesh control"],
+    steps: int,
+    pace: Pace = FAR,
 ) -> Solution:
     """Take at most `steps` from a start `(mesh, control)`, as fractions of the ranges, such as a network's output."""
 
     def solve(rows: Tensor) -> Solution:
-        return levenberg_marquardt(objective, coordinates[rows], start[rows], steps)
+        return levenberg_marquardt(objective, coordinates[rows], start[rows], steps, pace=pace)
 
     return _in_batches(objective, len(coordinates), solve)
 
@@ -115,6 +119,25 @@ def solve_frames(
         unfinished = (~found.converged & ~found.skipped).nonzero()[:, 0]
         more = refine_meshes(objective, coordinates[unfinished], found.units[unfinished], steps)
         found.take_better(unfinished, more)
+    return found
+
+
+def solve_from_guess(
+    objective: Objective, coordinates: Float[Tensor, "frame coordinate"], guess: Float[Tensor, "frame control"], steps: int
+) -> Solution:
+    """Solve each frame of a clip from a guess `(frame, control)` near the solution, as fractions of the ranges.
+
+    Frames that do not become exact restart from their neighbours' solutions, from both sides.
+    """
+    found = refine_meshes(objective, coordinates, guess, steps, NEAR)
+    for start, pace in (("before", NEAR), ("after", NEAR), ("guess", FAR)):
+        distance = found.cost - objective.prior_cost(found.units)
+        rows = (distance > EXACT * objective.squared_mm).nonzero()[:, 0]
+        if not len(rows):
+            break
+        others = rows - 1 if start == "before" else rows + 1
+        units = guess[rows] if start == "guess" else found.units[others.clamp(0, len(guess) - 1)]
+        found.take_better(rows, refine_meshes(objective, coordinates[rows], units, steps, pace))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -17,6 +18,23 @@ LEAST_GAIN = 5e-7  # mm^2 of half the mean squared distance, 0.001 mm: a step th
 LONGEST_STEP = 0.1  # as a fraction of a control's range: longer ones end in a rig's saturations
 FEWEST, MOST = 8, 64  # meshes that one thread solves at a time
 TRIES = 3  # of increasing damping on one linearisation, before the step has failed
+
+
+class Pace(NamedTuple):
+    """How boldly Levenberg-Marquardt steps, and when it ends.
+
+    Attributes:
+        damping: of the first step.
+        longest_step: of each control, as a fraction of its range.
+        enough: mm^2 of half the mean squared distance at which a mesh has converged; 0: never for that reason.
+    """
+
+    damping: float = START_DAMPING
+    longest_step: float = LONGEST_STEP
+    enough: float = 0.0
+
+
+FAR, NEAR = Pace(), Pace(1e-4, 0.3, LEAST_GAIN)  # the start is anywhere, or near the solution
 
 
 @dataclass
@@ -65,6 +83,7 @@ def levenberg_marquardt(
     steps: int,
     tolerance: float = TOLERANCE,
     weights: Float[Tensor, " mesh"] | None = None,
+    pace: Pace = FAR,
 ) -> Solution:
     """Minimise the objective of each mesh from a start, within the controls' limits.
 
@@ -74,24 +93,31 @@ def levenberg_marquardt(
         steps: the greatest number of linearisations.
         tolerance: a mesh has converged once three consecutive steps reduce its objective by less than this fraction.
         weights: of each mesh's distance against prior and sparsity; None: 1.
+        pace: `NEAR` for starts that are known to be near the solution.
     """
     coordinates = coordinates.to(start)
     given = (coordinates, start) if weights is None else (coordinates, start, weights)
     size = max(FEWEST, min(MOST, -(-len(start) // 2)))
     batches = zip(*(values.split(size) for values in given))
-    found = objective.run_tasks([partial(_solve, objective, steps, tolerance, *batch) for batch in batches])
+    found = objective.run_tasks([partial(_solve, objective, steps, tolerance, pace, *batch) for batch in batches])
     return Solution(**{name: torch.cat([getattr(part, name) for part in found]) for name in vars(found[0])})
 
 
 @torch.no_grad()
 def _solve(
-    objective: Objective, steps: int, tolerance: float, coordinates: Tensor, start: Tensor, weights: Tensor | None = None
+    objective: Objective,
+    steps: int,
+    tolerance: float,
+    pace: Pace,
+    coordinates: Tensor,
+    start: Tensor,
+    weights: Tensor | None = None,
 ) -> Solution:
     skipped = ~torch.isfinite(coordinates).all(dim=1)
     best = torch.where(skipped[:, None], objective.neutral, start.clamp(0, 1))
     cost = torch.full_like(best[:, 0], torch.nan)
     converged, taken = torch.zeros_like(skipped), torch.zeros_like(skipped, dtype=torch.long)
-    damping, idle = torch.full_like(cost, START_DAMPING), torch.zeros_like(taken)
+    damping, idle = torch.full_like(cost, pace.damping), torch.zeros_like(taken)
     active = (~skipped).nonzero()[:, 0]
 
     def targets(rows: Tensor) -> tuple[Tensor, ...]:
@@ -102,13 +128,15 @@ def _solve(
             break
         target = targets(active)
         near = objective.linearise(best[active], *target)
-        moved, found, chosen = _improve(objective, near, best[active], target, damping[active])
+        moved, found, chosen = _improve(objective, near, best[active], target, damping[active], pace.longest_step)
         gained = near.cost - found
         best[active], cost[active], damping[active] = moved, found, chosen
         taken[active] += 1
         small = gained <= tolerance * near.cost
         idle[active] = torch.where(small, idle[active] + 1, 0)
-        last = (gained > 0) & (gained <= LEAST_GAIN * objective.vertex_count)
+        last = (gained > 0) & (gained <= LEAST_GAIN * objective.squared_mm)
+        if pace.enough:
+            last |= found - objective.prior_cost(moved) <= pace.enough * objective.squared_mm
         converged[active] = last | (idle[active] >= IDLE) | (small & (chosen >= MOST_DAMPING))
         active = active[~converged[active]]
     if len(unknown := (torch.isnan(cost) & ~skipped).nonzero()[:, 0]):  # with 0 steps
@@ -117,7 +145,7 @@ def _solve(
 
 
 def _improve(
-    objective: Objective, near: Linearised, at: Tensor, target: tuple[Tensor, ...], damping: Tensor
+    objective: Objective, near: Linearised, at: Tensor, target: tuple[Tensor, ...], damping: Tensor, longest: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Try a step, again with more damping where it fails: the new controls, costs and dampings."""
     moved, cost, damping = at.clone(), near.cost.clone(), damping.clone()
@@ -125,9 +153,7 @@ def _improve(
     raise_by = 4.0
     for _ in range(TRIES):
         gradient, hessian = near.gradient[trying], near.hessian[trying]
-        step = box_step(hessian, gradient, at[trying], damping_diagonal(hessian, damping[trying])).clamp(
-            -LONGEST_STEP, LONGEST_STEP
-        )
+        step = box_step(hessian, gradient, at[trying], damping_diagonal(hessian, damping[trying])).clamp(-longest, longest)
         found = objective.cost(at[trying] + step, *(values[trying] for values in target))
         predicted = -predicted_change(hessian, gradient, step)
         better = found < cost[trying]

@@ -91,7 +91,8 @@ class Objective:
     ) -> None:
         self.rig = rig
         self.vertex_count = rig.space.vertex_count
-        self.prior, self.sparsity = prior * self.vertex_count, sparsity * self.vertex_count
+        self.squared_mm = self.vertex_count * rig.rig.length_scale**2  # a mean squared distance of 1 mm^2
+        self.prior, self.sparsity = prior * self.squared_mm, sparsity * self.squared_mm
         self.is_sparse = bool(torch.as_tensor(sparsity).any())
         dtype = dtype or rig.linear_map.dtype
         self.map = rig.linear_map.to(dtype)
@@ -146,6 +147,11 @@ class Objective:
         found = self.rig.rig.coefficients(self.lower + self.span * units)
         distance = self.distance(self._residual(found, coordinates)).cost
         return (distance if weights is None else weights * distance) + self._prior(units)[0]
+
+    @torch.no_grad()
+    def prior_cost(self, units: Float[Tensor, "mesh control"]) -> Float[Tensor, " mesh"]:
+        """The part of the objective `(mesh,)` that does not depend on the mesh."""
+        return self._prior(units)[0]
 
     @torch.no_grad()
     def gradient(

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from riginv.inference.inverse import Inverse
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.solvers.every_mesh import refine_meshes, solve_frames
+from riginv.solvers.every_mesh import EXACT, refine_meshes, solve_frames, solve_from_guess
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import Objective
 from riginv.tracking.actors.actor import ActorRig
@@ -16,6 +16,7 @@ from riginv.tracking.fixed_controls import FixedControlsRig
 
 BATCH_SIZE = 512  # meshes per network call
 UPDATE_STEPS = 3  # solver steps from controls of a slightly different mesh
+MOSTLY = 0.9  # of the frames of a clip: so many that are exact make it one of the rig's own
 UNCONVERGED_MM = 0.02  # root mean square distance that a further solver step would gain
 
 
@@ -100,16 +101,37 @@ class SolverEstimator(ControlEstimator):
         if self.start is not None:
             start = self.units(self.start.estimate(vertices))
             found = refine_meshes(self.objective, coordinates, start, self.steps)
+        elif (guess := self._first_guess(vertices)) is not None:
+            found = solve_from_guess(self.objective, coordinates, guess, self.steps)
         else:
             found = solve_frames(self.objective, coordinates, self.key_starts, self.steps, descent_steps=self.descent_steps)
         return self.controls(found.units)
+
+    def _first_guess(self, vertices: Tensor) -> Tensor | None:
+        """The rig's own guess, as fractions of the ranges, if it has one."""
+        filled = torch.where(torch.isfinite(vertices), vertices, self.rig.rest_vertices)
+        guess = self.rig.first_guess(filled)
+        return None if guess is None else self.objective.units(guess).nan_to_num(0.5).clamp(0, 1)
 
     def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)
         return self.controls(refine_meshes(self.objective, coordinates, self.units(controls), UPDATE_STEPS).units)
 
+    def is_exact(self, coordinates: Tensor, controls: Tensor) -> bool:
+        """Whether controls `(frame, control)` that began as the rig's own guess make nearly all known meshes exactly."""
+        if self.rig.first_guess(self.rig.rest_vertices[None]) is None:
+            return False
+        batches = zip(self.units(controls).split(BATCH_SIZE), coordinates.split(BATCH_SIZE))
+        cost = torch.cat([self.objective.cost(*batch) - self.objective.prior_cost(batch[0]) for batch in batches])
+        known = cost[cost.isfinite()]
+        return bool((known <= EXACT * self.objective.squared_mm).double().mean() >= MOSTLY)
+
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates, units = self.space.encode(vertices), self.units(controls)
-        more = levenberg_marquardt(self.objective, coordinates, units, 1)
-        gained = self.objective.cost(units, coordinates) - more.cost
-        return ~(gained > 0.5 * UNCONVERGED_MM**2 * self.objective.vertex_count)
+        cost, most = self.objective.cost(units, coordinates), 0.5 * UNCONVERGED_MM**2 * self.objective.squared_mm
+        rows = (cost > most).nonzero()[:, 0]  # the others have less to gain than that
+        found = torch.ones(len(vertices), dtype=torch.bool)
+        if len(rows):
+            more = levenberg_marquardt(self.objective, coordinates[rows], units[rows], 1)
+            found[rows] = ~(cost[rows] - more.cost > most)
+        return found

@@ -49,6 +49,7 @@ def invert_clip(clip: Clip, inverter: WindowInverter, evaluator: FrameEvaluator,
         kept.add(start, found)
         advance("inverting", len(vertices))
     kept.check(clip)
+    kept.controls = _continuous(inverter, kept.controls)
     return kept.finished(interpolate_controls(kept.controls, kept.known, clip.frame_numbers), clip, evaluator)
 
 
@@ -77,13 +78,38 @@ def invert_smoothly(
         converged[rows] = estimator.converged(found.filled, found.controls)  # of the frame alone
         advance("each frame", len(vertices))
     kept.check(clip)
+    kept.controls = _continuous(inverter, kept.controls)
+    if estimator.is_exact(coordinates, kept.controls):  # made by the rig itself: smoothing would only move it away
+        controls = interpolate_controls(kept.controls, kept.known, clip.frame_numbers)
+        return _evaluated(controls, converged, kept, clip, inverter, evaluator, window, advance)
     start = Solution.at_neutral(estimator.objective, len(clip))
     start.units, start.skipped = estimator.units(kept.controls), ~kept.known
     advance("the whole clip", 0)
     begin = smoothed(start, options.blur, clip.frame_numbers)
     steps = (options.smoothness, options.clip_steps, options.mean_steps)
     smooth = solve_clip(estimator.objective, coordinates, begin, *steps, numbers=clip.frame_numbers)
-    controls = estimator.controls(smooth)
+    return _evaluated(estimator.controls(smooth), converged, kept, clip, inverter, evaluator, window, advance)
+
+
+def _continuous(inverter: WindowInverter, controls: Tensor) -> Tensor:
+    """The same controls without jumps between equal angles, where all are free to change."""
+    estimator = inverter.estimator
+    if not isinstance(estimator, SolverEstimator) or len(estimator.rig.free) < controls.shape[1]:
+        return controls
+    return inverter.rig.continuous(controls)
+
+
+def _evaluated(
+    controls: Tensor,
+    converged: Tensor,
+    kept: "_FrameResults",
+    clip: Clip,
+    inverter: WindowInverter,
+    evaluator: FrameEvaluator,
+    window: int,
+    advance: Advance,
+) -> Inversion:
+    """The inversion with final controls `(frame, control)`, evaluated frame by frame."""
     for first, vertices in clip.batches(window):
         rows = slice(first, first + len(vertices))
         found = _with_controls(vertices, controls[rows], inverter, kept.known[rows])

@@ -1,5 +1,6 @@
 """Controlled joints as frames: each moves the vertices bound to it and to the uncontrolled nodes below it."""
 
+from collections.abc import Iterable
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -14,6 +15,8 @@ from rigs.gltf.accessors import MOST_NUMBERS
 from rigs.gltf.avatar import Avatar, blend_transforms, check_distances, transform_vectors
 
 NEGLIGIBLE_MM = 1e-4  # a joint whose fraction of a target's deltas stays below this does not rotate them
+SHOWN = 8  # joints named in a note
+_IDLE = "have no vertices, carry one other joint and are never animated"
 LINEAR = 9  # entries of the 3x4 matrix of a joint that act on deltas: its last column moves points only
 
 
@@ -25,12 +28,18 @@ class Frames(NamedTuple):
         parents: index of each frame's parent, -1 for a root.
         rest: `(frame, 3, 4)`: the coordinate system that each rotates in, in world space at rest, mm.
         of_node: index of the frame that moves each node of the scene, -1 for none.
+        nodes: the node of each frame.
+        parent_axes: axes of the node's parent in world space at rest, unit vectors as columns, `(frame, 3, 3)`.
+        parent_scales: lengths of these axes, `(frame, 3)`.
     """
 
     names: list[str]
     parents: list[int]
     rest: Tensor
     of_node: np.ndarray
+    nodes: list[int]
+    parent_axes: Tensor
+    parent_scales: Tensor
 
 
 class FrameBasis(NamedTuple):
@@ -45,8 +54,12 @@ class FrameBasis(NamedTuple):
     pairs: Tensor
 
 
-def joint_frames(avatar: Avatar, include: list[str]) -> Frames:
+def joint_frames(avatar: Avatar, include: list[str], animated: Iterable[int] = ()) -> Frames:
     """Joints of the avatar's skins that match globs and move any vertex, directly or through nodes below them.
+
+    Args:
+        animated: nodes that an animation of the file moves. Those above joints are joints, too. Where there are any, a joint
+            without vertices that carries a single other joint and that no animation moves is left out.
 
     Raises:
         InputError: there are none, or one has a singular transform.
@@ -54,13 +67,29 @@ def joint_frames(avatar: Avatar, include: list[str]) -> Frames:
     scene, file = avatar.scene, avatar.file
     skins = {file.document["nodes"][submesh.node].get("skin") for submesh in avatar.submeshes} - {None}
     joints = {joint for skin in skins for joint in file.item("skins", skin, "a node")["joints"]}
-    loaded = _loaded(avatar)
-    named = [j for j in joints if loaded[j] and any(fnmatchcase(scene.names[j], glob) for glob in include)]
+    own = _own_vertices(avatar)
+    loaded = _loaded(avatar, own)
+    named = {j for j in joints if loaded[j] and any(fnmatchcase(scene.names[j], glob) for glob in include)}
     if not named:
         known = ", ".join(scene.names[joint] for joint in sorted(joints) if loaded[joint])[:300] or "none"
         raise InputError(
             f"{file.path}: rig.joint_include={include} names no joint that moves a vertex; its joints are: {known}"
         )
+    moving = {node for node in animated if loaded[node]}
+    idle = _idle(avatar, named, own, moving) if moving & named else set()
+    for numbers, what in ((joints - set(np.flatnonzero(loaded)), "move no vertex"), (idle, _IDLE)):
+        if numbers:
+            names = [scene.names[node] for node in sorted(numbers)]
+            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+            file.note(f"{len(names)} joints {what}, and are no controls: {', '.join(names[:SHOWN])}{more}.")
+    if moving & named:
+        named |= {node for node in moving if any(fnmatchcase(scene.names[node], glob) for glob in include)}
+    return _frames_of(avatar, named - idle)
+
+
+def _frames_of(avatar: Avatar, named: set[int]) -> Frames:
+    """The frames of nodes, parents first."""
+    scene = avatar.scene
     of_node = np.full(len(scene.names), -1)
     order: list[int] = []
     parents: list[int] = []
@@ -72,7 +101,21 @@ def joint_frames(avatar: Avatar, include: list[str]) -> Frames:
                 of_node[node] = len(order)
                 order.append(node)
                 parents.append(int(above))
-    return Frames([scene.names[node] for node in order], parents, _rest_transforms(avatar, order), of_node)
+    above = [scene.world[scene.parents[node], :, :3] if scene.parents[node] >= 0 else torch.eye(3).double() for node in order]
+    scales = torch.stack(above).norm(dim=1).clamp_min(1e-12)
+    axes = torch.stack(above) / scales[:, None]
+    return Frames([scene.names[n] for n in order], parents, _rest_transforms(avatar, order), of_node, order, axes, scales)
+
+
+def _idle(avatar: Avatar, named: set[int], own: np.ndarray, moving: set[int]) -> set[int]:
+    """Joints without vertices that no animation moves and below which a single branch moves vertices."""
+    branches = np.zeros(len(own), int)
+    loaded = _loaded(avatar, own)
+    for node, parent in enumerate(avatar.scene.parents):
+        if parent >= 0 and loaded[node]:
+            branches[parent] += 1
+    found = {node for node in named - moving if not own[node] and branches[node] == 1}
+    return found if found < named else set()
 
 
 def _rest_transforms(avatar: Avatar, nodes: list[int]) -> Tensor:
@@ -89,12 +132,18 @@ def _rest_transforms(avatar: Avatar, nodes: list[int]) -> Tensor:
     return torch.stack(found)
 
 
-def _loaded(avatar: Avatar) -> np.ndarray:
-    """Whether each node moves a vertex, directly or through a node below it, `(node,)`."""
-    loaded = np.zeros(len(avatar.scene.names), bool)
+def _own_vertices(avatar: Avatar) -> np.ndarray:
+    """Whether vertices are bound to each node, `(node,)`."""
+    own = np.zeros(len(avatar.scene.names), bool)
     for submesh in avatar.submeshes:
         binding = submesh.rest_binding(avatar.file, avatar.scene)
-        loaded[binding.nodes[(binding.weights > 0).any(axis=0)]] = True
+        own[binding.nodes[(binding.weights > 0).any(axis=0)]] = True
+    return own
+
+
+def _loaded(avatar: Avatar, own: np.ndarray) -> np.ndarray:
+    """Whether each node moves a vertex, directly or through a node below it, `(node,)`."""
+    loaded = own.copy()
     for level in reversed(avatar.scene.levels):
         for node in level.tolist():
             if avatar.scene.parents[node] >= 0:

@@ -8,7 +8,6 @@ import roma
 import torch
 
 from riginv.errors import InputError
-from riginv.geometry.kinematics import transform_from
 from rigs.gltf.animation import ROTATION, SCALE, TRANSLATION, WEIGHTS, Channel
 from rigs.gltf.avatar import blend_transforms, transform_vectors
 from rigs.gltf.container import GltfFile
@@ -93,21 +92,26 @@ class PosedMeshes:
 
     def _posed(self, pose: Pose) -> Scene:
         rigid, scaling = self.scene.rigid.clone(), self.scene.scaling.clone()
-        for node, values in pose.items():
-            if node not in self.moving or not values.keys() & LOCAL:
-                continue
+        moved = {node: values for node, values in pose.items() if node in self.moving and values.keys() & LOCAL}
+        for node in moved:
             if "matrix" in self.file.document["nodes"][node]:
                 self._check_matrix(node)
-            rotation, scale, translation = rigid[node, :, :3], scaling[node, :, :3], rigid[node, :, 3]
-            if ROTATION in values:
-                quaternion = torch.tensor(np.asarray(values[ROTATION], np.float64))
-                rotation = roma.unitquat_to_rotmat(quaternion / quaternion.norm().clamp_min(1e-9))
-            if SCALE in values:
-                scale = torch.diag(torch.tensor(np.asarray(values[SCALE], np.float64)))
-            if TRANSLATION in values:
-                translation = torch.tensor(np.asarray(values[TRANSLATION], np.float64))
-            rigid[node] = transform_from(rotation, translation)
-            scaling[node] = transform_from(scale, torch.zeros(3, dtype=torch.float64))
+
+        def values_of(path: str) -> tuple[list[int], torch.Tensor]:
+            found = {node: values[path] for node, values in moved.items() if path in values}
+            return list(found), torch.tensor(np.array(list(found.values()), np.float64))
+
+        nodes, quaternions = values_of(ROTATION)
+        if nodes:
+            lengths = quaternions.norm(dim=1, keepdim=True).clamp_min(1e-9)
+            rigid[nodes, :, :3] = roma.unitquat_to_rotmat(quaternions / lengths)
+        nodes, translations = values_of(TRANSLATION)
+        if nodes:
+            rigid[nodes, :, 3] = translations
+        nodes, scales = values_of(SCALE)
+        if nodes:
+            scaling[nodes, :, :3] = torch.diag_embed(scales)
+            scaling[nodes, :, 3] = 0.0
         return replace(self.scene, rigid=rigid, scaling=scaling)
 
     def _check_matrix(self, node: int) -> None:

@@ -9,7 +9,8 @@ from rigs.dna.draft import Draft, MeshDraft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
 from rigs.dna.exports.joints import JointDrive, add_joints
 from rigs.gltf import GltfRig
-from rigs.gltf.motion import ANGLES, AXES
+from rigs.gltf.joint_controls import ANGLES
+from rigs.gltf.motion import AXES
 
 SEQUENCE = "zyx"  # R = Rx Ry Rz
 SAME_MM = 1e-2
@@ -38,6 +39,7 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     draft = blendshape_draft(rig.name, rest, faces, {name: Drive(name) for name in rig.targets}, shapes)
     if motion is None:
         return draft
+    _check_controls(rig)
     draft.sequence = SEQUENCE
     frames = motion.rest.double().numpy(force=True)
     points = basis[rows * count :][: NUMBERS * len(frames)].reshape(len(frames), 3, 4, *rest.shape)
@@ -57,6 +59,19 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     all_weights = sparse.csr_array(np.concatenate([np.clip(weights, 0, None), remaining], axis=1))
     draft.meshes = [MeshDraft(mesh.name, mesh.vertices, mesh.faces, all_weights, mesh.deltas)]
     return draft
+
+
+def _check_controls(rig: GltfRig) -> None:
+    """Raises InputError where joints have other controls than three angles in the order of the file."""
+    motion = rig.joint_motion
+    if motion is not None and (len(motion.moved) or len(motion.scaled)):
+        raise InputError(
+            f"rig '{rig.name}': some of its joints are translated or scaled by controls, expected angles alone: use "
+            f"rig.joint_translation=false rig.joint_scale=false"
+        )
+    other = next((f"'{name}' rotates in the order {order}" for name, order in rig.joint_orders.items() if order != "XYZ"), "")
+    if other:
+        raise InputError(f"rig '{rig.name}': joint {other}, expected XYZ: set rig.joint_limit_deg to a number, such as 60")
 
 
 def _check_binding(rig: GltfRig, points: np.ndarray, weights: np.ndarray, frames: np.ndarray, rest: np.ndarray) -> None:

@@ -3,6 +3,7 @@
 #include "curves.h"
 #include "products.h"
 #include "sandwich.h"
+#include "subtrees.h"
 #include "cholesky.h"
 #include "box_step.h"
 
