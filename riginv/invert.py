@@ -210,7 +210,7 @@ def free_folder(out: str) -> Path:
     return path
 
 
-def made_by(settings: InvertConfig, method: str, actor: Actor | None) -> dict[str, Any]:
+def made_by(settings: InvertConfig, method: str, actor: Actor | None = None) -> dict[str, Any]:
     """How the curves were made, for curves.json."""
     facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": settings.refine}
     if settings.bundle:

@@ -1,5 +1,9 @@
 """python -m riginv.markers: a map of markers to a rig's surface, proposed from a neutral frame, or places to put markers."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "markers")  # before the imports that take seconds
+
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +17,6 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
-from riginv.launch.command import command
 from riginv.meshes.rendering import Camera, grid
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
@@ -25,7 +28,7 @@ from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.proposing import propose
 from riginv.tracking.markers.views import RigWithMarkers
 from riginv.tracking.priors.performances import default_prior
-from riginv.training.assembly import build_rig
+from riginv.tracking.rigs import build_rig
 
 NOISE_MM = 0.3  # of a marker
 TURNS = (-60.0, 0.0, 60.0)  # degrees of the cameras

@@ -1,5 +1,9 @@
 """python -m riginv.missing: the shapes that a rig lacks for a clip, and the products of controls that call for them."""
 
+from riginv.launch.command import answer_help, command
+
+answer_help(__name__, "missing")  # before the imports that take seconds
+
 from dataclasses import dataclass, replace
 
 import torch
@@ -18,7 +22,6 @@ from riginv.errors import InputError
 from riginv.geometry.neighbours import evenly
 from riginv.inference.inverse import Inverse, load_inverse
 from riginv.invert import free_folder
-from riginv.launch.command import command
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
@@ -30,7 +33,7 @@ from riginv.tracking.missing.results import rows_of, sentence, table_of, write_m
 from riginv.tracking.options import TrackingOptions
 from riginv.tracking.report import InversionProgress
 from riginv.tracking.rigid import fit_rigid
-from riginv.training.assembly import build_rig
+from riginv.tracking.rigs import build_rig
 
 MAX_NUMBERS = 60_000_000  # of all meshes together: 240 MB
 

@@ -65,9 +65,9 @@ def read_kept(path: Path) -> dict[str, Any]:
         InputError: it is damaged.
     """
     kept = read_json(path)
-    rows = kept.get("rows")
-    whole = fits(kept.get("source"), str) and fits(rows, list[Mapping[str, Any]])
-    rows = [{**dict.fromkeys(ACCURACY), **row} for row in rows] if whole else []  # earlier versions did not measure it
+    found = kept.get("rows") or []
+    whole = fits(kept.get("source"), str) and fits(found, list[Mapping[str, Any]])
+    rows = [{**dict.fromkeys(ACCURACY), **row} for row in found] if whole else []  # earlier versions did not measure it
     if not rows or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
         raise InputError(f"{path}: not what a finished method left there: altered; remove it, and the method is run again")
     return {**kept, "rows": rows}

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from riginv.animation.animation import Animation, FrameErrors
@@ -39,6 +38,8 @@ class RigWithMarkers(RigBackend):
     balls: Tensor
 
     def __init__(self, rig: RigBackend, placement: Placement, detail: int = 0) -> None:
+        import trimesh  # half a second, and only markers need it
+
         rest = rig.rest_vertices
         ball = trimesh.creation.icosphere(detail, radius=BALL * float((rest.amax(dim=0) - rest.amin(dim=0)).max()))
         count, size = len(placement), len(ball.vertices)
