@@ -12,6 +12,7 @@ from riginv.meshes.metrics import mean_distance
 from riginv.rig.interface import LinearRig
 from riginv.rig.jacobian import Jacobian
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.runs.tables import WITHIN_REACH_MM
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.missing.drivers import Driver, Factors
@@ -85,7 +86,7 @@ def find_missing(
     most_factors: int,
     known: bool = False,
 ) -> Missing | None:
-    """The shapes, at most `most`, that a rig lacks for meshes, mm; None: none explains anything of the residual.
+    """The shapes, at most `most`, that a rig lacks for meshes, mm; None: it lacks none, or none explains the residual.
 
     Args:
         controls: a first inversion, or the true ones.
@@ -93,6 +94,8 @@ def find_missing(
         most_factors: of a product of controls.
     """
     factors, before = Factors(rig), mean_distance(rig(controls), meshes)
+    if float(before.mean()) < WITHIN_REACH_MM:
+        return None
     augmented = None
     for _ in range(ROUNDS):
         residual, values = meshes - rig(controls), factors.values(controls)
