@@ -52,7 +52,7 @@ def checked(path: Path, metrics: dict[str, Any]) -> dict[str, Any]:
     for key in sorted(needed | metrics.keys()):
         expected = str if key == "true_rig" else float if key in needed else LISTS.get(key.partition("/")[2], float | None)
         value = metrics.get(key)
-        pairs: list = value or [] if expected is LISTS["confused_controls"] and fits(value, expected) else []
+        pairs: list[Any] = list(value or ()) if expected is LISTS["confused_controls"] and fits(value, expected) else []
         if not fits(value, expected) or not all(fits(pair.get(name), hint) for pair in pairs for name, hint in PAIR.items()):
             raise InputError(f"{path}: {key} is {value!r:.80}: altered; delete the file and use resume=true to evaluate again")
     return metrics

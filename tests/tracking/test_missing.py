@@ -92,7 +92,8 @@ def test_controls_are_solved_for_where_they_are_not_known(folders, run):
 
 def test_a_clip_that_the_rig_makes_lacks_nothing(folders, run):
     outcome = run("missing", "rig=shapes", f"rig.folder={folders / 'whole'}", "rig.unit_mm=10", "motion=keep", "max_frames=20",
-                  "reading.unit=cm", f"clip={folders / 'take.npz'}", f"curves={folders / 'curves.npz'}", f"out={folders / 'none'}")  # fmt: skip
+                  "reading.unit=cm",
+                  f"clip={folders / 'take.npz'}", f"curves={folders / 'curves.npz'}", f"out={folders / 'none'}")  # fmt: skip
     assert outcome.code == 0 and "Nothing in the clip calls for a shape" in outcome.text, outcome.text
     assert not (folders / "none").exists()
 
