@@ -9,7 +9,7 @@ from rich.console import Console
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 
-MIN_OPTIMUM_MM, LARGEST_MM = 50.0, 5000.0  # plausible lengths of a rig's longest side
+LEAST_MM, LARGEST_MM = 50.0, 5000.0  # plausible lengths of a rig's longest side
 FACES_MM, BODIES_MM = (100.0, 400.0), (500.0, 3000.0)
 UNITS_MM = (1.0, 10.0, 100.0, 1000.0)  # common units of files
 
@@ -31,7 +31,7 @@ def size_doubt(rig: RigBackend, unit_mm: float | None = None) -> str:
         unit_mm: the value of `rig.unit_mm`, where the rig has such a key.
     """
     longest = float((rig.rest_vertices.amax(dim=0) - rig.rest_vertices.amin(dim=0)).max())
-    if MIN_OPTIMUM_MM <= longest <= LARGEST_MM:
+    if LEAST_MM <= longest <= LARGEST_MM:
         return ""
     remedy = "a rig's vertices must be in mm (rig.unit_mm, where the rig has it)"
     if unit_mm:

@@ -85,7 +85,7 @@ def test_measured_poses_are_met_exactly(toy):
     ):
         for found in models:
             apart = found.coordinates(poses) - pose_coordinates(toy, sides, poses)
-            assert apart.abs().max() < 1e-2, found  # terms fainter than measured.MIN_OPTIMUM_MM are left out
+            assert apart.abs().max() < 1e-2, found  # terms fainter than measured.LEAST_MM are left out
 
 
 def test_the_objectives_gradient_is_its_derivative(toy):

@@ -41,7 +41,7 @@ def test_a_rig_in_one_line():
 @pytest.mark.parametrize("size", [0.17, 34, 49, 5100, 17400, 1.7e5])
 def test_sizes_that_no_face_or_body_has_are_doubted(size):
     doubt = size_doubt(Scaled(size), 1.0)
-    assert f"measures {length(size)}" in doubt and "rig.unit_mm=1 says" in doubt
+    assert f"measures {length(size)}" in doubt and "counts as 1 mm (rig.unit_mm)" in doubt
     assert "rig.unit_mm" in size_doubt(Scaled(size))
 
 
@@ -79,7 +79,7 @@ def test_an_avatar_in_centimetres_is_doubted_by_every_command(run: Callable, tmp
     avatar(tmp_path / "large.glb", 100)
     told = "warning: rig 'large' measures 20 m"
     checked = run("check", "rig=gltf", "rig.file=large.glb")
-    assert checked.code == 0 and told in checked.text and "rig.unit_mm=1000 says" in checked.text
+    assert checked.code == 0 and told in checked.text and "counts as 1000 mm (rig.unit_mm)" in checked.text
     assert "10 makes it a face of 200 mm" in checked.text
     right = run("check", "rig=gltf", "rig.file=large.glb", "rig.unit_mm=10")
     assert right.code == 0 and "200 mm tall" in right.text and "warning" not in right.text

@@ -12,7 +12,7 @@ from riginv.rig.mesh_space import RigInMeshSpace
 
 BATCH_SIZE = 512  # poses at a time
 MOST_CANDIDATES = 20_000  # of one order that are measured
-MIN_OPTIMUM_MM = 1e-4  # root mean square over the vertices: terms that move less are left out
+LEAST_MM = 1e-4  # root mean square over the vertices: terms that move less are left out
 
 
 def pose_coordinates(rig: RigInMeshSpace, sides: Sides, weights: Tensor) -> Tensor:
@@ -70,7 +70,7 @@ def with_products(rig: RigInMeshSpace, model: ProductModel, counts: Sequence[int
         chosen = _candidates(sides, kept, order)
         missed = torch.cat([_missed(rig, model, piece).norm(dim=1) for piece in chosen.split(BATCH_SIZE)] or [torch.zeros(0)])
         best = missed.argsort(descending=True, stable=True)[:count]
-        best = best[missed[best] > MIN_OPTIMUM_MM * rig.space.vertex_count**0.5]
+        best = best[missed[best] > LEAST_MM * rig.space.vertex_count**0.5]
         if not len(best):
             break
         kept = dict(zip(map(tuple, chosen[best].tolist()), missed[best].tolist()))
