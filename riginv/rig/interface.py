@@ -176,12 +176,14 @@ class LinearRig(RigBackend):
             in captures; `coefficients_with_joint_noise` applies them. Empty where a rig has none.
         is_fitted: whether the basis was fitted to sampled poses: its coefficients are scaled by their spread and have no names.
         is_surrogate: whether it is a learned surrogate of another rig, its `true_rig()`.
+        has_first_guess: whether `first_guess` gives one.
         length_scale: factor on the lengths in mm that solvers take for small, for rigs whose files may be in any unit.
     """
 
     is_fitted: bool = False
     is_surrogate: bool = False
     length_scale: float = 1.0
+    has_first_guess: bool = False
     basis: Tensor
     joint_noise: Tensor
 
@@ -270,12 +272,12 @@ class LinearRig(RigBackend):
         """The difference of features `(batch, feature)`; a rig with angles among them takes the shorter way round."""
         return after - before
 
-    def first_guess(self, vertices: Float[Tensor, "frame vertex 3"]) -> Float[Tensor, "frame control"] | None:
+    def first_guess(self, vertices: Float[Tensor, "frame vertex 3"]) -> Float[Tensor, "frame control"]:
         """A guess at the controls `(frame, control)` of consecutive meshes `(frame, vertex, 3)`, mm, near the solution.
 
-        It may exceed the limits. None for rigs that have none: solvers then start from features or near neutral.
+        It may exceed the limits. Only of rigs with `has_first_guess`: for others solvers start from features or near neutral.
         """
-        return None
+        raise NotImplementedError
 
     def continuous(self, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame control"]:
         """Controls `(frame, control)` of the same meshes that change least from frame to frame: angles without jumps."""

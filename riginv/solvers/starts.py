@@ -23,8 +23,8 @@ SEED = 20221206
 
 def first_start(objective: Objective, coordinates: Float[Tensor, "mesh coordinate"]) -> Float[Tensor, "mesh control"]:
     """The rig's own first guess `(mesh, control)`, or that from its features, if it has any; else `start_by_derivative`."""
-    own = objective.rig.rig.first_guess(objective.rig.space.decode(coordinates.nan_to_num()))
-    if own is not None:
+    if objective.rig.rig.has_first_guess:
+        own = objective.rig.rig.first_guess(objective.rig.space.decode(coordinates.nan_to_num()))
         return objective.units(own).nan_to_num(0.5).clamp(0, 1)
     if objective.features is None:
         return start_by_derivative(objective, coordinates)

@@ -101,17 +101,16 @@ class SolverEstimator(ControlEstimator):
         if self.start is not None:
             start = self.units(self.start.estimate(vertices))
             found = refine_meshes(self.objective, coordinates, start, self.steps)
-        elif (guess := self._first_guess(vertices)) is not None:
-            found = solve_from_guess(self.objective, coordinates, guess, self.steps)
+        elif self.rig.has_first_guess:
+            found = solve_from_guess(self.objective, coordinates, self._first_guess(vertices), self.steps)
         else:
             found = solve_frames(self.objective, coordinates, self.key_starts, self.steps, descent_steps=self.descent_steps)
         return self.controls(found.units)
 
-    def _first_guess(self, vertices: Tensor) -> Tensor | None:
-        """The rig's own guess, as fractions of the ranges, if it has one."""
+    def _first_guess(self, vertices: Tensor) -> Tensor:
+        """The rig's own guess, as fractions of the ranges."""
         filled = torch.where(torch.isfinite(vertices), vertices, self.rig.rest_vertices)
-        guess = self.rig.first_guess(filled)
-        return None if guess is None else self.objective.units(guess).nan_to_num(0.5).clamp(0, 1)
+        return self.objective.units(self.rig.first_guess(filled)).nan_to_num(0.5).clamp(0, 1)
 
     def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)
@@ -119,7 +118,7 @@ class SolverEstimator(ControlEstimator):
 
     def is_exact(self, coordinates: Tensor, controls: Tensor) -> bool:
         """Whether controls `(frame, control)` that began as the rig's own guess make nearly all known meshes exactly."""
-        if self.rig.first_guess(self.rig.rest_vertices[None]) is None:
+        if not self.rig.has_first_guess:
             return False
         batches = zip(self.units(controls).split(BATCH_SIZE), coordinates.split(BATCH_SIZE))
         cost = torch.cat([self.objective.cost(*batch) - self.objective.prior_cost(batch[0]) for batch in batches])

@@ -21,7 +21,8 @@ class FixedControlsRig(LinearRig):
     def __init__(self, rig: LinearRig, free: Tensor, values: Tensor) -> None:
         controls = [rig.controls[number] for number in free.tolist()]
         super().__init__(rig.name, controls, rig.rest_vertices, rig.faces, rig.basis, rig.coefficient_names, rig.primary_count)
-        self.rig, self.differentiable, self.length_scale = rig, rig.differentiable, rig.length_scale
+        self.rig, self.differentiable = rig, rig.differentiable
+        self.length_scale, self.has_first_guess = rig.length_scale, rig.has_first_guess
         self.register_buffer("free", free, persistent=False)
         self.register_buffer("values", values.to(rig.dtype), persistent=False)
 
@@ -50,6 +51,5 @@ class FixedControlsRig(LinearRig):
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
         return self.rig.feature_change(before, after)
 
-    def first_guess(self, vertices: Tensor) -> Tensor | None:
-        guess = self.rig.first_guess(vertices)
-        return None if guess is None else guess[:, self.free]
+    def first_guess(self, vertices: Tensor) -> Tensor:
+        return self.rig.first_guess(vertices)[:, self.free]

@@ -108,6 +108,7 @@ class GltfRig(LinearRig):
         if motion is not None:
             self.length_scale = float((rest.amax(dim=0) - rest.amin(dim=0)).max().clamp_min(1e-6)) / METRE
         self._guess: FirstGuess | None = None
+        self.has_first_guess = motion is not None and not self.targets
         self.parts = tuple((submesh.label, submesh.start, submesh.start + submesh.count) for submesh in avatar.submeshes)
         self.file, self.unit_mm, self.notes = avatar.file.path, float(unit_mm), tuple(avatar.file.notes)
         self.meshes = mesh_names(avatar.file, avatar.scene, [submesh.node for submesh in avatar.submeshes])
@@ -126,10 +127,9 @@ class GltfRig(LinearRig):
         return self.joint_motion.with_jacobian(controls[:, : len(self.targets)], controls[:, len(self.targets) :])
 
     @torch.no_grad()
-    def first_guess(self, vertices: Tensor) -> Tensor | None:
-        """Controls of consecutive meshes by the vertices of each joint; None without joints or with morph targets."""
-        if self.joint_motion is None or self.targets:
-            return None
+    def first_guess(self, vertices: Tensor) -> Tensor:
+        """Controls of consecutive meshes by the vertices of each joint."""
+        assert self.joint_motion is not None
         if self._guess is None:
             points = joint_points(self.basis, 0, self.joint_motion.count)
             self._guess = FirstGuess(self.joint_motion, self.rest_vertices, points)

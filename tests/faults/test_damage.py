@@ -102,7 +102,7 @@ def test_a_damaged_bundle_of_a_finished_run_is_made_again(commands, whole, tmp_p
         with fault("damaged bundle", ""):
             how = damage(path, draw)
             done = commands.run(work.name, [*work.arguments, *work.again], here)
-            assert done.code == 0 and "is made again" in done.said, f"{path.name}: {how}: {done.said}"
+            assert done.code == 0 and "is written again" in done.said, f"{path.name}: {how}: {done.said}"
             assert contents(here) == expected
         shutil.rmtree(here)
 

@@ -40,7 +40,7 @@ def test_methods_stand_side_by_side(run):
     assert [method for method, _ in rows][::3] == ["neutral", "levenberg_marquardt", "clip"]
     best, smooth = (rows[name, "simulated_performance"] for name in ("levenberg_marquardt", "clip"))
     assert float(best["mean_vertex_error_mm"]) < 0.5 * float(rows["neutral", "simulated_performance"]["mean_vertex_error_mm"])
-    assert float(best["optimum_ratio"]) == pytest.approx(1, abs=0.05)
+    assert 1 <= float(best["optimum_ratio"]) < 1.25  # least squares: the optimum is that of the mean distance
     assert float(smooth["roughness"]) < float(best["roughness"])
     assert float(rows["neutral", "rig_poses"]["nonzero_controls"]) == 0
     assert rows["neutral", "rig_poses"]["roughness"] == ""

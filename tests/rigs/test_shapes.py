@@ -157,7 +157,7 @@ def test_it_is_trained_and_evaluated_like_any_rig(run, tmp_path):
     assert outcome.code == 0, outcome.text
     assert "true rig, mine" in outcome.text and "smile50: in-between of smile" not in outcome.text
     assert "rig mine: 2 controls (2 primary shapes, 1 in-between, 1 combination)" in outcome.text
-    assert "30 mm tall (30 x 30 x 10 mm)" in outcome.text and "rig.unit_mm=10 says how many mm" in outcome.text
+    assert "30 mm tall (30 x 30 x 10 mm)" in outcome.text and "counts as 10 mm (rig.unit_mm)" in outcome.text
     assert "smile50: in-between of smile at 0.5" in run("check", "rig=shapes", "rig.folder=mine", "verbose=true").text
     judged = run("evaluate", "bundle=run", "poses=20", folder="judged")
     assert judged.code == 0, judged.text

@@ -23,7 +23,7 @@ class ModelObjective:
     """
 
     def __init__(self, model: ProductModel, vertex_count: int, prior: float, sparsity: float = 0.0) -> None:
-        self.model, self.vertex_count = model, vertex_count
+        self.model, self.squared_mm = model, vertex_count  # of a mean squared distance of 1 mm^2
         self.prior, self.sparsity = prior * vertex_count, sparsity * vertex_count
         self.neutral = torch.zeros(len(model.sides), dtype=torch.float64)
 
