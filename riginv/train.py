@@ -70,7 +70,7 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
     model = load_model(folder.path / BUNDLE, rig)
     results = evaluate_model(model, true_rig, settings.judging.test_poses, clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": settings.seed}
-    log_results(trainer, write_results(folder.path, results, true_rig, facts))
+    log_results(trainer, write_results(folder.path, results, true_rig, facts, settings.pictures.final))
 
 
 def fit_network(

@@ -93,6 +93,7 @@ SMALL = [
     "judging.validation_poses=4",
     "checkpoint.every_n_steps=5",
     "pictures.every_n_validations=null",
+    "pictures.final=false",  # two seconds
 ]
 
 

@@ -77,16 +77,18 @@ def evaluate_model(
 
 
 def write_results(
-    folder: Path, results: list[EvaluationResult], true_rig: RigBackend, more: dict[str, float]
+    folder: Path, results: list[EvaluationResult], true_rig: RigBackend, more: dict[str, float], picture: bool = True
 ) -> dict[str, Any]:
     """Write `poses.png`, the worst and the median mesh of each set, and `metrics.json`, and return the metrics.
 
     Args:
         more: further metrics, by key.
+        picture: whether `poses.png` is drawn.
     """
-    pairs = [pair for result in results for pair in result.worst_and_median()]
-    with atomic_write(folder / POSES) as beside:
-        comparison(true_rig, pairs).save(beside, format="PNG")
+    if picture:
+        pairs = [pair for result in results for pair in result.worst_and_median()]
+        with atomic_write(folder / POSES) as beside:
+            comparison(true_rig, pairs).save(beside, format="PNG")
     metrics: dict[str, Any] = {key: value for result in results for key, value in result.metrics.items()}
     metrics |= {**more, "true_rig": true_rig.name if true_rig.held_out is None else NO_RIG}
     write_json(folder / METRICS, metrics)

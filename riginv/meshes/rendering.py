@@ -72,19 +72,30 @@ class Camera:
         mesh = trimesh.Trimesh(points, triangles, process=False)
         width, height = self.size[0] * smooth, self.size[1] * smooth
         origin, directions = self._rays(width, height)
-        where, ray, face = mesh.ray.intersects_location(
-            np.broadcast_to(origin, directions.shape), directions, multiple_hits=False
-        )
-        image = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
+        ray, face = self._hits(mesh, origin, directions)
+        pixels = np.broadcast_to(_to_bytes(BACKGROUND), (height * width, 3)).copy()
         if len(ray):
-            weights = trimesh.triangles.points_to_barycentric(mesh.triangles[face], where)[..., None]
-            smooth_normals = _unit((mesh.vertex_normals[triangles[face]] * weights).sum(axis=1))
+            corners, towards = triangles[face], directions[ray]
+            weights = _barycentric(points[corners], origin, towards)
+            smooth_normals = _unit(np.einsum("ijk,ij->ik", mesh.vertex_normals[corners], weights))
             normals = mesh.face_normals[face] if is_angular(mesh) else smooth_normals
-            inside = (normals * directions[ray]).sum(axis=1, keepdims=True) > 0
-            painted = CLAY if colors is None else (np.asarray(colors)[triangles[face]] * weights).sum(axis=1)
-            image[ray] = shade(painted, np.where(inside, -0.6 * normals, normals))
-        pixels = (image.reshape(height, width, 3) ** (1 / GAMMA) * 255).round().astype(np.uint8)
+            inside = _dot(normals, towards)[:, None] > 0
+            painted = CLAY if colors is None else np.einsum("ijk,ij->ik", np.asarray(colors)[corners], weights)
+            pixels[ray] = _to_bytes(shade(painted, np.where(inside, -0.6 * normals, normals)))
+        pixels = pixels.reshape(height, width, 3)
         return Image.fromarray(pixels).resize(self.size, Image.Resampling.LANCZOS)
+
+    @staticmethod
+    def _hits(mesh: "trimesh.Trimesh", origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The rays that hit a mesh, by number, and the first face of each; only rays near the mesh's outline are cast."""
+        near = np.ones(len(directions), dtype=bool)
+        for axis in (0, 1):
+            slopes = (mesh.vertices[:, axis] - origin[axis]) / (origin[2] - mesh.vertices[:, 2])
+            ray = directions[:, axis] / -directions[:, 2]
+            near &= (ray >= slopes.min()) & (ray <= slopes.max())
+        near = near.nonzero()[0]
+        face = mesh.ray.intersects_first(np.broadcast_to(origin, (len(near), 3)), directions[near])
+        return near[face >= 0], face[face >= 0]
 
     def _rays(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         x = ((np.arange(width) + 0.5) / width * 2 - 1) * width / height
@@ -92,6 +103,20 @@ class Camera:
         across, up = np.meshgrid(x, y)
         origin = np.array([0.0, 0.0, DISTANCE])
         return origin, _unit(np.stack([across.ravel(), up.ravel(), np.zeros(across.size)], axis=1) - origin)
+
+
+def _to_bytes(colors: np.ndarray) -> np.ndarray:
+    return (colors ** (1 / GAMMA) * 255).round().astype(np.uint8)
+
+
+def _barycentric(corners: np.ndarray, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates `(ray, 3)` of where rays meet triangles `(ray, 3, 3)` (Moeller and Trumbore 1997)."""
+    first, second, start = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], origin - corners[:, 0]
+    across = np.cross(directions, second)
+    determinant = _dot(first, across)
+    u = _dot(start, across) / determinant
+    v = _dot(directions, np.cross(start, first)) / determinant
+    return np.stack([1 - u - v, u, v], axis=1)
 
 
 def is_angular(mesh: "trimesh.Trimesh") -> bool:
@@ -162,8 +187,12 @@ def _pixels(text: str) -> float:
     return ImageDraw.Draw(Image.new("RGB", (1, 1))).textlength(text, font_size=FONT_SIZE)
 
 
+def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", first, second)
+
+
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+    return vectors / np.maximum(np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None], 1e-12)
 
 
 class Pair(NamedTuple):

@@ -31,7 +31,7 @@ CHECKPOINT, CHECKPOINT_BEFORE = "checkpoints/last.ckpt", "checkpoints/before.ckp
 BUNDLE, SURROGATE = "bundle", "surrogate"
 NOT_PART_OF_A_RUN = ("resume", "verbose")
 # Config keys that may differ when a run is resumed: results do not depend on them.
-MAY_DIFFER_ON_RESUME = ("trainer.devices", "trainer.num_nodes", "trainer.threads")
+MAY_DIFFER_ON_RESUME = ("trainer.devices", "trainer.num_nodes", "trainer.threads", "pictures.final")
 TIME, TIME_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
 LONGEST = 120  # characters of a folder's name
 WAIT_SECONDS = 0.2

@@ -88,9 +88,15 @@ class CheckpointConfig:
 
 @dataclass(frozen=True)
 class PicturesConfig:
-    """How often the worst and the median pose are drawn; None: never."""
+    """Pictures of the worst and the median mesh of each set.
+
+    Attributes:
+        every_n_validations: how often they are drawn for TensorBoard; None: never.
+        final: whether they are drawn at the end, as `poses.png`.
+    """
 
     every_n_validations: PositiveInt | None
+    final: bool = True
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def show(folder: RunFolder, rig: str) -> None:
         f"{steps:,} steps in {seconds / 60:.1f} minutes",
         notes=[
             f"The trained model:  {folder.path / BUNDLE}",
-            f"Its worst poses:    {folder.path / POSES}",
+            *([f"Its worst poses:    {folder.path / POSES}"] if (folder.path / POSES).exists() else []),
             f"Evaluate again:     python -m riginv.evaluate bundle='{folder.path / BUNDLE}'{more}",
             f"Watch or compare:   tensorboard --logdir {folder.path.parent}",
         ],

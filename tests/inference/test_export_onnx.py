@@ -28,7 +28,7 @@ def inverse_of(network):
     return Inverse(network).eval().requires_grad_(False)
 
 
-@pytest.mark.parametrize("kind", [StagedInverse, DirectInverse])
+@pytest.mark.parametrize("kind", [pytest.param(StagedInverse, marks=pytest.mark.slow), DirectInverse])
 def test_onnxruntime_agrees(kind, toy, tmp_path):
     options = {"stages": 2} if kind is StagedInverse else {}
     inverse = inverse_of(kind(toy, hidden=(24,), **options))

@@ -90,6 +90,7 @@ def assert_tensorboard_shows_one_table(sweep: Path, rows: list[dict]) -> None:
         assert row["model"] in shown[row["folder"]].hparams["model._target_"].string_value
 
 
+@pytest.mark.slow
 def test_joblib_gives_what_one_process_gives(run, tmp_path, monkeypatch):
     pytest.importorskip("joblib", reason="joblib is not installed: pip install 'riginv[sweeps]'")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
@@ -147,7 +148,12 @@ def test_the_same_command_finds_its_sweep_again(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_comparison_of_rigs_and_models_is_six_jobs(run, tmp_path):
     few = ["trainer.max_steps=2", "data.batch_size=4", "judging.test_poses=6", "judging.validation_poses=2"]
-    few += ["pictures.every_n_validations=null", "trainer.log_every_n_steps=1", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    few += [
+        "pictures.every_n_validations=null",
+        "pictures.final=false",
+        "trainer.log_every_n_steps=1",
+        f"hydra.sweep.dir={tmp_path / 'sweep'}",
+    ]
     made = run("train", "-m", "experiment=rigs_and_models", *few, small=False)
     assert made.code == 0, made.text
     rows = rows_of(tmp_path / "sweep")

@@ -237,7 +237,12 @@ def test_a_live_link_recording_moves_an_avatar_with_arkit_names(tmp_path):
 def test_an_avatar_trains_by_the_usual_command(run, face, tmp_path):
     face_avatar(tmp_path / "head.glb", face, 50)
     small = ["model.network.hidden=[32]", "trainer.max_steps=6", "data.steps_per_epoch=6", "data.batch_size=8"]
-    small += ["judging.test_poses=10", "judging.validation_poses=4", "pictures.every_n_validations=null"]
+    small += [
+        "judging.test_poses=10",
+        "judging.validation_poses=4",
+        "pictures.every_n_validations=null",
+        "pictures.final=false",
+    ]
     outcome = run("train", "rig=gltf", "rig.file=head.glb", "model=inverse", *small, small=False)
     assert outcome.code == 0, outcome.text
     assert outcome.metrics["true_rig"] == "head" and "rig_poses/mean_vertex_error_mm" in outcome.metrics

@@ -287,7 +287,7 @@ def test_processes_of_srun_train_what_one_process_trains(run, tmp_path):
 @pytest.mark.slow
 def test_the_default_face_in_two_processes(run):
     face = ["trainer.max_steps=30", "data.steps_per_epoch=15", "judging.test_poses=40", "judging.validation_poses=16"]
-    face += ["pictures.every_n_validations=null"]
+    face += ["pictures.every_n_validations=null", "pictures.final=false"]
     one = run("train", *face, folder="one", small=False)
     two = run("train", *face, *TWO, folder="two", small=False)
     assert one.code == two.code == 0, two.text

@@ -22,6 +22,7 @@ FEW_STEPS = [
     "judging.test_poses=6",
     "judging.validation_poses=2",
     "pictures.every_n_validations=null",
+    "pictures.final=false",
     "trainer.log_every_n_steps=1",
 ]
 
@@ -70,6 +71,7 @@ def test_the_surrogate_of_the_paper_has_the_papers_numbers():
     assert config["sampler"]["controls"]["max_active"] is None
 
 
+@pytest.mark.slow
 def test_every_experiment_runs_a_few_steps_on_the_face(run):
     forward = run("train", "experiment=paper/forward", "data.stored_poses=50", *FEW_STEPS, small=False, folder="forward")
     assert forward.code == 0, forward.text

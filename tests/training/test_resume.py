@@ -56,6 +56,7 @@ def same_weights(one: Path, other: Path) -> bool:
     return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
 
 
+@pytest.mark.slow
 def test_killed_within_an_epoch_by_either_signal_a_run_ends_the_same(tmp_path, run):
     whole = run("train", *LONGER, folder="whole")
     assert whole.code == 0, whole.text

@@ -21,7 +21,7 @@ ERRORS = ("mean_vertex_error_mm", "max_vertex_error_mm", "mean_of_max_vertex_err
 
 @pytest.mark.parametrize("model", ["inverse", "holden"])
 def test_a_run_leaves_everything_behind(run, model):
-    made = run("train", f"model={model}", "seed=3", "model.network.hidden=[32]")
+    made = run("train", f"model={model}", "seed=3", "model.network.hidden=[32]", "pictures.final=true")
     assert made.code == 0, made.text
     for name in ("random_combinations", "rig_poses", "simulated_performance"):
         for key in ERRORS:

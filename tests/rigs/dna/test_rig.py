@@ -208,13 +208,18 @@ def test_a_character_of_joints_alone_tells_its_skeleton(body, tmp_path):
     assert DnaRig(written(tmp_path / "tiny.dna", everything())).skeleton() is None
 
 
-@pytest.mark.parametrize("file", ["linear", "fitted"])
+@pytest.mark.parametrize("file", [pytest.param("linear", marks=pytest.mark.slow), "fitted"])
 def test_a_rig_trains_is_evaluated_and_inverted_by_the_usual_commands(run, tmp_path, file):
     content = everything() if file == "linear" else many_joints().file()
     written(tmp_path / "a.dna", content)
     small = ["model.network.hidden=[32]", "model.network.corrections=1", "trainer.max_steps=6", "data.steps_per_epoch=6"]
     small += ["data.batch_size=8", "judging.test_poses=8", "judging.validation_poses=4"]
-    small += ["pictures.every_n_validations=null", "mesh_space.samples=60", "mesh_space.residual_mm=0.1"]
+    small += [
+        "pictures.every_n_validations=null",
+        "pictures.final=false",
+        "mesh_space.samples=60",
+        "mesh_space.residual_mm=0.1",
+    ]
     made = run("train", "rig=dna", "rig.file=a.dna", "model=inverse", *small, small=False)
     assert made.code == 0, made.text
     assert made.metrics["true_rig"] == "a" and "rig_poses/mean_vertex_error_mm" in made.metrics
