@@ -43,8 +43,14 @@ def job_name(number: int, folder: str, overrides: Sequence[str]) -> str:
 
 def swept(folder: Path, overrides: Sequence[str]) -> list[str]:
     """What sets a job apart from the others of its sweep: the overrides that were not typed as they are."""
-    shared = typed_before(folder) or []
-    return [text for text in overrides if text not in shared and not text.startswith(NOT_OF_THE_TASK)]
+    shared = [_as_hydra_writes(text) for text in typed_before(folder) or []]
+    return [text for text in overrides if _as_hydra_writes(text) not in shared and not text.startswith(NOT_OF_THE_TASK)]
+
+
+def _as_hydra_writes(override: str) -> str:
+    """An override with a truth value in small letters: Hydra gives jobs `True` for `true`."""
+    key, equals, value = override.partition("=")
+    return f"{key}{equals}{value.lower()}" if value.lower() in ("true", "false") else override
 
 
 def typed_before(folder: Path, command: str | None = None) -> list[str] | None:

@@ -12,7 +12,7 @@ from tests.faults.processes import Commands
 
 TOY = ["rig=toy", f"--config-dir={ROOT / 'tests/conf'}"]
 QUICK = ("model=forward",)  # a surrogate is trained sooner than an inverse
-LONGER = ["trainer.max_steps=40", "data.steps_per_epoch=20", "checkpoint.every_n_steps=4"]
+LONGER = ["trainer.max_steps=40", "data.steps_per_epoch=20", "checkpoint.every_n_steps=4", "pictures.final=true"]
 
 
 @dataclass
