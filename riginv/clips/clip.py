@@ -45,11 +45,7 @@ class Clip(MeshSet):
         exclude: Sequence[int | str] = (),
     ) -> None:
         numbers = sequence.frame_numbers
-        inside = (numbers >= (numbers[0] if first is None else first)) & (numbers <= (numbers[-1] if last is None else last))
-        if not inside.any():
-            raise InputError(
-                f"{sequence.path}: frames {first} to {last} were asked for, and it has {numbers[0]} to {numbers[-1]}: none left"
-            )
+        inside = frames_between(sequence.path, numbers, first, last)
         self.sequence, self.units, self.offset = sequence, units, int(np.argmax(inside))
         controls = None if sequence.controls is None else torch.from_numpy(sequence.controls[inside])
         super().__init__("clip", units.fps, controls, torch.tensor(numbers[inside]))
@@ -78,6 +74,21 @@ class Clip(MeshSet):
                 f"{self.sequence.path}: vertex {vertex} of frame {int(self.frame_numbers[start + frame])} lies farther than "
                 f"{MAX_RADIUS_MM / 1e6:g} km away: the file is damaged, or the unit is wrong; frames.exclude leaves a frame out"
             )
+
+
+def frames_between(path: str, numbers: np.ndarray, first: int | None, last: int | None) -> np.ndarray:
+    """Whether each frame `(frame,)` lies between two frame numbers, both included; None: the first, the last.
+
+    Raises:
+        InputError: none does.
+    """
+    first, last = (given if given is not None else int(own) for given, own in ((first, numbers[0]), (last, numbers[-1])))
+    inside = (numbers >= first) & (numbers <= last)
+    if not inside.any():
+        raise InputError(
+            f"{path}: frames {first} to {last} were asked for, and it has {numbers[0]} to {numbers[-1]}: none left"
+        )
+    return inside
 
 
 def excluded_frames(path: str, numbers: Tensor, exclude: Sequence[int | str]) -> Tensor:

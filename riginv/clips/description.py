@@ -1,5 +1,6 @@
 """What was read of a clip, for the user to check; `riginv.clips.description_text` puts it in words."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from riginv.clips.clip import Clip
 from riginv.clips.motion_check import ClipMotion
 from riginv.clips.sequence import SourceFacts
+from riginv.clips.units import ClipUnits
 from riginv.geometry.neighbours import evenly
 
 LISTED = 3  # missing frames in a message
@@ -110,14 +112,14 @@ def describe(clip: Clip) -> ClipDescription:
     """
     sample(clip)
     sequence, units, numbers = clip.sequence, clip.units, clip.frame_numbers.numpy()
-    missing, missing_first = _missing(numbers)
+    missing, missing_first = missing_frames(numbers)
     return ClipDescription(
         file=Path(sequence.path).name or sequence.path,
         facts=sequence.facts,
         vertices=sequence.vertex_count,
         faces=len(sequence.faces) if sequence.faces else 0,
-        frames=_span(numbers),
-        all_frames=_span(sequence.frame_numbers),
+        frames=span_of(numbers),
+        all_frames=span_of(sequence.frame_numbers),
         missing=missing,
         missing_first=missing_first,
         excluded=int(clip.excluded.sum()),
@@ -129,6 +131,40 @@ def describe(clip: Clip) -> ClipDescription:
         up_source=units.up_source,
         motion=clip.motion_check.motion,
         notes=(*sequence.facts.notes, *units.notes),
+    )
+
+
+def describe_points(
+    path: str,
+    facts: SourceFacts,
+    points: int,
+    frames: FrameSpan,
+    all_frames: FrameSpan,
+    missing: int,
+    excluded: int,
+    units: ClipUnits,
+    motion: ClipMotion,
+    notes: Sequence[str],
+) -> ClipDescription:
+    """The description of a clip that is no mesh of the rig, such as scans or markers; arguments as in `ClipDescription`."""
+    return ClipDescription(
+        file=Path(path).name or path,
+        facts=facts,
+        vertices=points,
+        faces=0,
+        frames=frames,
+        all_frames=all_frames,
+        missing=missing,
+        missing_first=(),
+        excluded=excluded,
+        fps=units.fps,
+        rate_source=units.rate_source,
+        unit_mm=units.mm,
+        unit_source=units.unit_source,
+        up=units.up,
+        up_source=units.up_source,
+        motion=motion,
+        notes=tuple(notes),
     )
 
 
@@ -149,11 +185,12 @@ def _blocks(frames: int, count: int) -> list[tuple[int, int]]:
     return [(start, start + size) for start in starts]
 
 
-def _span(numbers: np.ndarray) -> FrameSpan:
+def span_of(numbers: np.ndarray) -> FrameSpan:
+    """The span of frame numbers `(frame,)`."""
     return FrameSpan(int(numbers[0]), int(numbers[-1]), len(numbers))
 
 
-def _missing(numbers: np.ndarray) -> tuple[int, tuple[int, ...]]:
+def missing_frames(numbers: np.ndarray) -> tuple[int, tuple[int, ...]]:
     """The number of missing frames, and the first few of them."""
     steps = np.diff(numbers)
     if not len(steps):

@@ -277,7 +277,7 @@ class LinearRig(RigBackend):
 
         It may exceed the limits. Only of rigs with `has_first_guess`: for others solvers start from features or near neutral.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"rig '{self.name}' has no first guess")
 
     def continuous(self, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame control"]:
         """Controls `(frame, control)` of the same meshes that change least from frame to frame: angles without jumps."""

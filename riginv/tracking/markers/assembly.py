@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.clips.clip import excluded_frames
-from riginv.clips.description import ClipDescription, FrameSpan
+from riginv.clips.clip import excluded_frames, frames_between
+from riginv.clips.description import ClipDescription, FrameSpan, describe_points, missing_frames, span_of
 from riginv.clips.markers import MarkerClip, open_markers
 from riginv.clips.motion_check import ClipMotion
 from riginv.clips.options import FrameOptions, ReadingOptions
@@ -20,8 +20,7 @@ from riginv.tracking.markers.map_file import matched, read_map
 from riginv.tracking.markers.objective import MarkerObjective, MarkerRig
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.options import TrackingOptions
-from riginv.tracking.priors.files import load_prior
-from riginv.tracking.priors.performances import default_prior
+from riginv.tracking.priors.files import prior_or_default
 from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls
@@ -56,26 +55,9 @@ class MarkerParts:
         clip, numbers = self.clip, self.clip.frame_numbers
         flat = self.points[torch.isfinite(self.points).all(dim=2).sum(dim=1).argmax()].numpy()
         size = np.nan_to_num(np.nanmax(flat, axis=0) - np.nanmin(flat, axis=0))
-        steps = np.diff(numbers)
-        return ClipDescription(
-            file=Path(clip.path).name or clip.path,
-            facts=clip.facts,
-            vertices=len(clip.names),
-            faces=0,
-            frames=FrameSpan(int(numbers[0]), int(numbers[-1]), len(numbers)),
-            all_frames=self.all_frames,
-            missing=int((steps // steps.min() - 1).sum()) if len(steps) else 0,
-            missing_first=(),
-            excluded=self.excluded,
-            fps=self.units.fps,
-            rate_source=self.units.rate_source,
-            unit_mm=self.units.mm,
-            unit_source=self.units.unit_source,
-            up=self.units.up,
-            up_source=self.units.up_source,
-            motion=ClipMotion(len(numbers), len(numbers), 0, tuple(size.tolist()), 0.0, 0.0, ()),
-            notes=tuple(self.notes),
-        )
+        motion = ClipMotion(len(numbers), len(numbers), 0, tuple(size.tolist()), 0.0, 0.0, ())
+        spans = span_of(numbers), self.all_frames, missing_frames(numbers)[0], self.excluded
+        return describe_points(clip.path, clip.facts, len(clip.names), *spans, self.units, motion, self.notes)
 
 
 def build_marker_parts(
@@ -98,13 +80,13 @@ def build_marker_parts(
     units = marker_units(clip, placement, rig, reading)
     points = in_millimetres(clip.points, units)
     points[excluded] = torch.nan
-    prior, note = _prior(options.prior, rig)
+    prior, note = prior_or_default(options.prior, rig)
     objective = build_objective(rig, placement, constraints, prior, options.motion != "keep", options)
     if options.motion == "auto" and has_root_controls(objective.rig):
         objective.moves = False
         notes.append(f"rigid motion is left to the controls of rig '{rig.name}' that move all of it (motion=remove removes it)")
     numbers = whole.frame_numbers
-    span = FrameSpan(int(numbers[0]), int(numbers[-1]), len(numbers))
+    span = span_of(numbers)
     notes = [*clip.facts.notes, *units.notes, *notes, note]
     return MarkerParts(clip, points, units, objective, span, int(excluded.sum()), notes)
 
@@ -134,14 +116,6 @@ def _check(options: TrackingOptions, constraints: ControlConstraints) -> None:
         raise InputError("controls.static is not for correspondence=markers yet: leave it out")
 
 
-def _prior(path: str | None, rig: LinearRig) -> tuple[ControlPrior, str]:
-    """The prior in a folder or the rig's default one, and a note."""
-    if path is not None:
-        prior = load_prior(Path(path), rig)
-        return prior, f"prior of {path}: {prior.source}"
-    return default_prior(rig), "no prior=FILE was given: performances that riginv makes up say which controls go together"
-
-
 def chosen_frames(clip: MarkerClip, frames: FrameOptions) -> tuple[MarkerClip, Tensor]:
     """The frames that were asked for, and which of them are excluded, `(frame,)`.
 
@@ -149,11 +123,7 @@ def chosen_frames(clip: MarkerClip, frames: FrameOptions) -> tuple[MarkerClip, T
         InputError: there are none.
     """
     numbers = clip.frame_numbers
-    first = numbers[0] if frames.first is None else frames.first
-    last = numbers[-1] if frames.last is None else frames.last
-    inside = (numbers >= first) & (numbers <= last)
-    if not inside.any():
-        raise InputError(f"{clip.path}: frames {first} to {last} were asked for, it has {numbers[0]} to {numbers[-1]}")
+    inside = frames_between(clip.path, numbers, frames.first, frames.last)
     kept = clip.select(clip.names, clip.points[inside], numbers[inside])
     return kept, excluded_frames(clip.path, torch.tensor(kept.frame_numbers), frames.exclude)
 

@@ -11,6 +11,7 @@ from riginv.errors import InputError, in_short
 from riginv.rig.identity import check_same_rig, describe
 from riginv.rig.interface import LinearRig
 from riginv.runs.files import atomic_write, check_regular, read_yaml
+from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import ControlPrior
 
 NUMBERS, FACTS = "prior.safetensors", "prior.yaml"
@@ -64,3 +65,15 @@ def load_prior(folder: Path, rig: LinearRig) -> ControlPrior:
     if torch.linalg.cholesky_ex(covariance)[1] != 0 or not bool(torch.isfinite(mean).all()):
         raise InputError(f"{path}: its covariance is not positive definite: damaged; learn the prior again")
     return ControlPrior(rig.control_names, mean, covariance, str(facts.get("source", ""))[:200])
+
+
+def prior_or_default(path: str | None, rig: LinearRig) -> tuple[ControlPrior, str]:
+    """The prior in a folder or the rig's default one, and a note.
+
+    Raises:
+        InputError: as `load_prior`.
+    """
+    if path is not None:
+        prior = load_prior(Path(path), rig)
+        return prior, f"prior of {path}: {prior.source}"
+    return default_prior(rig), "no prior=FILE was given: performances that riginv makes up say which controls go together"

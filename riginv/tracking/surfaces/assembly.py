@@ -1,13 +1,12 @@
 """The parts of an inversion of scans, built from its options."""
 
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 import torch
 
-from riginv.clips.clip import excluded_frames
-from riginv.clips.description import ClipDescription, FrameSpan
+from riginv.clips.clip import excluded_frames, frames_between
+from riginv.clips.description import ClipDescription, describe_points, missing_frames, span_of
 from riginv.clips.motion_check import ClipMotion
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.units import ClipUnits
@@ -16,9 +15,7 @@ from riginv.rig.interface import LinearRig
 from riginv.tracking.actors.actor import Actor, ActorRig
 from riginv.tracking.actors.scans import actor_of_scans
 from riginv.tracking.options import ControlOptions, TrackingOptions
-from riginv.tracking.priors.files import load_prior
-from riginv.tracking.priors.performances import default_prior
-from riginv.tracking.priors.prior import ControlPrior
+from riginv.tracking.priors.files import prior_or_default
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.clip import ScanSmoothness
 from riginv.tracking.surfaces.scan_files import open_scans
@@ -61,28 +58,9 @@ class ScanParts:
                 upright = self.units.mm * cleaned.points @ self.units.axes.numpy().T
                 size, points = tuple(np.ptp(upright, axis=0).tolist()), len(cleaned.points)
                 break
-        steps = np.diff(numbers)
-        return ClipDescription(
-            file=Path(self.scans.path).name or self.scans.path,
-            facts=self.scans.facts,
-            vertices=points,
-            faces=0,
-            frames=FrameSpan(int(numbers[0]), int(numbers[-1]), len(numbers)),
-            all_frames=FrameSpan(
-                int(self.scans.frame_numbers[0]), int(self.scans.frame_numbers[-1]), len(self.scans.frame_numbers)
-            ),
-            missing=int((steps // steps.min() - 1).sum()) if len(steps) else 0,
-            missing_first=(),
-            excluded=self.rows.count(-1),
-            fps=self.units.fps,
-            rate_source=self.units.rate_source,
-            unit_mm=self.units.mm,
-            unit_source=self.units.unit_source,
-            up=self.units.up,
-            up_source=self.units.up_source,
-            motion=ClipMotion(1, len(numbers), 0, size, 0.0, 0.0, ()),
-            notes=tuple(self.notes),
-        )
+        scans, motion = self.scans, ClipMotion(1, len(numbers), 0, size, 0.0, 0.0, ())
+        spans = span_of(numbers), span_of(scans.frame_numbers), missing_frames(numbers)[0], self.rows.count(-1)
+        return describe_points(scans.path, scans.facts, points, *spans, self.units, motion, self.notes)
 
 
 def build_scan_parts(
@@ -96,13 +74,9 @@ def build_scan_parts(
     _check(options)
     scans = open_scans(path, rig, reading)
     units = resolve_scan_units(scans, rig, reading)
-    prior, note = _prior(options.prior, rig)
+    prior, note = prior_or_default(options.prior, rig)
     numbers = scans.frame_numbers
-    first = numbers[0] if frames.first is None else frames.first
-    last = numbers[-1] if frames.last is None else frames.last
-    inside = (numbers >= first) & (numbers <= last)
-    if not inside.any():
-        raise InputError(f"{scans.path}: frames {first} to {last} were asked for, it has {numbers[0]} to {numbers[-1]}")
+    inside = frames_between(scans.path, numbers, frames.first, frames.last)
     kept = torch.tensor(numbers[inside])
     excluded = excluded_frames(scans.path, kept, frames.exclude)
     rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
@@ -127,11 +101,3 @@ def _check(options: TrackingOptions) -> None:
         value = tuple(value) if isinstance(value, list) else value
         if (value or usual) and value != usual and not field.name.endswith("_mm2") and field.name != "unknown":
             raise InputError(f"controls.{field.name} is not for correspondence=surface yet: leave it out")
-
-
-def _prior(path: str | None, rig: LinearRig) -> tuple[ControlPrior, str]:
-    """The prior in a folder or the rig's default one, and a note."""
-    if path is not None:
-        prior = load_prior(Path(path), rig)
-        return prior, f"prior of {path}: {prior.source}"
-    return default_prior(rig), "no prior=FILE was given: performances that riginv makes up say which controls go together"
