@@ -78,7 +78,7 @@ def main() -> None:
     frame = min(FRAME, given.frames - 1)
     mesh = clip.vertices(frame, frame + 1)
     target = (mesh - face.rest_vertices).flatten().double().numpy()
-    published = Published(model, (model.deltas @ rig.space.frame.flatten(1).double()).numpy())
+    published = Published(model, (model.deltas @ rig.space.directions.flatten(1).double()).numpy())
     one, many = rig.space.encode(mesh).double(), rig.space.encode(clip.vertices(0, given.frames)).double()
 
     def in_gram_form(coordinates: torch.Tensor) -> torch.Tensor:

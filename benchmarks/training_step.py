@@ -76,7 +76,7 @@ def inverse_on_full_meshes(rig: LinearRig, batch: int) -> Step:
 
 def surrogate_in_mesh_space(rig: RigInMeshSpace, batch: int) -> Step:
     """Sparse controls, the paper's surrogate, the loss on the coordinates."""
-    network, controls, generator = ControlMLP(rig.rig), SparseControls(rig), generator_at(0, "small")
+    network, controls, generator = ControlMLP(rig.source), SparseControls(rig), generator_at(0, "small")
 
     def loss() -> Tensor:
         values = controls.sample(batch, generator)
@@ -89,13 +89,13 @@ def surrogate_in_mesh_space(rig: RigInMeshSpace, batch: int) -> Step:
 
 def surrogate_on_full_meshes(rig: RigInMeshSpace, batch: int) -> Step:
     """The same on full meshes."""
-    network, controls, generator = ControlMLP(rig.rig), SparseControls(rig), generator_at(0, "full")
-    basis = rig.rig.basis.flatten(1)
+    network, controls, generator = ControlMLP(rig.source), SparseControls(rig), generator_at(0, "full")
+    basis = rig.source.basis.flatten(1)
 
     def loss() -> Tensor:
         values = controls.sample(batch, generator)
         with torch.no_grad():
-            target = rig.rig.coefficients(values) @ basis
+            target = rig.source.coefficients(values) @ basis
         return (network(values) @ basis - target).square().mean()
 
     return learn(network, loss)

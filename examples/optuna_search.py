@@ -16,7 +16,7 @@ from hydra import compose, initialize_config_dir
 from riginv.config.messages import CONFIGS
 from riginv.config.typed import to_typed
 from riginv.errors import InputError, NonFiniteLossError
-from riginv.launch.closed_output import filter_warnings
+from riginv.launch.terminal import filter_warnings
 from riginv.runs.run_folder import METRICS, find_run_folder, plain_config
 from riginv.tracking.rigs import build_rig, build_true_rig
 from riginv.train import fit

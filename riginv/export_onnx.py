@@ -53,12 +53,12 @@ class Parity:
     """How far the file's answers are from the inverse's own, on random poses of the rig.
 
     Attributes:
-        control_share: the largest difference of any control, as a share of its range.
+        control_fraction: the largest difference of any control, as a share of its range.
         vertex_mm: the largest distance of any vertex of the meshes that the rig makes of both.
         torch_ms, onnx_ms: what one mesh takes, in a batch.
     """
 
-    control_share: float
+    control_fraction: float
     vertex_mm: float
     torch_ms: float
     onnx_ms: float
@@ -81,7 +81,7 @@ def export_onnx(config: DictConfig) -> None:
     headings = ["", "largest difference\nof a vertex", "of a control,\nof its range", "a mesh in\nPyTorch", "in onnx-\nruntime"]
     table = new_table(headings, f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     times = [f"{ms:.2f} ms" for ms in (parity.torch_ms, parity.onnx_ms)]
-    table.add_row(f"{settings.poses} random poses", f"{parity.vertex_mm:.5f} mm", f"{parity.control_share:.1e}", *times)
+    table.add_row(f"{settings.poses} random poses", f"{parity.vertex_mm:.5f} mm", f"{parity.control_fraction:.1e}", *times)
     console.print(table)
     console.print(
         "vertices (mesh, vertex, 3) in mm -> controls (mesh, control); names and limits are in its metadata", style="dim"
@@ -179,7 +179,7 @@ class _Whole(nn.Module):
         super().__init__()
         space = inverse.network.rig.space
         self.register_buffer("rest", space.rest_vertices.flatten())
-        self.register_buffer("frame", space.frame.flatten(1).T.contiguous())
+        self.register_buffer("frame", space.directions.flatten(1).T.contiguous())
         self.traced = traced
 
     def forward(self, vertices: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.evaluation.models import evaluate_model, load_model, surrogate_config, write_results
 from riginv.inference.bundle import is_damaged, write_bundle
-from riginv.launch.starter import run_in_processes
+from riginv.launch.device_launcher import run_in_processes
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
@@ -68,7 +68,7 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
     if not folder.is_writer:
         return
     model = load_model(folder.path / BUNDLE, rig)
-    results = evaluate_model(model, true_rig, settings.judging.test_poses, clip)
+    results = evaluate_model(model, true_rig, settings.evaluation.test_poses, clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": settings.seed}
     log_results(trainer, write_results(folder.path, results, true_rig, facts, settings.pictures.final))
 

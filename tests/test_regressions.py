@@ -83,10 +83,10 @@ def test_the_reach_of_controls_is_measured(toy):
     reach = control_reach(toy)
     for control in (0, 5):
         moved = []
-        for value in {float(toy.rig.lower[control]), float(toy.rig.upper[control])}:
-            controls = toy.rig.neutral_controls.clone()
+        for value in {float(toy.source.lower[control]), float(toy.source.upper[control])}:
+            controls = toy.source.neutral_controls.clone()
             controls[control] = value
-            moved.append((toy.rig(controls[None])[0] - toy.rig.rest_vertices).norm(dim=1))
+            moved.append((toy.source(controls[None])[0] - toy.source.rest_vertices).norm(dim=1))
         torch.testing.assert_close(reach[:, control], torch.stack(moved).amax(dim=0), atol=1e-3, rtol=1e-3)
 
 
@@ -125,13 +125,13 @@ def test_bounded_least_squares_ends_where_no_weight_wants_to_move(face):
 
 
 def test_the_lookup_brings_single_controls_back(toy):
-    sides = Sides(toy.rig)
+    sides = Sides(toy.source)
     lookup = ControlLookup(toy)
     for side in range(len(sides) - 1):  # the last one is a macro
         weights = torch.zeros(5, len(sides), dtype=torch.float64)
         weights[:, side] = torch.linspace(0.1, 1, 5)
         controls = sides.controls(weights)
-        found = lookup(toy.rig.coefficients(controls)[:, :8].double())
+        found = lookup(toy.source.coefficients(controls)[:, :8].double())
         torch.testing.assert_close(found[:, sides.control[side]], controls[:, sides.control[side]], atol=5e-3, rtol=0)
 
 

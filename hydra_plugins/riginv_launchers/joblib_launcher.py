@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from riginv.launch.apart import Job, run_in_subprocess
-from riginv.launch.launching import JobsLauncher
+from riginv.launch.job_launcher import JobsLauncher
+from riginv.launch.job_process import Job, run_in_subprocess
 
 
 class JoblibLauncher(JobsLauncher):

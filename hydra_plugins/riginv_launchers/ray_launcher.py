@@ -6,8 +6,8 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from riginv.errors import InputError
-from riginv.launch.apart import Job, run_in_subprocess
-from riginv.launch.launching import JobsLauncher
+from riginv.launch.job_launcher import JobsLauncher
+from riginv.launch.job_process import Job, run_in_subprocess
 from riginv.runs.run_folder import resolved
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 from omegaconf import ListConfig, OmegaConf
 
-from riginv.launch.apart import Job, run_in_subprocess
-from riginv.launch.launching import JobsLauncher
+from riginv.launch.job_launcher import JobsLauncher
+from riginv.launch.job_process import Job, run_in_subprocess
 
 GENERAL = "name timeout_min mem_gb nodes tasks_per_node cpus_per_task gpus_per_node stderr_to_stdout".split()
 

@@ -24,8 +24,10 @@ MODULES = {  # former modules of classes that configs may name
         )
     },
 }
+KEYS = {"judging": "evaluation", "turns": "iterations"}  # former keys at the top of the configs of commands
 CLASSES = {  # former names of classes, in their present modules
     "riginv.rig.black_box.FittedRig": "BlackBoxRig",
+    "riginv.training.losses.VertexDistanceLoss": "RmsVertexDistanceLoss",
     "riginv.sampling.joint_noise.LoosePoses": "JointNoisePoses",
 }
 ARGUMENTS = {  # former names of arguments, by the class
@@ -34,6 +36,8 @@ ARGUMENTS = {  # former names of arguments, by the class
     "riginv.sampling.meshes.PlausibleCombinations": {"most": "max_active", "faint": "weak_fraction"},
     "riginv.sampling.correlated.CorrelatedControls": {"reach": "correlation_length", "sparse": "sparse_fraction"},
     "riginv.sampling.meshes.Mixture": {"shares": "fractions"},
+    "riginv.networks.inverse.StagedInverse": {"corrections": "refinement_steps"},
+    "riginv.training.forward.ForwardModule": {"coefficient_share": "coefficient_weight"},
 }
 CHOICES = {"sampler": {"loose_poses": "joint_noise_poses"}}  # former choices of groups, by the group
 PARTS = ("samplers", "fractions")  # arguments of a mixture whose names are those of choices of `sampler`
@@ -52,22 +56,29 @@ def present_argument(target: str, name: str) -> str | None:
 
 
 def present_key(key: str) -> str | None:
-    """The present name of a dotted key that a user typed, of the sampler's; None where it holds no former name."""
+    """The present name of a dotted key that a user typed; None where it holds no former name."""
     group, *rest = key.split(".")
-    renamed = {former: name for names in (*ARGUMENTS.values(), *CHOICES.values()) for former, name in names.items()}
-    present = ".".join([group, *(renamed.get(word, word) for word in rest)])
-    return present if group.partition("@")[0] == "sampler" and present != key else None
+    renamed = dict(CHOICES.get(group.partition("@")[0], {}))
+    for target, names in ARGUMENTS.items():
+        if group.partition("@")[0] == ("sampler" if target.startswith("riginv.sampling.") else "model"):
+            renamed |= names
+    present = ".".join([KEYS.get(group, group), *(renamed.get(word, word) for word in rest)])
+    return present if present != key else None
 
 
-def upgraded(config: Any) -> Any:
-    """A saved config with the present names of classes, of their arguments, and of the parts of mixtures."""
+def upgraded(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A saved config with the present names of keys, classes, their arguments, and the parts of mixtures."""
+    return {KEYS.get(key, key): value for key, value in _upgraded(config).items()}
+
+
+def _upgraded(config: Any) -> Any:
     if isinstance(config, list):
-        return [upgraded(value) for value in config]
+        return [_upgraded(value) for value in config]
     if not isinstance(config, Mapping):
         return config
     target = config.get("_target_")
     names = ARGUMENTS.get(present_class(target), {}) if isinstance(target, str) else {}
-    result = {names.get(key, key): upgraded(value) for key, value in config.items()}
+    result = {names.get(key, key): _upgraded(value) for key, value in config.items()}
     if isinstance(target, str):
         result["_target_"] = present_class(target)
     for part in PARTS if "shares" in names else ():

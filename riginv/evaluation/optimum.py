@@ -87,7 +87,7 @@ def least_errors(objective: Objective, vertices: Tensor, known: Tensor | None = 
     Args:
         known: the vertices that errors are measured at, `(mesh, vertex)`; None: all.
     """
-    rig = objective.rig.rig
+    rig = objective.rig.source
     coordinates = objective.rig.space.encode(vertices)
     squares = solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS).units
     masks = [None] * len(vertices) if known is None else known[:, None]

@@ -117,19 +117,19 @@ def write_bundle(
             "kind": kind,
             "network": dict(network_config),
             "rig": {
-                "name": rig.rig.name,
+                "name": rig.source.name,
                 "config": rig_config,
-                "primary_count": rig.rig.primary_count,
-                "coefficient_names": list(rig.rig.coefficient_names),
-                "controls": [vars(control) for control in rig.rig.controls],
+                "primary_count": rig.source.primary_count,
+                "coefficient_names": list(rig.source.coefficient_names),
+                "controls": [vars(control) for control in rig.source.controls],
             },
             "training": dict(training),
         }
         (beside / DESCRIPTION).write_text(yaml.safe_dump(description, sort_keys=False), encoding="utf-8")
         space = {
-            "rest_vertices": rig.rig.rest_vertices,
-            "frame": rig.space.frame,
-            "faces": rig.rig.faces,
+            "rest_vertices": rig.source.rest_vertices,
+            "frame": rig.space.directions,
+            "faces": rig.source.faces,
             "linear_map": rig.linear_map,
         }
         for name, tensors in ((WEIGHTS, network.own_weights()), (SPACE, space)):

@@ -37,9 +37,9 @@ class QuickEncoder(nn.Module):
     def __init__(self, space: MeshSpace, rounded: bool = True) -> None:
         super().__init__()
         self.space = [space]  # in a list: its tensors are not this module's
-        quick = rounded and space.frame.device.type == "cpu" and _multiplies_bfloat16()
+        quick = rounded and space.directions.device.type == "cpu" and _multiplies_bfloat16()
         # no buffer: a module that is cast to another type must not take it along
-        self.frame = space.frame.flatten(1).bfloat16() if quick else None
+        self.frame = space.directions.flatten(1).bfloat16() if quick else None
 
     def forward(self, vertices: Tensor) -> Tensor:
         """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`."""
@@ -72,11 +72,13 @@ class Inverse(nn.Module):
         super().__init__()
         self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
         space = network.rig.space
-        self.encoder = QuickEncoder(space, network.rig.rig.has_blendshapes and space.frame.numel() >= MIN_SIZE_FOR_BFLOAT16)
+        self.encoder = QuickEncoder(
+            space, network.rig.source.has_blendshapes and space.directions.numel() >= MIN_SIZE_FOR_BFLOAT16
+        )
 
     @property
     def rig(self) -> LinearRig:
-        return self.network.rig.rig
+        return self.network.rig.source
 
     @torch.no_grad()
     def forward(self, vertices: Tensor) -> Tensor:
@@ -124,7 +126,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
         bundle.check_rig(rig)
     space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
     if not isinstance(rig, LinearRig):
-        rig = BlackBoxRig(rig, (bundle.space["linear_map"] @ space.frame.flatten(1)).unflatten(1, rig.rest_vertices.shape))
+        rig = BlackBoxRig(rig, (bundle.space["linear_map"] @ space.directions.flatten(1)).unflatten(1, rig.rest_vertices.shape))
     network = build(bundle.description["network"], RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
     network.load_own_weights(bundle.weights)
     trained_seconds = float(bundle.description["training"].get("seconds", 0.0))

@@ -21,12 +21,12 @@ from riginv.config.building import OURS
 from riginv.config.folders import check_config_folders
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.path_values import quoted, with_quoted_paths
-from riginv.launch.apart import end_with_starter
-from riginv.launch.closed_output import exit_on_broken_pipe, filter_warnings
 from riginv.launch.help import register_help_resolvers
+from riginv.launch.job_process import exit_with_parent
+from riginv.launch.rank_process import exit_with_launcher, is_rank_process, report
 from riginv.launch.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
 from riginv.launch.sweep_record import FINISHED, read_record
-from riginv.launch.watched import end_with_watcher, is_watched, report
+from riginv.launch.terminal import exit_on_broken_pipe, filter_warnings
 from riginv.runs.locks import unlock_folders
 from riginv.runs.run_folder import discard_if_empty, register_folder_resolvers
 
@@ -43,9 +43,9 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
         @functools.wraps(task)
         def main() -> None:
             os.environ["HYDRA_FULL_ERROR"] = "1"  # pass exceptions on: `explain` formats them
-            if is_watched():
-                end_with_watcher()
-            end_with_starter()
+            if is_rank_process():
+                exit_with_launcher()
+            exit_with_parent()
             filter_warnings()
             register_folder_resolvers()
             register_sweep_resolvers()
@@ -82,12 +82,6 @@ def _run(job: "_Job", config_name: str) -> None:
         _stop(error, config_name)
     if job.error is not None:
         _stop(job.error, config_name)
-
-
-def options_first(arguments: list[str]) -> list[str]:
-    """Put options before KEY=VALUE arguments: Hydra's parser takes them in no other order, users write them in any."""
-    options, values = split_options(arguments)
-    return options + values
 
 
 def split_options(arguments: list[str]) -> tuple[list[str], list[str]]:
@@ -185,7 +179,7 @@ def run_directory() -> Path:
 
 def _stop(error: Exception, config_name: str) -> None:
     message = explain(error, config_name)
-    if is_watched():
+    if is_rank_process():
         report(error, message)
         sys.exit(1)
     if message is None:

@@ -8,9 +8,9 @@ from typing import Self
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
-from riginv.launch.apart import Job
+from riginv.launch.job_process import Job
 from riginv.launch.sweep_record import FAILED, RUNNING, JobRecord
-from riginv.runs.console import Bar
+from riginv.runs.console import Bar, duration
 
 POLL_SECONDS = 0.5
 
@@ -60,10 +60,3 @@ class SweepProgress(Bar):
         if record.state == FAILED:
             how = f"[bold red]{how}:[/] {escape(record.why)}"
         self.bar.console.print(f"{escape(record.label)}  {how}", soft_wrap=True, highlight=False)
-
-
-def duration(seconds: float) -> str:
-    """A duration as text, such as `42 s`, `3.5 min`."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.1f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

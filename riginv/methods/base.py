@@ -64,7 +64,7 @@ class Method(ABC):
 def encoded(meshes: MeshSet, space: MeshSpace) -> Tensor:
     """All meshes of a set in the coordinates of a mesh space, `(mesh, coordinate)`, read piece by piece."""
     pieces = [space.encode(vertices) for _, vertices in meshes.batches()]
-    return torch.cat(pieces) if pieces else space.frame.new_zeros(0, space.size)
+    return torch.cat(pieces) if pieces else space.directions.new_zeros(0, space.size)
 
 
 def suited_methods(specs: Mapping[str, ClassSpec[Method]], rig: RigInMeshSpace) -> tuple[dict[str, Method], dict[str, str]]:
@@ -75,10 +75,12 @@ def suited_methods(specs: Mapping[str, ClassSpec[Method]], rig: RigInMeshSpace) 
     """
     if not specs:
         raise InputError("methods names nothing to compare: methods=[NAME,NAME,...]")
-    reasons = {name: spec.target_class.unsuited(rig.rig) for name, spec in specs.items()}
+    reasons = {name: spec.target_class.unsuited(rig.source) for name, spec in specs.items()}
     methods = {name: spec.build(rig) for name, spec in specs.items() if not reasons[name]}
     left_out = {name: reason for name, reason in reasons.items() if reason}
     if not methods:
         whys = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
-        raise InputError(f"none of the methods can invert rig '{rig.rig.name}' ({whys}): choose others with methods=[NAME,...]")
+        raise InputError(
+            f"none of the methods can invert rig '{rig.source.name}' ({whys}): choose others with methods=[NAME,...]"
+        )
     return methods, left_out

@@ -60,4 +60,4 @@ class Neutral(Method):
     source = "none: the yardstick at the lower end"
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return self.rig.rig.neutral_controls.expand(len(meshes), -1).clone()
+        return self.rig.source.neutral_controls.expand(len(meshes), -1).clone()

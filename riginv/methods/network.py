@@ -30,7 +30,7 @@ class Network(Method):
         super().__init__(rig)
         if not isinstance(bundle, str):
             raise InputError(f"bundle is {bundle!r}, expected the bundle of an inverse, or the run that holds it")
-        self.inverse: Inverse = load_inverse(bundle, rig.rig)
+        self.inverse: Inverse = load_inverse(bundle, rig.source)
         self.trained_seconds = self.inverse.trained_seconds
         digest = hashlib.sha256()
         for weights in self.inverse.network.own_weights().values():
@@ -42,4 +42,4 @@ class Network(Method):
         """In the mesh space that the network was trained in, whose axes may be others than those of `rig`."""
         coordinates = encoded(meshes, self.inverse.network.rig.space)
         pieces = [self.inverse.network(piece) for piece in coordinates.split(BATCH_SIZE) if len(piece)]
-        return torch.cat(pieces) if pieces else self.rig.rig.lower.new_zeros(0, len(self.rig.rig.controls))
+        return torch.cat(pieces) if pieces else self.rig.source.lower.new_zeros(0, len(self.rig.source.controls))

@@ -46,7 +46,7 @@ class LevenbergMarquardt(Method):
     ) -> None:
         super().__init__(rig)
         self.starts, self.key_starts, self.steps, self.more_steps = starts, key_starts, steps, more_steps
-        self.descent_steps = descent_steps if rig.rig.differentiable else 0
+        self.descent_steps = descent_steps if rig.source.differentiable else 0
         self.objective = Objective(rig, prior, sparsity)
 
     def prepare(self, seed: int) -> None:

@@ -48,7 +48,7 @@ class UnboundedInverse(DirectInverse):
 
     def __init__(self, rig: RigInMeshSpace, hidden: Widths = (2048, 1024, 512, 256), activation: str = "leaky_relu") -> None:
         super().__init__(rig, hidden, activation, "neutral_start")
-        self.control_map = _Linear(rig.rig)
+        self.control_map = _Linear(rig.source)
 
     def forward(self, coordinates: Tensor) -> Tensor:
         return super().forward(coordinates).clamp(self.control_map.lower, self.control_map.upper)

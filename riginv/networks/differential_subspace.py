@@ -51,7 +51,7 @@ def reconstruction(
         components: of the differential coordinates, at most; None: all.
     """
     space = MeshSpace.from_rig(rig)
-    frame = space.frame.double()
+    frame = space.directions.double()
     local, positions = differential_coordinates(frame, rig.faces).flatten(1), frame[:, anchors].flatten(1)
     deltas = rig.basis.double().flatten(1) @ frame.flatten(1).T
     local_parts = _principal(deltas @ local)[:components]

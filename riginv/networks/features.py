@@ -34,8 +34,8 @@ class RigFeatures(nn.Module):
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         super().__init__()
-        self.rig = [rig.rig]  # in a list, so that the rig is no submodule
-        backend, neutral = rig.rig, rig.neutral_coefficients
+        self.rig = [rig.source]  # in a list, so that the rig is no submodule
+        backend, neutral = rig.source, rig.neutral_coefficients
         draws = torch.rand(POSES, len(backend.controls), generator=generator_at(0, "features"), dtype=torch.float64)
         with torch.no_grad():
             controls = backend.lower + draws.to(backend.lower) * (backend.upper - backend.lower)
@@ -53,12 +53,12 @@ class RigFeatures(nn.Module):
     @staticmethod
     def offered_by(rig: RigInMeshSpace) -> bool:
         """Whether the rig has features (`LinearRig.features`)."""
-        return rig.rig.features(rig.neutral_coefficients) is not None
+        return rig.source.features(rig.neutral_coefficients) is not None
 
     @classmethod
     def fitted(cls, rig: RigInMeshSpace) -> "RigFeatures":
         """Features without a network, calibrated on random poses of the rig."""
-        features, backend = cls(rig), rig.rig
+        features, backend = cls(rig), rig.source
         limits = backend.lower, backend.upper, backend.neutral_controls
         features.calibrate(rig, rig(sparse_controls(*limits, len(backend.controls), POSES, generator_at(0, "scale"))))
         return features

@@ -21,7 +21,7 @@ START_GAIN = 0.3  # of the last layer: estimates start close to neutral
 CORRECTION_GAIN = 0.02  # of the last layer where a guess precedes the first MLP: estimates start close to that
 
 
-class Answer:
+class Estimate:
     """An estimate of the controls, with derived quantities that are computed on first use.
 
     Training uses only `raw` and a gradient by it (`riginv.training.inverse`), so the rig is evaluated without autograd.
@@ -96,21 +96,21 @@ class InverseNetwork(RigNetwork, ABC):
         if control_map not in CONTROL_MAPS:
             raise InputError(f"network: control_map '{control_map}' is not known; choose one of {', '.join(CONTROL_MAPS)}")
         self.rig = rig
-        self.control_map = CONTROL_MAPS[control_map](rig.rig)
+        self.control_map = CONTROL_MAPS[control_map](rig.source)
 
     @abstractmethod
-    def answers(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Answer]:
+    def estimates(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Estimate]:
         """The estimates of all stages, the last one the most refined; training uses all of them."""
 
     def calibrate(self, coordinates: Float[Tensor, "batch coordinate"]) -> None:
         """Set fixed scales from sampled mesh coordinates `(batch, coordinate)`, before training."""
 
-    def answer(self, raw: Float[Tensor, "batch control"], target: Float[Tensor, "batch coordinate"]) -> Answer:
+    def estimate(self, raw: Float[Tensor, "batch control"], target: Float[Tensor, "batch coordinate"]) -> Estimate:
         """The estimate from raw outputs `(batch, control)` for mesh coordinates `(batch, coordinate)`."""
-        return Answer(raw, target, self.control_map, self.rig)
+        return Estimate(raw, target, self.control_map, self.rig)
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
-        return self.answers(coordinates)[-1].controls
+        return self.estimates(coordinates)[-1].controls
 
 
 class DirectInverse(InverseNetwork):
@@ -128,14 +128,14 @@ class DirectInverse(InverseNetwork):
         control_map: str = "range_tanh",
     ) -> None:
         super().__init__(rig, control_map)
-        network = mlp(rig.space.size, hidden, len(rig.rig.controls), activation)
+        network = mlp(rig.space.size, hidden, len(rig.source.controls), activation)
         self.network = ZeroPreserving(_start_small(network)) if control_map == "neutral_start" else network
 
     def learned_parts(self) -> list[nn.Module]:
         return [self.network]
 
-    def answers(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Answer]:
-        return [self.answer(self.network(coordinates), coordinates)]
+    def estimates(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Estimate]:
+        return [self.estimate(self.network(coordinates), coordinates)]
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         return self.control_map(self.network(coordinates))
@@ -154,7 +154,7 @@ class StagedInverse(InverseNetwork):
     Args:
         stages: the number of MLPs.
         hidden: their hidden widths.
-        corrections: the number of refinement steps.
+        refinement_steps: their number.
         width: linear features of a refinement step.
         gate: hidden width of a refinement step's gate.
     """
@@ -167,7 +167,7 @@ class StagedInverse(InverseNetwork):
         rig: RigInMeshSpace,
         stages: PositiveInt = 1,
         hidden: Widths = (1024, 512),
-        corrections: NonNegativeInt = 6,
+        refinement_steps: NonNegativeInt = 6,
         width: PositiveInt = 384,
         gate: PositiveInt = 256,
         activation: str = "gelu",
@@ -176,13 +176,13 @@ class StagedInverse(InverseNetwork):
         super().__init__(rig, control_map)
         for name, number, least in (
             ("stages", stages, 1),
-            ("corrections", corrections, 0),
+            ("refinement_steps", refinement_steps, 0),
             ("width", width, 1),
             ("gate", gate, 1),
         ):
             if number < least:
                 raise InputError(f"network: {name} is {number}, expected at least {least}")
-        size, controls = rig.space.size, len(rig.rig.controls)
+        size, controls = rig.space.size, len(rig.source.controls)
         self.features = RigFeatures(rig) if RigFeatures.offered_by(rig) else None
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
@@ -190,14 +190,14 @@ class StagedInverse(InverseNetwork):
         self.stages = nn.ModuleList(
             ZeroPreserving(_start_small(mlp(count, hidden, controls, activation), gain)) for count in inputs
         )
-        self.corrections = nn.ModuleList(Correction(size, controls, width, gate) for _ in range(corrections))
+        self.corrections = nn.ModuleList(Correction(size, controls, width, gate) for _ in range(refinement_steps))
         self.register_buffer("coordinate_scale", torch.ones(()))
         self.register_buffer("gradient_scale", torch.ones(controls) if self.features else torch.ones(()))
 
     def calibrate(self, coordinates: Float[Tensor, "batch coordinate"]) -> None:
         self.coordinate_scale.copy_(_size(coordinates))
-        raw = coordinates.new_zeros(len(coordinates), len(self.rig.rig.controls))
-        gradient = self.answer(raw, coordinates).gradient
+        raw = coordinates.new_zeros(len(coordinates), len(self.rig.source.controls))
+        gradient = self.estimate(raw, coordinates).gradient
         if self.features:
             self.features.calibrate(self.rig, coordinates)
             self.gradient_scale.copy_(gradient.square().mean(dim=0).sqrt().clamp_min(1e-12))
@@ -207,25 +207,25 @@ class StagedInverse(InverseNetwork):
     def learned_parts(self) -> list[nn.Module]:
         return [*self.stages, *self.corrections]
 
-    def answers(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Answer]:
+    def estimates(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Estimate]:
         inputs = self.features(coordinates) if self.features else coordinates / self.coordinate_scale
         before = None
         if self.features:
-            before = self.answer(self.control_map.raw_of(self.features.guess(inputs)), coordinates)
-        result: list[Answer] = []
+            before = self.estimate(self.control_map.raw_of(self.features.guess(inputs)), coordinates)
+        result: list[Estimate] = []
         for stage in [*self.stages, *self.corrections]:
             raw = stage(inputs) if before is None else self._refined(stage, before, inputs)
-            before = self.answer(raw, coordinates)
+            before = self.estimate(raw, coordinates)
             result.append(before)
         return result
 
-    def _refined(self, stage: nn.Module, answer: Answer, inputs: Tensor) -> Tensor:
+    def _refined(self, stage: nn.Module, estimate: Estimate, inputs: Tensor) -> Tensor:
         """The raw outputs `(batch, control)` of an estimate, refined by a stage."""
-        before, gradient = answer.raw.detach(), answer.gradient / self.gradient_scale
+        before, gradient = estimate.raw.detach(), estimate.gradient / self.gradient_scale
         if self.features:
-            residual = self.features.residual(answer.target, answer.found)
+            residual = self.features.residual(estimate.target, estimate.found)
         else:
-            residual = answer.error / -self.coordinate_scale
+            residual = estimate.error / -self.coordinate_scale
         squashed = torch.tanh(0.3 * before)
         if isinstance(stage, Correction):
             return before + stage(residual, gradient, squashed)
@@ -233,13 +233,13 @@ class StagedInverse(InverseNetwork):
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         """The last estimate; where the rig has features the best one of each mesh, for there a refinement step may fail."""
-        answers = self.answers(coordinates)
-        return self._best(answers) if self.features else answers[-1].controls
+        estimates = self.estimates(coordinates)
+        return self._best(estimates) if self.features else estimates[-1].controls
 
-    def _best(self, answers: list[Answer]) -> Tensor:
-        errors = torch.stack([answer.squares for answer in answers])
+    def _best(self, estimates: list[Estimate]) -> Tensor:
+        errors = torch.stack([estimate.squares for estimate in estimates])
         best = errors.argmin(dim=0)
-        return torch.stack([answer.controls for answer in answers])[best, torch.arange(best.shape[0], device=best.device)]
+        return torch.stack([estimate.controls for estimate in estimates])[best, torch.arange(best.shape[0], device=best.device)]
 
 
 def _size(values: Tensor) -> Tensor:

@@ -38,10 +38,10 @@ def reproduce(config: DictConfig) -> None:
     say = Console(stderr=True, highlight=False, soft_wrap=True).print
 
     rig = rig_in_space(settings.rig)
-    capture, meshes = check_capture(CaptureSource(settings.capture, settings.reading, settings.frames), rig.rig)
+    capture, meshes = check_capture(CaptureSource(settings.capture, settings.reading, settings.frames), rig.source)
     if settings.body is not None:
         settings.body.build()  # refuses early
-    true_rig = choose_true_rig(settings.true_rig, rig.rig)
+    true_rig = choose_true_rig(settings.true_rig, rig.source)
     if true_rig.why_itself:
         say(f"The programmatic rig evaluates itself: {true_rig.why_itself}.", markup=False)
     show_clip(meshes)
@@ -49,7 +49,7 @@ def reproduce(config: DictConfig) -> None:
     check_folder(folder, rig, settings.budget, sum(isinstance(step.task, TrainNetwork) for step in plan.steps))
     with single_threaded():
         plan.expect(measured(timed_trainings(settings.budget, settings.rig), rig))
-    graph = Graph(plan.steps, folder.path / "steps", *code_hashes(rig.rig, [settings.rig, settings.body, true_rig.spec]))
+    graph = Graph(plan.steps, folder.path / "steps", *code_hashes(rig.source, [settings.rig, settings.body, true_rig.spec]))
     if stale := graph.stale_steps():
         say(f"{len(stale)} kept steps are of another version of riginv or of its libraries, and are made anew.")
 

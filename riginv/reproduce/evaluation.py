@@ -40,7 +40,7 @@ class SamplePoses(Task):
     count: int
 
     def run(self, at: Workspace) -> Figures:
-        rig = rig_in_space(self.rig).rig
+        rig = rig_in_space(self.rig).source
         reference = true_rig(self.true_rig, rig, _workers(at.context))
         poses = random_poses(rig, self.count)
         with atomic_write(at.folder / VERTICES_FILE) as partial:
@@ -69,7 +69,7 @@ class EvaluateControls(Task):
     true_rig: ClassSpec[RigBackend] | None
 
     def run(self, at: Workspace) -> Figures:
-        rig = rig_in_space(self.rig).rig
+        rig = rig_in_space(self.rig).source
         reference = true_rig(self.true_rig, rig, _workers(at.context))
         sets = mesh_sets(self.sets, at.context.capture, rig, at.inputs["poses"])
         figures: Figures = {}
@@ -93,7 +93,7 @@ class EvaluateRig(Task):
         if "surrogate" in at.inputs:
             rig = trained_rig(str(bundle_of(at.inputs["surrogate"])), rig)
         poses = SampledPoses(at.inputs["poses"])
-        return dict(_compared(rig.rig, poses, poses.controls)[0])
+        return dict(_compared(rig.source, poses, poses.controls)[0])
 
 
 def read_errors(folder: str | Path) -> dict[str, Tensor]:

@@ -35,7 +35,7 @@ class StepClock(L.Callback):
 def measured_step_s(settings: TrainConfig, rig: RigInMeshSpace) -> float:
     """Seconds per training step on this machine: the median of a few, after some to warm up."""
     settings = replace(settings, data=replace(settings.data, stored_poses=None))
-    module = build_module(settings, rig, rig.rig)
+    module = build_module(settings, rig, rig.source)
     sampler = build_sampler(settings, rig)
     calibrate(settings.seed, module, sampler)
     clock, steps = StepClock(), WARM + TIMED + 1

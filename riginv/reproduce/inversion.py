@@ -45,8 +45,8 @@ class InvertSets(Task):
         programmatic = rig = rig_in_space(self.rig)
         if "surrogate" in at.inputs:
             rig = trained_rig(str(bundle_of(at.inputs["surrogate"])), programmatic)
-        if reason := self.method.target_class.unsuited(rig.rig):
-            raise InputError(f"it cannot invert rig '{rig.rig.name}', for {reason}: leave it out of budget.others")
+        if reason := self.method.target_class.unsuited(rig.source):
+            raise InputError(f"it cannot invert rig '{rig.source.name}', for {reason}: leave it out of budget.others")
         if "network" in at.inputs:
             bundle = str(bundle_of(at.inputs["network"]))
             method = replace(self.method, config={**self.method.config, "bundle": bundle}).build(programmatic)
@@ -54,7 +54,7 @@ class InvertSets(Task):
             method = self.method.build(rig)
         torch.manual_seed(self.seed)
         method.prepare(self.seed)
-        sets = mesh_sets(self.sets, at.context.capture, programmatic.rig, at.inputs.get("poses"))
+        sets = mesh_sets(self.sets, at.context.capture, programmatic.source, at.inputs.get("poses"))
         found: dict[str, Tensor] = {}
         figures: Figures = {}
         for name in self.names:
@@ -62,10 +62,10 @@ class InvertSets(Task):
                 continue
             clocked = Clocked(sets[name])
             began = time.perf_counter()
-            found[name] = method.invert(clocked).clamp(programmatic.rig.lower, programmatic.rig.upper)
+            found[name] = method.invert(clocked).clamp(programmatic.source.lower, programmatic.source.upper)
             seconds = time.perf_counter() - began - clocked.seconds
             figures[f"{name}/ms_per_frame"] = 1e3 * seconds / len(clocked)
-            figures[f"{name}/nonzero_controls"] = nonzero_controls(found[name], programmatic.rig)
+            figures[f"{name}/nonzero_controls"] = nonzero_controls(found[name], programmatic.source)
         if CLIP in found:
             figures["roughness"] = roughness(found[CLIP], sets[CLIP].frame_numbers)
         with atomic_write(at.folder / FILE) as partial:

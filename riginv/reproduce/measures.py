@@ -45,10 +45,10 @@ class MeasureLipschitz(Task):
     @torch.no_grad()
     def run(self, at: Workspace) -> Figures:
         rig = rig_in_space(self.rig)
-        sets = mesh_sets(self.sets, at.context.capture, rig.rig)
+        sets = mesh_sets(self.sets, at.context.capture, rig.source)
         meshes = sets.get(CAPTURED) or sets[COMBINATIONS]
-        network = load_inverse(bundle_of(at.inputs["network"]), rig.rig).network
-        span = rig.rig.upper - rig.rig.lower
+        network = load_inverse(bundle_of(at.inputs["network"]), rig.source).network
+        span = rig.source.upper - rig.source.lower
         generator = generator_at(self.seed, "disturbances")
         constants = []
         for row in evenly(MESHES, len(meshes)).tolist():
@@ -69,7 +69,7 @@ class MeasureControls(Task):
 
     @torch.no_grad()
     def run(self, at: Workspace) -> Figures:
-        rig = rig_in_space(self.rig).rig
+        rig = rig_in_space(self.rig).source
         neutral, span = rig.neutral_controls, rig.upper - rig.lower
         far = torch.where(rig.upper - neutral >= neutral - rig.lower, rig.upper, rig.lower)
         effects = []

@@ -39,7 +39,7 @@ class DrawDenoising(Task):
     true_rig: ClassSpec[RigBackend] | None
 
     def run(self, at: Workspace) -> Figures:
-        rig = rig_in_space(self.rig).rig
+        rig = rig_in_space(self.rig).source
         reference = true_rig(self.true_rig, rig, 1)
         sets = mesh_sets(self.sets, at.context.capture, rig)
         meshes = sets.get(COMBINATIONS) or next(iter(sets.values()))
@@ -65,7 +65,7 @@ class DrawBody(Task):
         Raises:
             InputError: the rig's motion does not fit it.
         """
-        rig = rig_in_space(self.rig).rig
+        rig = rig_in_space(self.rig).source
         reference = true_rig(self.true_rig, rig, 1)
         motion = rig.motion()
         if motion is None:
@@ -94,7 +94,7 @@ class DrawErrorMaps(Task):
     names: tuple[str, ...]
 
     def run(self, at: Workspace) -> Figures:
-        rig = rig_in_space(self.rig).rig
+        rig = rig_in_space(self.rig).source
         camera, pictures, labels = Camera(rig.rest_vertices), [], []
         camera.half_height *= ROOM  # for labels above
         errors = {use: read_errors(at.inputs[use]) for use in self.columns}

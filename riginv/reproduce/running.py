@@ -9,6 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from riginv.errors import InputError
 from riginv.reproduce.steps import LOG, Graph, Workspace
 from riginv.reproduce.worker import Failure, attempt, failure_in, request_header
+from riginv.runs.console import duration
 from riginv.runs.threads import allowed_cores, single_threaded
 from riginv.runs.worker_pool import Job, ProcessPool, Request
 from riginv.runs.worker_process import WorkerLostError, python_worker
@@ -127,11 +128,3 @@ class Runner:
         bar = Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal)
         bar.add_task("", total=len(self.graph.steps), completed=self.kept)
         return bar
-
-
-def duration(seconds: float) -> str:
-    """Seconds in words: `48 s`, `12 min`, `31 h`, `12 days`."""
-    for limit, unit, one in ((90, "s", 1), (5400, "min", 60), (48 * 3600, "h", 3600)):
-        if seconds < limit:
-            return f"{seconds / one:.0f} {unit}"
-    return f"{seconds / 86400:.0f} days"

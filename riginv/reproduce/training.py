@@ -35,9 +35,9 @@ class TrainNetwork(Task):
             bundle = str(bundle_of(at.inputs["surrogate"]))
             rig, training = trained_rig(bundle, rig), through_surrogate(training, bundle)
         folder = _run_folder(at.folder / RUN, training)
-        validation = spread_subset(programmatic.rig, at.context.capture, training.judging.validation_poses)
+        validation = spread_subset(programmatic.source, at.context.capture, training.evaluation.validation_poses)
         try:
-            _, facts = fit_network(training, folder, rig, programmatic.rig, validation)
+            _, facts = fit_network(training, folder, rig, programmatic.source, validation)
         finally:
             unlock_folder(folder.path)
         discard(folder.path / "checkpoints")

@@ -13,7 +13,7 @@ import torch
 
 from riginv.config.typed import to_plain, to_typed
 from riginv.errors import InputError, NonFiniteLossError
-from riginv.launch.closed_output import filter_warnings
+from riginv.launch.terminal import filter_warnings
 from riginv.reproduce.evaluation import EvaluateControls, EvaluateRig, SamplePoses
 from riginv.reproduce.inversion import InvertSets
 from riginv.reproduce.measures import MeasureControls, MeasureLipschitz

@@ -41,7 +41,7 @@ def fitted_basis(
     """
     space = MeshSpace.from_samples(rest_vertices, samples, residual_mm)
     spread = space.encode(samples).square().mean(dim=0).sqrt()
-    return space.frame * spread.clamp_min(1e-6)[:, None, None], space.residual_mm
+    return space.directions * spread.clamp_min(1e-6)[:, None, None], space.residual_mm
 
 
 class BlackBoxRig(LinearRig):

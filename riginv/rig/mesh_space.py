@@ -24,19 +24,22 @@ class MeshSpace(nn.Module):
 
     Attributes:
         rest_vertices: `(vertex, 3)`, mm.
-        frame: Q, `(coordinate, vertex, 3)`; its rows are orthonormal, in order of importance.
-        residual_mm: mean vertex distance between the meshes it was fitted to and the span of the frame; 0 where it is exact.
+        directions: Q, `(coordinate, vertex, 3)`; orthonormal, in order of decreasing singular value.
+        residual_mm: mean vertex distance between the meshes it was fitted to and their projections; 0 where it is exact.
     """
 
     rest_vertices: Tensor
-    frame: Tensor
+    directions: Tensor
 
     def __init__(
-        self, rest_vertices: Float[Tensor, "vertex 3"], frame: Float[Tensor, "coordinate vertex 3"], residual_mm: float = 0.0
+        self,
+        rest_vertices: Float[Tensor, "vertex 3"],
+        directions: Float[Tensor, "coordinate vertex 3"],
+        residual_mm: float = 0.0,
     ) -> None:
         super().__init__()
         self.register_buffer("rest_vertices", rest_vertices, persistent=False)
-        self.register_buffer("frame", frame, persistent=False)
+        self.register_buffer("directions", directions, persistent=False)
         self.residual_mm = residual_mm
 
     @classmethod
@@ -44,12 +47,12 @@ class MeshSpace(nn.Module):
         """The exact mesh space of a rig that ends in a linear map: the span of its basis."""
         axes = _axis_by_axis(rig.basis)
         if axes is None:
-            frame, values = _orthonormal(rig.basis.flatten(1))
-            frame = frame.unflatten(1, rig.rest_vertices.shape)
+            directions, values = _orthonormal(rig.basis.flatten(1))
+            directions = directions.unflatten(1, rig.rest_vertices.shape)
         else:
-            frame, values = _orthonormal_by_axis(rig.basis, axes)
+            directions, values = _orthonormal_by_axis(rig.basis, axes)
         kept = values > RANK_TOLERANCE * values.amax()
-        return cls(rig.rest_vertices, frame[kept].to(rig.dtype))
+        return cls(rig.rest_vertices, directions[kept].to(rig.dtype))
 
     @classmethod
     def from_samples(cls, rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> "MeshSpace":
@@ -86,13 +89,13 @@ class MeshSpace(nn.Module):
         while remaining > residual_mm and count < rank:  # all vertices may need more components than those of the search
             count = min(rank, count + max(1, count // 100))
             remaining = residual(count, slice(None))
-        frame = right[:count].unflatten(1, rest_vertices.shape).to(rest_vertices.dtype)
-        return cls(rest_vertices, frame, remaining)
+        directions = right[:count].unflatten(1, rest_vertices.shape).to(rest_vertices.dtype)
+        return cls(rest_vertices, directions, remaining)
 
     @property
     def size(self) -> int:
         """The number of mesh coordinates."""
-        return len(self.frame)
+        return len(self.directions)
 
     @property
     def vertex_count(self) -> int:
@@ -100,11 +103,11 @@ class MeshSpace(nn.Module):
 
     def encode(self, vertices: Float[Tensor, "batch vertex 3"]) -> Float[Tensor, "batch coordinate"]:
         """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`, by orthogonal projection."""
-        return (vertices - self.rest_vertices).flatten(1) @ self.frame.flatten(1).T
+        return (vertices - self.rest_vertices).flatten(1) @ self.directions.flatten(1).T
 
     def decode(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch vertex 3"]:
         """Mesh coordinates `(batch, coordinate)` to meshes `(batch, vertex, 3)`, mm."""
-        return self.rest_vertices + (coordinates @ self.frame.flatten(1)).unflatten(1, self.rest_vertices.shape)
+        return self.rest_vertices + (coordinates @ self.directions.flatten(1)).unflatten(1, self.rest_vertices.shape)
 
 
 def _principal_directions(flat: Tensor, residual_mm: float) -> Tensor:
@@ -128,7 +131,7 @@ class RigInMeshSpace(nn.Module):
     """A rig composed with its mesh space: `forward` maps controls to mesh coordinates, without computing vertices.
 
     Attributes:
-        rig: the rig, which ends in a linear map.
+        source: the rig, which ends in a linear map.
         space: its mesh space.
         linear_map: R^T `(coefficient, coordinate)`: mesh coordinates per unit of each coefficient.
         neutral_coefficients: `(1, coefficient)`.
@@ -139,18 +142,18 @@ class RigInMeshSpace(nn.Module):
 
     def __init__(self, rig: LinearRig, space: MeshSpace) -> None:
         super().__init__()
-        self.rig, self.space = rig, space
-        self.register_buffer("linear_map", rig.basis.flatten(1) @ space.frame.flatten(1).T, persistent=False)
+        self.source, self.space = rig, space
+        self.register_buffer("linear_map", rig.basis.flatten(1) @ space.directions.flatten(1).T, persistent=False)
         self.register_buffer("neutral_coefficients", rig.neutral_coefficients().detach(), persistent=False)
 
     def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coordinate"]:
         """Controls `(batch, control)` to mesh coordinates `(batch, coordinate)`; 0 at the neutral controls."""
-        return self.coordinates_of(self.rig.coefficients(controls))
+        return self.coordinates_of(self.source.coefficients(controls))
 
     @torch.no_grad()
     def coordinates_and_vjp(self, controls: Float[Tensor, "batch control"]) -> tuple[Float[Tensor, "batch coordinate"], Vjp]:
         """As `forward`, without a graph, and its vector-Jacobian product (`LinearRig.coefficients_and_vjp`)."""
-        coefficients, vjp = self.rig.coefficients_and_vjp(controls)
+        coefficients, vjp = self.source.coefficients_and_vjp(controls)
         return self.coordinates_of(coefficients), lambda gradient: vjp(gradient @ self.linear_map.T)
 
     def coordinates_of(self, coefficients: Float[Tensor, "batch coefficient"]) -> Float[Tensor, "batch coordinate"]:

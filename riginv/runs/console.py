@@ -40,3 +40,11 @@ def show_lines(
     for start, texts, style in (("", lines, ""), ("note: ", notes, ""), ("warning: ", warnings, "yellow")):
         for text in texts:
             console.print(Text.assemble((start, style), text), highlight=False, soft_wrap=True)
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words: `48 s`, `12 min`, `31 h`, `12 days`."""
+    for limit, unit, one in ((90, "s", 1), (5400, "min", 60), (48 * 3600, "h", 3600)):
+        if seconds < limit:
+            return f"{seconds / one:.0f} {unit}"
+    return f"{seconds / 86400:.0f} days"

@@ -22,9 +22,9 @@ class ControlSampler(nn.Module, ABC):
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         super().__init__()
-        self.register_buffer("lower", rig.rig.lower, persistent=False)
-        self.register_buffer("upper", rig.rig.upper, persistent=False)
-        self.register_buffer("neutral", rig.rig.neutral_controls, persistent=False)
+        self.register_buffer("lower", rig.source.lower, persistent=False)
+        self.register_buffer("upper", rig.source.upper, persistent=False)
+        self.register_buffer("neutral", rig.source.neutral_controls, persistent=False)
 
     @classmethod
     def suits(cls, rig: LinearRig) -> bool:
@@ -48,11 +48,11 @@ class SparseControls(ControlSampler):
 
     def __init__(self, rig: RigInMeshSpace, max_active: PositiveInt | None = None) -> None:
         super().__init__(rig)
-        controls = len(rig.rig.controls)
+        controls = len(rig.source.controls)
         self.max_active = controls if max_active is None else max_active
         if not 1 <= self.max_active <= controls:
             raise InputError(
-                f"sampler: max_active is {max_active}, expected 1 to {controls}, the number of controls of '{rig.rig.name}'"
+                f"sampler: max_active is {max_active}, expected 1 to {controls}, the number of controls of '{rig.source.name}'"
             )
 
     def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
@@ -75,7 +75,7 @@ class PlausibleControls(ControlSampler):
 
     def __init__(self, rig: RigInMeshSpace, max_active: PositiveInt = 40, weak_fraction: Fraction = 0.5) -> None:
         super().__init__(rig)
-        self.max_active, self.weak_fraction = min(max_active, len(rig.rig.controls)), weak_fraction
+        self.max_active, self.weak_fraction = min(max_active, len(rig.source.controls)), weak_fraction
         check_plausible(max_active, weak_fraction)
 
     def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:

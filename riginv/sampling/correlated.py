@@ -56,7 +56,7 @@ class CorrelatedControls(ControlSampler):
         covariance = torch.exp(-0.5 * (torch.cdist(positions, positions) / (correlation_length * height)).square()).double()
         values, vectors = torch.linalg.eigh(covariance)
         self.register_buffer("mixing", (vectors * values.clamp_min(0).sqrt()).T.to(rest), persistent=False)
-        self.register_buffer("other_side", torch.tensor(other_sides(rig.rig.control_names)), persistent=False)
+        self.register_buffer("other_side", torch.tensor(other_sides(rig.source.control_names)), persistent=False)
 
     @classmethod
     def suits(cls, rig: LinearRig) -> bool:
@@ -79,7 +79,7 @@ class CorrelatedControls(ControlSampler):
 @torch.no_grad()
 def control_positions(rig: RigInMeshSpace) -> Float[Tensor, "control 3"]:
     """The weighted centre `(control, 3)`, mm, of the rest vertices that each control moves near neutral."""
-    backend = rig.rig
+    backend = rig.source
     upwards = torch.where(backend.upper > backend.neutral_controls, backend.upper, backend.lower) - backend.neutral_controls
     moved = backend.neutral_controls + PROBE * torch.diag(upwards)
     squared = (rig.space.decode(rig(moved)) - rig.space.rest_vertices).square().sum(dim=2)

@@ -37,8 +37,8 @@ class JointNoisePoses(MeshSampler):
         super().__init__()
         if not strength > 0:
             raise InputError(f"sampler: strength is {strength}, expected a number above 0")
-        if not self.suits(rig.rig):
-            raise InputError(f"rig '{rig.rig.name}' has no joint noise: choose sampler=rig_poses")
+        if not self.suits(rig.source):
+            raise InputError(f"rig '{rig.source.name}' has no joint noise: choose sampler=rig_poses")
         self.rig, self.controls, self.strength = rig, controls, strength
 
     @classmethod
@@ -48,8 +48,8 @@ class JointNoisePoses(MeshSampler):
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         controls = self.controls.sample(count, generator)
-        parts = random_joint_noise(self.rig.rig, count, generator, self.strength)
-        coefficients = self.rig.rig.coefficients_with_joint_noise(controls, parts)
+        parts = random_joint_noise(self.rig.source, count, generator, self.strength)
+        coefficients = self.rig.source.coefficients_with_joint_noise(controls, parts)
         return PoseBatch(coordinates=self.rig.coordinates_of(coefficients))
 
 

@@ -71,7 +71,7 @@ class RigPoses(MeshSampler):
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         controls = self.controls.sample(count, generator)
-        coefficients = self.rig.rig.coefficients(controls)
+        coefficients = self.rig.source.coefficients(controls)
         return PoseBatch(coordinates=self.rig.coordinates_of(coefficients), controls=controls, coefficients=coefficients)
 
 
@@ -84,8 +84,8 @@ class BlendshapeSampler(MeshSampler):
 
     def __init__(self, rig: RigInMeshSpace) -> None:
         super().__init__()
-        if not rig.rig.has_blendshapes:
-            raise InputError(f"rig '{rig.rig.name}' has no blendshapes to combine: choose sampler=rig_poses")
+        if not rig.source.has_blendshapes:
+            raise InputError(f"rig '{rig.source.name}' has no blendshapes to combine: choose sampler=rig_poses")
         self.rig = rig
 
     @classmethod
@@ -122,7 +122,7 @@ class PlausibleCombinations(BlendshapeSampler):
         super().__init__(rig)
         check_plausible(max_active, weak_fraction)
         self.weak_fraction = weak_fraction
-        self.shapes = rig.rig.primary_count
+        self.shapes = rig.source.primary_count
         self.max_active = min(max_active, self.shapes)
 
     @torch.no_grad()

@@ -91,7 +91,7 @@ class Objective:
     ) -> None:
         self.rig = rig
         self.vertex_count = rig.space.vertex_count
-        self.squared_mm = self.vertex_count * rig.rig.length_scale**2  # a mean squared distance of 1 mm^2
+        self.squared_mm = self.vertex_count * rig.source.length_scale**2  # a mean squared distance of 1 mm^2
         self.prior, self.sparsity = prior * self.squared_mm, sparsity * self.squared_mm
         self.is_sparse = bool(torch.as_tensor(sparsity).any())
         dtype = dtype or rig.linear_map.dtype
@@ -100,9 +100,9 @@ class Objective:
         self.rest = rig.neutral_coefficients.to(dtype)
         self.learned = None if learned is None else learned.scaled(self.vertex_count, dtype)
         self.distance: Callable[[Tensor], Distance] = squared_distance
-        self.lower = rig.rig.lower.to(dtype)
-        self.span = rig.rig.upper.to(dtype) - self.lower
-        self.neutral = self.units(rig.rig.neutral_controls.to(dtype))
+        self.lower = rig.source.lower.to(dtype)
+        self.span = rig.source.upper.to(dtype) - self.lower
+        self.neutral = self.units(rig.source.neutral_controls.to(dtype))
 
     @property
     def controls(self) -> int:
@@ -116,12 +116,12 @@ class Objective:
     def by_mean_distance(self, corner_mm: float = CORNER_MM) -> "Objective":
         """The same objective with the mean distance in place of the mean squared distance (`MeanDistance`)."""
         other = copy.copy(self)
-        other.distance = MeanDistance(self.rig.space.frame.to(self.map), corner_mm)
+        other.distance = MeanDistance(self.rig.space.directions.to(self.map), corner_mm)
         return other
 
     def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
         """The results of tasks that evaluate this objective, in parallel if the rig allows it and cores are free."""
-        return workers().run(tasks) if self.rig.rig.differentiable else [task() for task in tasks]
+        return workers().run(tasks) if self.rig.source.differentiable else [task() for task in tasks]
 
     def units(self, controls: Tensor) -> Tensor:
         """Controls as fractions of their ranges."""
@@ -129,7 +129,7 @@ class Objective:
 
     def to_controls(self, units: Tensor) -> Tensor:
         """The inverse of `units`, exactly within the limits of the rig."""
-        rig = self.rig.rig
+        rig = self.rig.source
         return (self.lower + self.span * units).to(rig.dtype).clamp(rig.lower, rig.upper)
 
     @torch.no_grad()
@@ -144,7 +144,7 @@ class Objective:
         Args:
             weights: of each mesh's distance against the priors; None: 1.
         """
-        found = self.rig.rig.coefficients(self.lower + self.span * units)
+        found = self.rig.source.coefficients(self.lower + self.span * units)
         distance = self.distance(self._residual(found, coordinates)).cost
         return (distance if weights is None else weights * distance) + self._prior(units)[0]
 
@@ -158,7 +158,7 @@ class Objective:
         self, units: Float[Tensor, "mesh control"], coordinates: Float[Tensor, "mesh coordinate"]
     ) -> Float[Tensor, "mesh control"]:
         """The gradient `(mesh, control)` of the objective."""
-        found, vjp = self.rig.rig.coefficients_and_vjp(self.lower + self.span * units)
+        found, vjp = self.rig.source.coefficients_and_vjp(self.lower + self.span * units)
         by_residual = self.distance(self._residual(found, coordinates)).gradient
         return self.span * vjp(by_residual @ self.map.T) + self._prior(units)[1]
 
@@ -181,7 +181,7 @@ class Objective:
 
     def _linearise_data(self, units: Tensor, coordinates: Tensor) -> Linearised:
         """The distance alone, without priors."""
-        found, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
+        found, jacobian = self.rig.source.coefficient_jacobian(self.lower + self.span * units)
         distance, by_residual, relative = self.distance(self._residual(found, coordinates))
         jacobian = jacobian.scaled(self.span)
         hessian = jacobian.gram(self.metric)
@@ -215,7 +215,7 @@ class Objective:
 
 def _metric(rig: RigInMeshSpace, linear_map: Tensor) -> Tensor:
     """R^T R `(coefficient, coefficient)`, sparse where few coefficients move common vertices, as in skinning."""
-    moves = rig.rig.basis.abs().flatten(1)
+    moves = rig.source.basis.abs().flatten(1)
     together = (moves @ moves.T) > 0
     metric = torch.where(together, linear_map @ linear_map.T, 0.0)
     return metric.to_sparse_csr() if together.double().mean() < SPARSE else metric

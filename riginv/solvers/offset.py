@@ -62,7 +62,7 @@ class OffsetSolver:
 
     def __init__(self, objective: Objective, moves: bool, is_free: bool) -> None:
         self.objective, self.moves, self.is_free = objective, moves, is_free
-        self.frame = objective.rig.space.frame.flatten(1)
+        self.frame = objective.rig.space.directions.flatten(1)
 
     @torch.no_grad()
     def solve(
@@ -99,7 +99,7 @@ class OffsetSolver:
         return (vertices - neutral).flatten(1) @ self.frame.T
 
     def _displacement(self, units: Tensor) -> Tensor:
-        rig = self.objective.rig.rig
+        rig = self.objective.rig.source
         controls = (self.objective.lower + self.objective.span * units).to(rig.dtype)
         return torch.cat([rig(batch) - rig.rest_vertices for batch in controls.split(BATCH_SIZE)])
 
@@ -158,7 +158,7 @@ class OffsetSolver:
         """The derivatives of mesh coordinates, `(frame, coordinate, control)`; 0 for those beyond the mesh space."""
         objective, found = self.objective, []
         for batch in units.split(BATCH_SIZE):
-            _, jacobian = objective.rig.rig.coefficient_jacobian(objective.lower + objective.span * batch)
+            _, jacobian = objective.rig.source.coefficient_jacobian(objective.lower + objective.span * batch)
             found.append(objective.map.T @ jacobian.scaled(objective.span).dense())
         return torch.nn.functional.pad(torch.cat(found), (0, 0, 0, coordinates - len(self.frame)))
 

@@ -23,8 +23,8 @@ SEED = 20221206
 
 def first_start(objective: Objective, coordinates: Float[Tensor, "mesh coordinate"]) -> Float[Tensor, "mesh control"]:
     """The rig's own first guess `(mesh, control)`, or that from its features, if it has any; else `start_by_derivative`."""
-    if objective.rig.rig.has_first_guess:
-        own = objective.rig.rig.first_guess(objective.rig.space.decode(coordinates.nan_to_num()))
+    if objective.rig.source.has_first_guess:
+        own = objective.rig.source.first_guess(objective.rig.space.decode(coordinates.nan_to_num()))
         return objective.units(own).nan_to_num(0.5).clamp(0, 1)
     if objective.features is None:
         return start_by_derivative(objective, coordinates)
@@ -85,7 +85,7 @@ def descend(
     Returns:
         The best controls `(mesh, control)` of all steps; the start for meshes with NaN.
     """
-    backend = rig.rig
+    backend = rig.source
     span = backend.upper - backend.lower
     unit = ((start - backend.lower) / span).detach().clone().requires_grad_()  # fractions of the ranges: one rate fits all
     optimizer = torch.optim.Adam([unit], lr=lr)

@@ -64,9 +64,9 @@ class StoreSampler(MeshSampler):
     def __init__(self, rig: RigInMeshSpace, path: str, seed: int) -> None:
         super().__init__()
         store = finished_store(path)
-        check_same_rig(f"data.store={path}", store.facts["rig"], rig.rig)
+        check_same_rig(f"data.store={path}", store.facts["rig"], rig.source)
         basis = store.constant(BASIS).to(rig.linear_map) if store.layout.fitted else None
-        linear_map = rig.linear_map if basis is None else basis.flatten(1) @ rig.space.frame.flatten(1).T
+        linear_map = rig.linear_map if basis is None else basis.flatten(1) @ rig.space.directions.flatten(1).T
         self.register_buffer("neutral", store.constant(NEUTRAL).to(rig.linear_map), persistent=False)
         self.register_buffer("linear_map", linear_map, persistent=False)
         self.reader, self.step = WindowReader(store, seed), 0

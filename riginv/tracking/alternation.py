@@ -81,13 +81,13 @@ class WindowInverter:
         estimator: from filled meshes to controls.
         anchors: vertices that rigid motion is estimated from; None: it is kept.
         weights: of the vertices, `(vertex,)` in [0, 1], for an estimator that does not weight them itself.
-        turns: iterations, at most.
+        iterations: of rigid motion, missing vertices and controls, at most.
     """
 
     def __init__(
-        self, rig: LinearRig, estimator: ControlEstimator, anchors: Anchors | None, weights: Tensor | None, turns: int
+        self, rig: LinearRig, estimator: ControlEstimator, anchors: Anchors | None, weights: Tensor | None, iterations: int
     ) -> None:
-        self.rig, self.estimator, self.anchors, self.weights, self.turns = rig, estimator, anchors, weights, turns
+        self.rig, self.estimator, self.anchors, self.weights, self.iterations = rig, estimator, anchors, weights, iterations
 
     @torch.no_grad()
     def invert(self, vertices: Tensor) -> WindowResult:
@@ -144,7 +144,7 @@ class _AlternatingSolve:
         """Iterate until every frame has converged; the controls `(frame, control)`."""
         rows = torch.arange(len(self.vertices))
         is_direct = self.recovered is None and self.rigid is None
-        for iteration in range(1 if is_direct else self.inverter.turns):
+        for iteration in range(1 if is_direct else self.inverter.iterations):
             rows = rows[self._iterate(rows, iteration)] if len(rows) else rows
         return self.controls
 

@@ -77,23 +77,23 @@ def build_parts(
     if actor is not None:
         rig = ActorRig(rig, actor)
         evaluated_rig = rig if true_rig is plain_rig else posed_actor(true_rig, actor)
-        space = MeshSpace(rig.rest_vertices, space.frame, space.residual_mm)
+        space = MeshSpace(rig.rest_vertices, space.directions, space.residual_mm)
         in_space = RigInMeshSpace(rig, space)
     anchors = _anchors(options.motion, in_space, true_rig, weights, notes)
     by_solver: Method = "refined" if inverse else "levenberg_marquardt"
     if anchors is not None and options.motion == "auto":
         solver = build_solver(options, in_space, constraints, weights, inverse, by_solver, plain_rig)
-        anchors = anchors_if_moving(clip, rig, solver, anchors, weights, options.turns, notes)
+        anchors = anchors_if_moving(clip, rig, solver, anchors, weights, options.iterations, notes)
     if bool(constraints.static.any()):
         solver = build_solver(options, in_space, constraints, weights, inverse, by_solver, plain_rig)
-        inverter = WindowInverter(rig, solver, anchors, None, options.turns)
+        inverter = WindowInverter(rig, solver, anchors, None, options.iterations)
         constraints = constraints.with_fixed(constraints.static, static_values(clip, inverter, solver, constraints.static))
     estimator: ControlEstimator
     if method == "network" and inverse is not None:
         estimator = NetworkEstimator(inverse, constraints, in_space)
     else:
         estimator = build_solver(options, in_space, constraints, weights, inverse, method, plain_rig)
-    inverter = WindowInverter(rig, estimator, anchors, weights if method == "network" else None, options.turns)
+    inverter = WindowInverter(rig, estimator, anchors, weights if method == "network" else None, options.iterations)
     evaluator = FrameEvaluator(
         len(clip),
         evaluated_rig,
@@ -122,11 +122,11 @@ def _anchors(
         return None
     if motion == "auto" and has_root_controls(rig):
         notes.append(
-            f"rigid motion is left to the controls of rig '{rig.rig.name}' that move all of it (motion=remove takes it out)"
+            f"rigid motion is left to the controls of rig '{rig.source.name}' that move all of it (motion=remove takes it out)"
         )
         return None
     stability = stability_weights(true_rig)
-    return Anchors(rig.rig, stability if weights is None else stability * weights)
+    return Anchors(rig.source, stability if weights is None else stability * weights)
 
 
 def build_solver(
@@ -146,16 +146,16 @@ def build_solver(
         prior_rig: the rig that a learned prior belongs to; None: that of `rig`.
     """
     solver = options.solver
-    fixed = FixedControlsRig(rig.rig, constraints.free.nonzero()[:, 0], constraints.values)
+    fixed = FixedControlsRig(rig.source, constraints.free.nonzero()[:, 0], constraints.values)
     space = (
-        rig.space if weights is None else weighted_space(rig.rig, weights / weights.mean())
+        rig.space if weights is None else weighted_space(rig.source, weights / weights.mean())
     )  # so that priors keep their size
     objective = PenalisedObjective(
         RigInMeshSpace(fixed, space),
         solver.prior,
         solver.sparsity,
         constraints.penalties_of_free(),
-        _learned_prior(options, prior_rig or rig.rig, fixed, weights),
+        _learned_prior(options, prior_rig or rig.source, fixed, weights),
     )
     network = NetworkEstimator(inverse, constraints, rig) if inverse is not None and method != "levenberg_marquardt" else None
     steps = (options.refine or REFINE_STEPS) if network else solver.steps

@@ -25,13 +25,13 @@ from riginv.tracking.alternation import WindowInverter
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
+from riginv.tracking.options import SolverOptions, TrackingOptions
 from riginv.tracking.rigid import remove_motion
 from riginv.tracking.rigid_check import anchors_if_moving
 from riginv.tracking.stability import has_root_controls, stability_weights
 
 NAME = "capture"  # of the set
 WINDOW = 128  # frames at a time
-STEPS, TURNS = 30, 12  # as `riginv.invert` takes
 
 
 class CapturedMeshes(MeshSet):
@@ -141,12 +141,12 @@ def _prepared(clip: Clip, rig: LinearRig, true_rig: RigBackend, has_unknown: Ten
     """Rigid motion and controls of all frames, empty where not needed, and whether each frame is solvable."""
     space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     fixed = FixedControlsRig(rig, torch.arange(len(rig.controls)), rig.neutral_controls)
-    estimator = SolverEstimator(Objective(RigInMeshSpace(fixed, space.space), PRIOR), None, STEPS, 1, 0)
+    estimator = SolverEstimator(Objective(RigInMeshSpace(fixed, space.space), PRIOR), None, SolverOptions.steps, 1, 0)
     anchors = None
     if not clip.sequence.in_rig_space and not has_root_controls(space):
         anchors = Anchors(rig, stability_weights(true_rig))
-        anchors = anchors_if_moving(clip, rig, estimator, anchors, None, TURNS, [])
-    inverter = WindowInverter(rig, estimator, anchors, None, TURNS)
+        anchors = anchors_if_moving(clip, rig, estimator, anchors, None, TrackingOptions.iterations, [])
+    inverter = WindowInverter(rig, estimator, anchors, None, TrackingOptions.iterations)
     controls = rig.neutral_controls.repeat(len(clip), 1)
     motion = torch.eye(4).repeat(len(clip), 1, 1)
     solvable = torch.ones(len(clip), dtype=torch.bool)

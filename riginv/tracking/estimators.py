@@ -45,7 +45,7 @@ class NetworkEstimator(ControlEstimator):
 
     def __init__(self, inverse: Inverse, constraints: ControlConstraints, rig: RigInMeshSpace) -> None:
         self.inverse, self.constraints, self.space = inverse, constraints, rig.space
-        self.scale = rig.rig.scale if isinstance(rig.rig, ActorRig) else 1.0
+        self.scale = rig.source.scale if isinstance(rig.source, ActorRig) else 1.0
 
     @torch.no_grad()
     def estimate(self, vertices: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ class SolverEstimator(ControlEstimator):
         descent_steps: int = 60,
     ) -> None:
         self.objective, self.start, self.steps, self.key_starts = objective, start, steps, key_starts
-        rig = objective.rig.rig
+        rig = objective.rig.source
         assert isinstance(rig, FixedControlsRig)
         self.rig = rig
         self.descent_steps = descent_steps if self.rig.differentiable else 0

@@ -158,7 +158,7 @@ class TrackingOptions:
             0.1, or 0.3 for markers.
         refine: Levenberg-Marquardt steps after the network.
         motion: rigid motion: `remove`, `keep`, or `auto`: remove it, unless the rig has controls for it.
-        turns: iterations of the alternating solve for rigid motion, missing vertices and controls, at most.
+        iterations: iterations of the alternating solve for rigid motion, missing vertices and controls, at most.
         actor: the actor, where its face at rest is not the rig's.
         window: frames in memory at a time.
 
@@ -173,7 +173,7 @@ class TrackingOptions:
     noise_mm: PositiveFloat | None = None
     refine: NonNegativeInt = 0
     motion: Literal["auto", "remove", "keep"] = "auto"
-    turns: PositiveInt = 12
+    iterations: PositiveInt = 12
     actor: ActorOptions = field(default_factory=ActorOptions)
     vertices: VertexOptions = field(default_factory=VertexOptions)
     controls: ControlOptions = field(default_factory=ControlOptions)

@@ -50,14 +50,14 @@ class RigidCheck:
 
 @torch.no_grad()
 def check_rigid(
-    clip: Clip, rig: LinearRig, estimator: ControlEstimator, anchors: Anchors, weights: Tensor | None, turns: int
+    clip: Clip, rig: LinearRig, estimator: ControlEstimator, anchors: Anchors, weights: Tensor | None, iterations: int
 ) -> RigidCheck:
     """Test a clip for rigid motion.
 
     Args:
         clip: NaN where a vertex is not known.
         weights: of the vertices, `(vertex,)`; None: equal.
-        turns: as in `WindowInverter`.
+        iterations: as in `WindowInverter`.
     """
     rows = evenly(PROBED, len(clip))
     extents = torch.cat([_extent(clip.vertices(row, row + 1), anchors) for row in rows.tolist()])
@@ -71,8 +71,8 @@ def check_rigid(
     farthest = extents.argsort(descending=True)[:FARTHEST]
     chosen = torch.cat([evenly(SOLVED, len(rows)), farthest]).unique()
     vertices = torch.cat([clip.vertices(row, row + 1) for row in rows[chosen].tolist()])
-    inverter = WindowInverter(rig, estimator, None, None, turns)
-    without, with_motion = WindowInverter(rig, estimator, anchors, None, turns).invert(vertices), inverter.invert(vertices)
+    inverter = WindowInverter(rig, estimator, None, None, iterations)
+    without, with_motion = WindowInverter(rig, estimator, anchors, None, iterations).invert(vertices), inverter.invert(vertices)
     refined = estimator.refine(with_motion.filled, without.controls)
     restarted = inverter.result(vertices, refined, None, without.solvable)
     remaining, kept, same_start = (_squares(found, weights) for found in (without, with_motion, restarted))
@@ -92,14 +92,14 @@ def anchors_if_moving(
     estimator: ControlEstimator,
     anchors: Anchors,
     weights: Tensor | None,
-    turns: int,
+    iterations: int,
     notes: list[str],
 ) -> Anchors | None:
     """The anchors where a clip has rigid motion; None, and a note, where it has none."""
     if clip.sequence.in_rig_space:
         notes.append("no rigid motion was looked for: the meshes were made from the rig's own (motion=remove does so)")
         return None
-    check = check_rigid(clip, rig, estimator, anchors, weights, turns)
+    check = check_rigid(clip, rig, estimator, anchors, weights, iterations)
     if check.moves:
         return anchors
     notes.append(check.note)

@@ -29,13 +29,13 @@ def stability_weights(rig: RigBackend) -> Tensor:
 @torch.no_grad()
 def has_root_controls(rig: RigInMeshSpace) -> bool:
     """Whether controls of the rig translate all of it along every axis, as those of a root joint do."""
-    backend = rig.rig
+    backend = rig.source
     direction = torch.where(backend.neutral_controls + OFFSET * (backend.upper - backend.lower) <= backend.upper, 1.0, -1.0)
     controls = backend.neutral_controls + OFFSET * direction * (backend.upper - backend.lower)
     _, jacobian = backend.coefficient_jacobian(controls[None])
     derivatives = (jacobian.dense()[0].T @ rig.linear_map).double() * (backend.upper - backend.lower)[:, None].double()
     fields = torch.eye(3, dtype=torch.float64)[:, None].expand(3, rig.space.vertex_count, 3).flatten(1)
-    target = fields @ rig.space.frame.double().flatten(1).T
+    target = fields @ rig.space.directions.double().flatten(1).T
     found = torch.linalg.lstsq(derivatives.T, target.T, driver="gelsd").solution
     outside = fields.square().sum(dim=1) - target.square().sum(dim=1)
     residual = outside + (target.T - derivatives.T @ found).square().sum(dim=0)
@@ -52,11 +52,11 @@ class TrainingRange:
     @torch.no_grad()
     def __init__(self, rig: RigInMeshSpace) -> None:
         self.space = rig.space
-        poses = random_poses(rig.rig, MESHES, "training range").controls
+        poses = random_poses(rig.source, MESHES, "training range").controls
         assert poses is not None
         batches = [rig(controls) for controls in poses.split(256)]
-        if rig.rig.has_blendshapes:
-            weights = random_weights(len(rig.rig.basis), MESHES, generator_at(0, "training range"))
+        if rig.source.has_blendshapes:
+            weights = random_weights(len(rig.source.basis), MESHES, generator_at(0, "training range"))
             batches.append(weights.to(rig.linear_map) @ rig.linear_map)
         seen = torch.cat(batches)
         self.low, self.high = MARGIN * seen.amin(dim=0), MARGIN * seen.amax(dim=0)

@@ -55,10 +55,10 @@ def as_surrogate(config: DictConfig) -> DictConfig:
 def build_module(settings: TrainConfig, rig: RigInMeshSpace, true_rig: RigBackend) -> RigModule:
     """The Lightning module with its network, loss, optimiser and schedule, and the rig that evaluates."""
     model = settings.model
-    network = model.network.build(rig if model.module.target_class.kind == "inverse" else rig.rig)
+    network = model.network.build(rig if model.module.target_class.kind == "inverse" else rig.source)
     losses = [model.loss.build(rig.space.vertex_count)] if model.loss else []
     module = model.module.build(rig, network, *losses, model.optimizer.factory(), model.schedule.factory())
-    module.true_rig = true_rig if true_rig.held_out is None else rig.rig
+    module.true_rig = true_rig if true_rig.held_out is None else rig.source
     module.stop_below_lr = settings.stop_below_lr
     module.workers = build_workers(settings.trainer)
     return module
@@ -74,14 +74,14 @@ def build_workers(trainer: TrainerConfig) -> Workers | None:
 def build_sampler(settings: TrainConfig, rig: RigInMeshSpace) -> MeshSampler:
     """The sampler of training meshes, with stored poses and capture noise as configured."""
     data, noise, stored = settings.data, settings.noise, settings.data.stored_poses
-    recorded = rig.rig.poses_to_train_on(rig.space)
+    recorded = rig.source.poses_to_train_on(rig.space)
     if recorded is not None:
         sampler: MeshSampler = StoredPoses(recorded)
     else:
-        sampler = build(select_for_rig(dict(settings.sampler.config), rig.rig), rig, kind=MeshSampler)
+        sampler = build(select_for_rig(dict(settings.sampler.config), rig.source), rig, kind=MeshSampler)
         if data.store:
             sampler = reading_store(sampler, rig, data.store, settings.seed)
-        elif not rig.rig.differentiable:
+        elif not rig.source.differentiable:
             stored = stored or data.black_box_poses
     if stored:
         sampler = StoredPoses.drawn(sampler, stored, generator_at(settings.seed, "stored poses"))
@@ -92,7 +92,7 @@ def build_sampler(settings: TrainConfig, rig: RigInMeshSpace) -> MeshSampler:
 
 def build_data(settings: TrainConfig, module: RigModule, true_rig: RigBackend, clip: MeshSet | None) -> PoseDataModule:
     """The stream of training batches, and the sets that are validated on meanwhile."""
-    sampler, count = build_sampler(settings, module.rig), settings.judging.validation_poses
+    sampler, count = build_sampler(settings, module.rig), settings.evaluation.validation_poses
     if true_rig.held_out is not None:
         sets = [true_rig.held_out]
     elif module.kind == "forward":
@@ -108,8 +108,8 @@ def calibrate(seed: int, module: RigModule, sampler: MeshSampler) -> None:
     sample = sampler.sample(CALIBRATION_MESHES, generator_at(seed, "calibration"))
     if module.kind == "inverse":
         cast(InverseNetwork, module.network).calibrate(sample["coordinates"])
-    elif not module.rig.rig.is_fitted:  # the coefficients of these are scaled already
-        cast(SurrogateNetwork, module.network).set_scales(module.rig.rig, sample["controls"])
+    elif not module.rig.source.is_fitted:  # the coefficients of these are scaled already
+        cast(SurrogateNetwork, module.network).set_scales(module.rig.source, sample["controls"])
 
 
 def speed_up(trainer: TrainerConfig, module: RigModule, device: torch.device) -> None:

@@ -120,7 +120,7 @@ class TrainConfig:
     data: DataConfig
     mesh_space: MeshSpaceConfig
     noise: NoiseConfig
-    judging: EvaluationConfig
+    evaluation: EvaluationConfig
     checkpoint: CheckpointConfig
     stop_below_lr: PositiveFloat | None
     pictures: PicturesConfig

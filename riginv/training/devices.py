@@ -1,6 +1,6 @@
 """Ranks of a distributed run (Lightning's DDP, one process for each device), and the config of the trainer.
 
-Processes are started by torchrun, srun, or `riginv.launch.starter`. Only rank 0 prints and writes.
+Processes are started by torchrun, srun, or `riginv.launch.device_launcher`. Only rank 0 prints and writes.
 """
 
 import os
@@ -23,7 +23,7 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from riginv.config.values import PositiveInt
 from riginv.errors import InputError
-from riginv.launch.watched import is_watched
+from riginv.launch.rank_process import is_rank_process
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Process:
     @property
     def shows(self) -> bool:
         """Whether this process prints the result: rank 0, or the process that started the ranks."""
-        return self.rank == 0 and not is_watched()
+        return self.rank == 0 and not is_rank_process()
 
 
 def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
@@ -107,20 +107,20 @@ def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
         )
     if environment is None:
         return Process(0, count)
-    if environment.world_size() != count and not is_watched():
+    if environment.world_size() != count and not is_rank_process():
         raise InputError(
             f"{environment.world_size()} processes were started, trainer.devices={trainer.devices} x "
             f"trainer.num_nodes={trainer.num_nodes} asks for {count}: give both as they were started"
         )
-    rank = int(os.environ["RANK"]) if is_watched() else environment.global_rank()
-    if count > 1 and not is_watched() and not _folder_is_named():
+    rank = int(os.environ["RANK"]) if is_rank_process() else environment.global_rank()
+    if count > 1 and not is_rank_process() and not _folder_is_named():
         raise InputError("processes that were started separately need one folder: set hydra.run.dir=DIR, the same for all")
     return Process(rank, count, environment if count > 1 else None)
 
 
 def _environment(trainer: TrainerConfig, count: int) -> ClusterEnvironment | None:
     """What has started the processes of a run, if anything has."""
-    if is_watched():
+    if is_rank_process():
         return LightningEnvironment()
     if TorchElasticEnvironment.detect():
         return TorchElasticEnvironment()

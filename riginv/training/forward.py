@@ -15,7 +15,7 @@ class ForwardModule(RigModule):
     """Trains a surrogate of a rig on its poses (Sec. 3.2). It is anchored: neutral controls give the rest mesh.
 
     Args:
-        coefficient_share: of the loss on the rig's own coefficients, where it has blendshapes; the paper has none.
+        coefficient_weight: of the loss on the rig's own coefficients, where it has blendshapes; the paper has none.
     """
 
     kind = "forward"
@@ -27,23 +27,23 @@ class ForwardModule(RigModule):
         loss: nn.Module,
         make_optimizer: OptimizerFactory,
         make_schedule: ScheduleFactory,
-        coefficient_share: NonNegativeFloat = 0.0,
+        coefficient_weight: NonNegativeFloat = 0.0,
     ) -> None:
         super().__init__(rig, network, make_optimizer, make_schedule)
-        self.loss, self.coefficient_share = loss, coefficient_share
+        self.loss, self.coefficient_weight = loss, coefficient_weight
         self.coefficient_loss = CoefficientLoss(rig.linear_map, rig.space.vertex_count)
 
     def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         coefficients, neutral = self.coefficients(batch["controls"])
         coordinates = (coefficients - neutral) @ self.rig.linear_map
         loss = self.loss(coordinates, batch["coordinates"])
-        if self.coefficient_share and self.rig.rig.has_blendshapes:
-            loss = loss + self.coefficient_share * self.coefficient_loss(coefficients, batch["coefficients"])
+        if self.coefficient_weight and self.rig.source.has_blendshapes:
+            loss = loss + self.coefficient_weight * self.coefficient_loss(coefficients, batch["coefficients"])
         return loss, coordinates.detach()
 
     def coefficients(self, controls: Tensor) -> tuple[Tensor, Tensor]:
         """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and `(1, coefficient)` at neutral."""
-        found = self.network(torch.cat([controls, self.rig.rig.neutral_controls[None]]))
+        found = self.network(torch.cat([controls, self.rig.source.neutral_controls[None]]))
         return found[:-1], found[-1:]
 
     def results(self, batch: PoseBatch) -> Tensor:

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
-from riginv.networks.inverse import Answer, InverseNetwork
+from riginv.networks.inverse import Estimate, InverseNetwork
 from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
@@ -38,13 +38,13 @@ class InverseModule(RigModule):
         sampled_vertices: NonNegativeInt = 0,
     ) -> None:
         super().__init__(rig, network, make_optimizer, make_schedule)
-        if not rig.rig.differentiable:
+        if not rig.source.differentiable:
             raise InputError(
-                f"no gradient passes through rig '{rig.rig.name}', and the mesh loss needs one: train a surrogate of it with "
-                f"model=forward, then train the inverse through that with rig=surrogate rig.bundle=DIR"
+                f"no gradient passes through rig '{rig.source.name}', and the mesh loss needs one: train a surrogate of it "
+                f"with model=forward, then train the inverse through that with rig=surrogate rig.bundle=DIR"
             )
         self.loss = loss
-        self.last_loss = MeanDistanceLoss(rig.space.frame, sampled_vertices) if sampled_vertices else loss
+        self.last_loss = MeanDistanceLoss(rig.space.directions, sampled_vertices) if sampled_vertices else loss
 
     @classmethod
     def can_train_on(cls, rig: LinearRig) -> bool:
@@ -55,28 +55,30 @@ class InverseModule(RigModule):
         return [self.loss, self.last_loss]
 
     def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
-        answers = self.network.answers(batch["coordinates"])
-        losses = [*(self.loss for _ in answers[1:]), self.last_loss]
-        values, gradients = zip(*(value_and_gradient(loss, answer) for loss, answer in zip(losses, answers)))
-        return _PrecomputedGradients.apply(sum(values), *gradients, *(answer.raw for answer in answers)), answers[-1].found
+        estimates = self.network.estimates(batch["coordinates"])
+        losses = [*(self.loss for _ in estimates[1:]), self.last_loss]
+        values, gradients = zip(*(value_and_gradient(loss, estimate) for loss, estimate in zip(losses, estimates)))
+        return _PrecomputedGradients.apply(sum(values), *gradients, *(estimate.raw for estimate in estimates)), estimates[
+            -1
+        ].found
 
     def results(self, batch: PoseBatch) -> Tensor:
         return self.true_rig(self.network(batch["coordinates"]))
 
 
-def value_and_gradient(loss: nn.Module, answer: Answer) -> tuple[Tensor, Tensor]:
-    """The loss of an answer, and its gradient `(batch, control)` by the raw outputs, neither with a graph.
+def value_and_gradient(loss: nn.Module, estimate: Estimate) -> tuple[Tensor, Tensor]:
+    """The loss of an estimate, and its gradient `(batch, control)` by the raw outputs, neither with a graph.
 
-    For a `LengthLoss` the gradient is `answer.gradient` (already computed for the next stage) times a factor for each mesh; for
-    other losses it takes one more vector-Jacobian product.
+    For a `LengthLoss` the gradient is `estimate.gradient` (already computed for the next stage) times a factor for each mesh;
+    for other losses it takes one more vector-Jacobian product.
     """
     if isinstance(loss, LengthLoss):
-        factor = 2 / len(answer.squares) * loss.derivatives(answer.squares)
-        return loss.of_squares(answer.squares).mean(), factor[:, None] * answer.gradient
+        factor = 2 / len(estimate.squares) * loss.derivatives(estimate.squares)
+        return loss.of_squares(estimate.squares).mean(), factor[:, None] * estimate.gradient
     with torch.enable_grad():
-        found = answer.found.detach().requires_grad_()
-        value = loss(found, answer.target)
-    return value.detach(), answer.vjp(torch.autograd.grad(value, found)[0])
+        found = estimate.found.detach().requires_grad_()
+        value = loss(found, estimate.target)
+    return value.detach(), estimate.vjp(torch.autograd.grad(value, found)[0])
 
 
 class _PrecomputedGradients(torch.autograd.Function):

@@ -49,7 +49,7 @@ class SquaredVertexLoss(LengthLoss):
         return torch.full_like(squares, 1 / (3 * self.vertex_count))
 
 
-class VertexDistanceLoss(LengthLoss):
+class RmsVertexDistanceLoss(LengthLoss):
     """The root mean square distance of the vertices, mm, averaged over the meshes.
 
     Unlike the squared error it weights nearly neutral and extreme meshes about equally.

@@ -58,7 +58,7 @@ class RigModule(L.LightningModule, ABC):
     ) -> None:
         super().__init__()
         self.rig, self.network = rig.requires_grad_(False), network
-        self.true_rig = rig.rig
+        self.true_rig = rig.source
         self.make_optimizer, self.make_schedule = make_optimizer, make_schedule
         self.epoch_loss = MeanMetric(nan_strategy="ignore", sync_on_compute=False)  # gets means over all processes
         self.epoch_loss.persistent(True)  # so that a run stopped within an epoch still sees the whole of it

@@ -49,7 +49,8 @@ BASELINES = {
 FORMER_CLASSES = {  # that configs could name at commit ecc3cdc -> the name of the class now
     "riginv.fitted_rig.FittedRig": "BlackBoxRig",
     "riginv.recorded_rig.RecordedRig": "RecordedRig",
-    **{f"riginv.losses.{name}": name for name in ("SquaredVertexLoss", "VertexDistanceLoss")},
+    "riginv.losses.SquaredVertexLoss": "SquaredVertexLoss",
+    "riginv.losses.VertexDistanceLoss": "RmsVertexDistanceLoss",
     "riginv.modules.forward.ForwardModule": "ForwardModule",
     "riginv.modules.holden.HoldenModule": "HoldenModule",
     "riginv.modules.inverse.InverseModule": "InverseModule",
@@ -103,6 +104,13 @@ def test_a_saved_mixture_is_the_present_default():
     ClassSpec.read(upgraded(SAVED_MIXTURE), MeshSampler)
 
 
+def test_a_saved_run_has_present_keys():
+    network = {"_target_": "riginv.networks.inverse.StagedInverse", "corrections": 2}
+    saved = {"judging": {"test_poses": 5}, "model": {"network": network}, "turns": 3}
+    present = {"_target_": "riginv.networks.inverse.StagedInverse", "refinement_steps": 2}
+    assert upgraded(saved) == {"evaluation": {"test_poses": 5}, "model": {"network": present}, "iterations": 3}
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -115,6 +123,8 @@ def test_a_saved_mixture_is_the_present_default():
             ["sampler=sparse_poses", "+sampler.controls.most=3"],
             "sampler.controls.most is named sampler.controls.max_active now",
         ),
+        (["judging.test_poses=20"], "judging.test_poses is named evaluation.test_poses now"),
+        (["model.network.corrections=2"], "model.network.corrections is named model.network.refinement_steps now"),
         (["sampler.shares.loose_poses=0"], "sampler.shares.loose_poses is named sampler.fractions.joint_noise_poses now"),
     ],
 )

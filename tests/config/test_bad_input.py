@@ -35,7 +35,7 @@ def refused(outcome, *says: str) -> None:
         (["data.batch_size=0"], "data.batch_size is 0"),
         (["data.steps_per_epoch=-1"], "data.steps_per_epoch is -1"),
         (["data.stored_poses=0"], "data.stored_poses is 0"),
-        (["judging.test_poses=-3"], "judging.test_poses is -3"),
+        (["evaluation.test_poses=-3"], "evaluation.test_poses is -3"),
         (["model.optimizer.lr=-1"], "model.optimizer.lr is -1"),
         (["model.optimizer.lr=nan"], "model.optimizer.lr is nan"),
         (["model.optimizer.lr=inf"], "model.optimizer.lr is inf"),

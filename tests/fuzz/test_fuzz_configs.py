@@ -24,7 +24,7 @@ from riginv.errors import InputError
 from riginv.evaluate import EvaluateConfig
 from riginv.inspect import InspectConfig, show_clip_file
 from riginv.invert import InvertConfig, build_rigs
-from riginv.launch.command import options_first
+from riginv.launch.command import split_options
 from riginv.methods.base import suited_methods
 from riginv.reproduce.preflight import check_capture, choose_true_rig
 from riginv.reproduce.rigs import rig_in_space
@@ -96,10 +96,10 @@ def before_inspecting(config: DictConfig, folder: Path) -> None:
 def before_reproducing(config: DictConfig, folder: Path) -> None:
     settings = to_typed(config, ReproduceConfig)
     rig = rig_in_space(settings.rig)
-    check_capture(CaptureSource(settings.capture, settings.reading, settings.frames), rig.rig)
+    check_capture(CaptureSource(settings.capture, settings.reading, settings.frames), rig.source)
     if settings.body is not None:
         settings.body.build()
-    choose_true_rig(settings.true_rig, rig.rig)
+    choose_true_rig(settings.true_rig, rig.source)
 
 
 COMMANDS: dict[str, tuple[list[str], Callable]] = {
@@ -213,4 +213,5 @@ def test_many_more_values_are_valid_or_refused_in_a_sentence(name, composed, tmp
 @settings(max_examples=200, deadline=None, derandomize=True, database=None)
 @given(st.lists(st.text(alphabet="-=abc{}[],$ \"'~+@:/.", max_size=12), max_size=4))
 def test_any_arguments_are_sorted_without_losing_one(arguments):
-    assert sorted(options_first(arguments)) == sorted(arguments)
+    options, values = split_options(arguments)
+    assert sorted(options + values) == sorted(arguments)

@@ -7,7 +7,7 @@ from riginv.inference.inverse import QuickEncoder
 
 
 def test_rounding_stays_within_its_promise(toy):
-    vertices = toy.rig(toy.rig.lower + torch.rand(20, 7) * (toy.rig.upper - toy.rig.lower))
+    vertices = toy.source(toy.source.lower + torch.rand(20, 7) * (toy.source.upper - toy.source.lower))
     exact, quick = toy.space.encode(vertices), QuickEncoder(toy.space)(vertices)
     assert quick.dtype == exact.dtype
     assert ((quick - exact).norm(dim=1) <= 0.005 * exact.norm(dim=1)).all()
@@ -15,9 +15,9 @@ def test_rounding_stays_within_its_promise(toy):
 
 @pytest.mark.parametrize("rounded", [True, False])
 def test_the_rest_mesh_is_zero(toy, rounded):
-    assert (QuickEncoder(toy.space, rounded)(toy.rig.rest_vertices[None]) == 0).all()
+    assert (QuickEncoder(toy.space, rounded)(toy.source.rest_vertices[None]) == 0).all()
 
 
 def test_without_rounding_it_is_exact(toy):
-    vertices = toy.rig.rest_vertices + torch.randn(3, 162, 3)
+    vertices = toy.source.rest_vertices + torch.randn(3, 162, 3)
     assert torch.equal(QuickEncoder(toy.space, rounded=False)(vertices), toy.space.encode(vertices))

@@ -36,16 +36,16 @@ def test_onnxruntime_agrees(kind, toy, tmp_path):
         inverse.network.calibrate(toy.space.encode(random_meshes(inverse, 64)))
     path = tmp_path / "toy.onnx"
     parity = write_onnx(path, inverse)
-    assert parity.vertex_mm < 0.001 and parity.control_share < 1e-4
+    assert parity.vertex_mm < 0.001 and parity.control_fraction < 1e-4
     onnx.checker.check_model(str(path), full_check=True)
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     meshes = random_meshes(inverse, 9)
-    assert float((inverse(meshes) - toy.rig.neutral_controls).abs().max()) > 0.05
+    assert float((inverse(meshes) - toy.source.neutral_controls).abs().max()) > 0.05
     for count in (1, 2, 9):
         found = torch.tensor(session.run(None, {"vertices": meshes[:count].numpy()})[0])
         assert torch.allclose(found, inverse(meshes[:count]), atol=1e-4)
     facts = session.get_modelmeta().custom_metadata_map
-    assert [control["name"] for control in json.loads(facts["controls"])] == list(toy.rig.control_names)
+    assert [control["name"] for control in json.loads(facts["controls"])] == list(toy.source.control_names)
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -19,8 +19,8 @@ from omegaconf import OmegaConf
 from hydra_plugins.riginv_launchers.joblib_launcher import JoblibLauncher, share_cores
 from riginv.config.messages import CONFIGS
 from riginv.errors import InputError
-from riginv.launch.apart import Job, run_in_subprocess
-from riginv.launch.launching import JobsLauncher
+from riginv.launch.job_launcher import JobsLauncher
+from riginv.launch.job_process import Job, run_in_subprocess
 from riginv.launch.sweep_record import record_file
 from riginv.launch.sweep_rows import sweep_rows, write_tables
 from tests.conftest import ROOT
@@ -93,7 +93,7 @@ def test_a_damaged_record_is_as_good_as_none(tmp_path):
 
 def test_a_sweep_that_is_killed_takes_its_jobs_with_it(tmp_path):
     job = jobs(tmp_path, "nothing sleep=60")[0]
-    text = f"from pathlib import *; from riginv.launch.apart import Job, run_in_subprocess; run_in_subprocess({job!r})"
+    text = f"from pathlib import *; from riginv.launch.job_process import Job, run_in_subprocess; run_in_subprocess({job!r})"
     with subprocess.Popen([sys.executable, "-c", text], cwd=ROOT) as starter:
         wait_until((tmp_path / job.name / "starts.txt").is_file, 60)
         process = int(starts(job)[0][2])

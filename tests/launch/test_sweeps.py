@@ -147,7 +147,7 @@ def test_the_same_command_finds_its_sweep_again(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_comparison_of_rigs_and_models_is_six_jobs(run, tmp_path):
-    few = ["trainer.max_steps=2", "data.batch_size=4", "judging.test_poses=6", "judging.validation_poses=2"]
+    few = ["trainer.max_steps=2", "data.batch_size=4", "evaluation.test_poses=6", "evaluation.validation_poses=2"]
     few += [
         "pictures.every_n_validations=null",
         "pictures.final=false",

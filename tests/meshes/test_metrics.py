@@ -6,7 +6,7 @@ import torch
 
 from riginv.meshes.metrics import roughness
 from riginv.meshes.vertex_error import VertexError
-from riginv.training.losses import SquaredVertexLoss, VertexDistanceLoss
+from riginv.training.losses import RmsVertexDistanceLoss, SquaredVertexLoss
 
 
 def test_vertex_errors_do_not_depend_on_how_poses_are_batched():
@@ -30,12 +30,12 @@ def test_losses_are_those_of_the_vertices():
     coordinates, target = torch.randn(4, 6), torch.randn(4, 6)
     squared = (coordinates - target).square().sum(dim=1)
     torch.testing.assert_close(SquaredVertexLoss(10)(coordinates, target), squared.mean() / 30)
-    torch.testing.assert_close(VertexDistanceLoss(10)(coordinates, target), (squared / 10 + 1e-4).sqrt().mean())
+    torch.testing.assert_close(RmsVertexDistanceLoss(10)(coordinates, target), (squared / 10 + 1e-4).sqrt().mean())
 
 
 def test_the_distance_loss_has_a_gradient_at_0():
     coordinates = torch.zeros(2, 3, requires_grad=True)
-    VertexDistanceLoss(5)(coordinates, torch.zeros(2, 3)).backward()
+    RmsVertexDistanceLoss(5)(coordinates, torch.zeros(2, 3)).backward()
     assert coordinates.grad.isfinite().all()
 
 

@@ -45,14 +45,14 @@ def by_hand(model, weights: np.ndarray) -> np.ndarray:
 
 
 def test_sides_lead_from_neutral_to_the_limits(toy):
-    sides = Sides(toy.rig)
+    sides = Sides(toy.source)
     assert len(sides) == 8 and sorted(map(len, sides.groups)) == [1] * 6 + [2]
     controls = SparseControls(toy).sample(30, generator_at(0, "sides"))
     weights = torch.stack(
         [(controls[:, control] * sign).clamp_min(0) for control, sign in zip(sides.control, sides.reach)], dim=1
     )
     torch.testing.assert_close(sides.controls(weights), controls)
-    assert torch.equal(sides.controls(torch.zeros(1, 8))[0], toy.rig.neutral_controls)
+    assert torch.equal(sides.controls(torch.zeros(1, 8))[0], toy.source.neutral_controls)
     assert sides.controls(9 * torch.ones(1, 8)).tolist() == [[1, 1, 1, 1, 1, 0, 1]]  # both sides of one control cancel
 
 
@@ -73,7 +73,7 @@ def test_its_derivative_has_the_whole_product_rule(model):
 
 
 def test_measured_poses_are_met_exactly(toy):
-    sides = Sides(toy.rig)
+    sides = Sides(toy.source)
     ones = torch.eye(len(sides), dtype=torch.float64)
     pairs = torch.stack([ones[a] + ones[b] for a, b in itertools.combinations(range(len(sides)), 2) if {a, b} != {5, 6}])
     quadratic, quartic, tabled = (MODELS[name](toy) for name in ("quadratic", "quartic", "tables"))

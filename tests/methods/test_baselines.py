@@ -69,7 +69,7 @@ def dull():
 
 
 def poses_of(rig, count: int, name: str = "baseline test") -> PosedRig:
-    return PosedRig("poses", rig.rig, SparseControls(rig).sample(count, generator_at(0, name)))
+    return PosedRig("poses", rig.source, SparseControls(rig).sample(count, generator_at(0, name)))
 
 
 def freshly_prepared(name: str, rig, seed: int = 0):
@@ -84,7 +84,7 @@ def prepared(name: str, rig, seed: int = 0):
 
 
 def share_left(controls, rig, poses) -> float:
-    metrics = evaluate_controls(rig.rig, poses, controls).metrics
+    metrics = evaluate_controls(rig.source, poses, controls).metrics
     return metrics["poses/mean_vertex_error_mm"] / metrics["poses/neutral_mean_vertex_error_mm"]
 
 
@@ -93,8 +93,8 @@ def test_it_beats_neutral_within_the_limits_and_repeats_itself(name, toy):
     poses = poses_of(toy, 60)
     method = prepared(name, toy)
     controls = method.invert(poses)
-    assert controls.shape == (60, 7) and controls.dtype == toy.rig.dtype
-    assert (controls >= toy.rig.lower).all() and (controls <= toy.rig.upper).all()
+    assert controls.shape == (60, 7) and controls.dtype == toy.source.dtype
+    assert (controls >= toy.source.lower).all() and (controls <= toy.source.upper).all()
     assert share_left(controls, toy, poses) < 1 / BASELINES[name][1]
     assert torch.equal(freshly_prepared(name, toy).invert(poses), controls)
     assert method.source and len(method.source.split()) > 20
@@ -116,7 +116,7 @@ def test_a_rig_without_full_rank_and_a_control_that_does_nothing_are_survived(na
 def test_both_ways_out_of_neutral_are_found(name, toy):
     controls = torch.zeros(6, 7)
     controls[:, 5] = torch.tensor([-1.0, -0.7, -0.4, 0.4, 0.7, 1.0])
-    found = prepared(name, toy).invert(PosedRig("poses", toy.rig, controls))
+    found = prepared(name, toy).invert(PosedRig("poses", toy.source, controls))
     assert torch.equal(found[:, 5].sign(), controls[:, 5].sign())
     assert (found[:, 5] - controls[:, 5]).abs().max() < 0.6
 
@@ -124,13 +124,13 @@ def test_both_ways_out_of_neutral_are_found(name, toy):
 @every_baseline
 def test_clips_of_none_and_of_one_frame_and_meshes_out_of_reach(name, toy):
     method = prepared(name, toy)
-    rest, deltas = toy.rig.rest_vertices, toy.rig.basis
+    rest, deltas = toy.source.rest_vertices, toy.source.basis
     for frames in (0, 1):
         clip = WeightedShapes("clip", rest, deltas, torch.full((frames, 12), 0.3), fps=30.0)
         assert method.invert(clip).shape == (frames, 7)
     wild = WeightedShapes("wild", rest, deltas, torch.tensor([[500.0] * 12, [-500.0] * 12, [0.0] * 12]))
     controls = method.invert(wild)
-    assert torch.isfinite(controls).all() and (controls >= toy.rig.lower).all() and (controls <= toy.rig.upper).all()
+    assert torch.isfinite(controls).all() and (controls >= toy.source.lower).all() and (controls <= toy.source.upper).all()
 
 
 @every_baseline
@@ -139,7 +139,8 @@ def test_a_frame_of_nan_spoils_no_other(name, toy):
     broken = weights.clone()
     broken[2] = torch.nan
     whole, found = (
-        method.invert(WeightedShapes("clip", toy.rig.rest_vertices, toy.rig.basis, rows, 30.0)) for rows in (weights, broken)
+        method.invert(WeightedShapes("clip", toy.source.rest_vertices, toy.source.basis, rows, 30.0))
+        for rows in (weights, broken)
     )
     assert torch.isfinite(found).all()
     others = [0, 1, 3, 4]

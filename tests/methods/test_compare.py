@@ -101,10 +101,10 @@ def test_a_sweep_of_comparisons_ends_in_one_table(run, tmp_path):
 
 def test_a_network_is_refined_in_the_solvers_mesh_space_whatever_its_own(run, toy):
     bundle = str(run("train", folder="trained").folder / "bundle")
-    flipped = RigInMeshSpace(toy.rig, MeshSpace(toy.rig.rest_vertices, -toy.space.frame.flip(0)))
-    meshes = PosedRig("poses", toy.rig, poses(toy.rig, 8))
+    flipped = RigInMeshSpace(toy.source, MeshSpace(toy.source.rest_vertices, -toy.space.directions.flip(0)))
+    meshes = PosedRig("poses", toy.source, poses(toy.source, 8))
     one, other = (Refined(rig, bundle).invert(meshes) for rig in (toy, flipped))
-    errors = [evaluate_controls(toy.rig, meshes, found).metrics["poses/mean_vertex_error_mm"] for found in (one, other)]
+    errors = [evaluate_controls(toy.source, meshes, found).metrics["poses/mean_vertex_error_mm"] for found in (one, other)]
     assert errors[1] == pytest.approx(errors[0], rel=0.2)
 
 
@@ -158,18 +158,18 @@ class Liar(Method):
 @pytest.mark.parametrize("wrong", ["short", "nan", "beyond"])
 def test_a_method_that_gives_no_controls_is_named(toy, wrong):
     with pytest.raises(InputError, match="method 'liar' gave controls"):
-        evaluated_row("liar", Liar(toy, wrong), toy.rig, PosedRig("poses", toy.rig, poses(toy.rig, 4)), 0.0)
+        evaluated_row("liar", Liar(toy, wrong), toy.source, PosedRig("poses", toy.source, poses(toy.source, 4)), 0.0)
 
 
 def test_no_method_sees_the_answer(toy):
-    assert Clocked(PosedRig("poses", toy.rig, poses(toy.rig, 4))).controls is None
+    assert Clocked(PosedRig("poses", toy.source, poses(toy.source, 4))).controls is None
 
 
 def test_the_optimum_is_kept_and_follows_the_rig(toy, tmp_path, monkeypatch):
     monkeypatch.setenv("RIGINV_CACHE", str(tmp_path))
-    sets = [PosedRig("poses", toy.rig, poses(toy.rig, 5))]
-    first = find_optima(toy.rig, sets)["poses"]
+    sets = [PosedRig("poses", toy.source, poses(toy.source, 5))]
+    first = find_optima(toy.source, sets)["poses"]
     assert first.mean_mm < 0.02 and len(list(tmp_path.glob("optimum-*"))) == 1
-    torch.testing.assert_close(find_optima(toy.rig, sets)["poses"].errors_mm, first.errors_mm, atol=0, rtol=0)
-    find_optima(toy.rig, [PosedRig("poses", toy.rig, poses(toy.rig, 6))])
+    torch.testing.assert_close(find_optima(toy.source, sets)["poses"].errors_mm, first.errors_mm, atol=0, rtol=0)
+    find_optima(toy.source, [PosedRig("poses", toy.source, poses(toy.source, 6))])
     assert len(list(tmp_path.glob("optimum-*"))) == 2

@@ -23,7 +23,7 @@ def test_layers_of_normalisation_stand_before_each_activation(toy, name, kind, c
     assert len(network.own_weights()) > len(plain.own_weights())
     if control_map == "neutral_start":
         found = network.eval()(torch.zeros(2, toy.space.size))
-        assert torch.equal(found, toy.rig.neutral_controls.expand(2, -1))
+        assert torch.equal(found, toy.source.neutral_controls.expand(2, -1))
 
 
 def test_an_unknown_normalisation_is_refused(toy):
@@ -35,16 +35,16 @@ def test_without_tanh_controls_leave_their_range_while_training_and_not_after(to
     torch.manual_seed(0)
     network = UnboundedInverse(toy, HIDDEN)
     meshes = 1e4 * torch.randn(16, toy.space.size)
-    training = network.answers(meshes)[0].controls
-    assert bool((training > toy.rig.upper + 0.5).any()) and bool((training < toy.rig.lower - 0.5).any())
+    training = network.estimates(meshes)[0].controls
+    assert bool((training > toy.source.upper + 0.5).any()) and bool((training < toy.source.lower - 0.5).any())
     found = network(meshes)
-    assert torch.equal(found, training.clamp(toy.rig.lower, toy.rig.upper))
+    assert torch.equal(found, training.clamp(toy.source.lower, toy.source.upper))
 
 
 def test_without_sigmoids_weights_leave_their_range(toy):
     torch.manual_seed(0)
-    free, bounded = UnboundedSurrogate(toy.rig, HIDDEN), ControlMLP(toy.rig, HIDDEN)
+    free, bounded = UnboundedSurrogate(toy.source, HIDDEN), ControlMLP(toy.source, HIDDEN)
     free.load_own_weights(bounded.own_weights())
-    controls = 50 * torch.rand(8, len(toy.rig.controls))
+    controls = 50 * torch.rand(8, len(toy.source.controls))
     assert torch.allclose(torch.sigmoid(free(controls)), bounded(controls), atol=1e-6)
     assert bool((free(controls) < 0).any())

@@ -27,16 +27,16 @@ def test_it_is_linear_in_the_residual_for_equal_gates():
 
 def test_corrections_reduce_the_residual_of_the_mlp(toy):
     torch.manual_seed(0)
-    network = StagedInverse(toy, stages=1, hidden=[32], corrections=4, width=32, gate=16)
+    network = StagedInverse(toy, stages=1, hidden=[32], refinement_steps=4, width=32, gate=16)
     optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
-    coordinates = toy(toy.rig.lower + torch.rand(256, 7) * (toy.rig.upper - toy.rig.lower))
+    coordinates = toy(toy.source.lower + torch.rand(256, 7) * (toy.source.upper - toy.source.lower))
     network.calibrate(coordinates)
     for _ in range(150):
         loss = sum(
-            (answer.coordinates - coordinates).square().sum(dim=1).sqrt().mean() for answer in network.answers(coordinates)
+            (answer.coordinates - coordinates).square().sum(dim=1).sqrt().mean() for answer in network.estimates(coordinates)
         )
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    errors = [(answer.coordinates - coordinates).norm().item() for answer in network.answers(coordinates)]
+    errors = [(answer.coordinates - coordinates).norm().item() for answer in network.estimates(coordinates)]
     assert len(errors) == 5 and errors[-1] < 0.3 * errors[0]

@@ -32,12 +32,12 @@ def laplacian(faces: np.ndarray, vertices: int) -> np.ndarray:
 
 def test_differential_coordinates_are_the_graph_laplacian(toy):
     meshes = torch.randn(2, 165, 3, generator=generator_at(0, "meshes"))  # three vertices belong to no face
-    expected = np.einsum("vw,mwc->mvc", laplacian(toy.rig.faces.numpy(), 165), meshes.numpy())
-    np.testing.assert_allclose(differential_coordinates(meshes, toy.rig.faces).numpy(), expected, atol=1e-5)
+    expected = np.einsum("vw,mwc->mvc", laplacian(toy.source.faces.numpy(), 165), meshes.numpy())
+    np.testing.assert_allclose(differential_coordinates(meshes, toy.source.faces).numpy(), expected, atol=1e-5)
 
 
 def test_the_reconstruction_is_least_squares_within_the_rigs_span(toy):
-    rig, weight = toy.rig, 0.3
+    rig, weight = toy.source, 0.3
     anchors = spread_points(rig.rest_vertices, 4)
     assert len(set(anchors.tolist())) == 4
     maps = reconstruction(rig, anchors, weight)
@@ -64,7 +64,7 @@ def coordinates(module, controls):
 
 def test_it_learns_the_toy(toy):
     torch.manual_seed(0)
-    network = DifferentialSubspace(toy.rig, hidden=[64, 64], subspace_hidden=[32], anchors=8)
+    network = DifferentialSubspace(toy.source, hidden=[64, 64], subspace_hidden=[32], anchors=8)
     module = ForwardModule(toy, network, SquaredVertexLoss(162), None, None)
     poses, optimizer = RigPoses(toy, SparseControls(toy)), torch.optim.Adam(network.parameters(), lr=3e-3)
     for step in range(500):
@@ -72,7 +72,7 @@ def test_it_learns_the_toy(toy):
         optimizer.zero_grad()
         module.loss(coordinates(module, batch["controls"]), batch["coordinates"]).backward()
         optimizer.step()
-    batch = poses.sample(64, generator_at(0, "judging"))
+    batch = poses.sample(64, generator_at(0, "evaluation"))
     with torch.no_grad():
         error = (coordinates(module, batch["controls"]) - batch["coordinates"]).norm() / batch["coordinates"].norm()
     assert error < 0.12
@@ -97,4 +97,4 @@ def test_a_trained_one_is_a_rig_to_invert_through(run, toy):
 )
 def test_networks_that_cannot_be_are_refused(arguments, says, toy):
     with pytest.raises(InputError, match=says):
-        DifferentialSubspace(toy.rig, hidden=[4], subspace_hidden=[4], **arguments)
+        DifferentialSubspace(toy.source, hidden=[4], subspace_hidden=[4], **arguments)

@@ -9,7 +9,7 @@ from riginv.rig.batches import generator_at
 from riginv.sampling.controls import SparseControls
 from riginv.sampling.meshes import RigPoses
 from riginv.training.forward import ForwardModule
-from riginv.training.losses import VertexDistanceLoss
+from riginv.training.losses import RmsVertexDistanceLoss
 from rigs.face.rig import FaceRig
 from tests.support.toys import ToyRig
 
@@ -47,16 +47,16 @@ def test_an_output_sees_its_own_inputs_only():
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_it_learns_the_toy(share, toy):
     torch.manual_seed(0)
-    network = LocalSurrogate(toy.rig, width=16, corrective_width=8, context=[32])
-    network.set_scales(toy.rig, toy.rig.neutral_controls[None])
-    module = ForwardModule(toy, network, VertexDistanceLoss(162), None, None, coefficient_share=share)
+    network = LocalSurrogate(toy.source, width=16, corrective_width=8, context=[32])
+    network.set_scales(toy.source, toy.source.neutral_controls[None])
+    module = ForwardModule(toy, network, RmsVertexDistanceLoss(162), None, None, coefficient_weight=share)
     module.log = lambda *args, **kwargs: None
     poses, optimizer = RigPoses(toy, SparseControls(toy)), torch.optim.Adam(network.parameters(), lr=5e-3)
     for step in range(400):
         optimizer.zero_grad()
         module.training_step(poses.sample(64, generator_at(0, "learning", step)), step).backward()
         optimizer.step()
-    batch = poses.sample(64, generator_at(0, "judging"))
+    batch = poses.sample(64, generator_at(0, "evaluation"))
     with torch.no_grad():
         found = toy.space.encode(module.results(batch))
     assert (found - batch["coordinates"]).norm() < 0.05 * batch["coordinates"].norm()

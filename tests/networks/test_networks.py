@@ -27,7 +27,7 @@ def network(request, toy):
 def test_answers_stay_within_the_limits(network, toy):
     controls = network(torch.randn(50, toy.space.size) * 100)
     assert controls.shape == (50, 7)
-    assert (controls >= toy.rig.lower).all() and (controls <= toy.rig.upper).all()
+    assert (controls >= toy.source.lower).all() and (controls <= toy.source.upper).all()
 
 
 @pytest.mark.parametrize("name", ["staged", "direct"])
@@ -37,13 +37,13 @@ def test_the_neutral_mesh_maps_to_the_neutral_controls_even_when_trained(name, t
     optimizer = torch.optim.Adam(network.parameters(), lr=0.05)
     for _ in range(20):
         coordinates = torch.randn(16, toy.space.size) * 10
-        loss = sum((answer.coordinates - coordinates).square().mean() for answer in network.answers(coordinates))
+        loss = sum((answer.coordinates - coordinates).square().mean() for answer in network.estimates(coordinates))
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
     controls = network(torch.zeros(3, toy.space.size))
-    torch.testing.assert_close(controls, toy.rig.neutral_controls.expand(3, -1), atol=1e-6, rtol=0)
-    assert (network(torch.randn(3, toy.space.size) * 10) - toy.rig.neutral_controls).abs().max() > 0.05
+    torch.testing.assert_close(controls, toy.source.neutral_controls.expand(3, -1), atol=1e-6, rtol=0)
+    assert (network(torch.randn(3, toy.space.size) * 10) - toy.source.neutral_controls).abs().max() > 0.05
 
 
 def test_a_batch_equals_its_rows_and_gradients_do_not_matter(network, toy):
@@ -56,11 +56,11 @@ def test_a_batch_equals_its_rows_and_gradients_do_not_matter(network, toy):
 
 
 def test_neutral_start_keeps_every_gradient_at_neutral_where_a_clamp_would_not(toy):
-    control_map = NeutralStart(toy.rig)
+    control_map = NeutralStart(toy.source)
     raw = torch.tensor([[0.0] * 7, [-0.5] * 7], requires_grad=True)
     controls = control_map(raw)
     controls.sum().backward()
-    one_sided = toy.rig.lower == 0
+    one_sided = toy.source.lower == 0
     assert (controls[0] == 0).all() and (controls[1, one_sided] == 0).all() and (controls[1, ~one_sided] < 0).all()
     assert (raw.grad > 0.05).all()
 
@@ -74,8 +74,8 @@ def test_controls_that_are_neutral_at_their_upper_limit_go_down():
 
 
 def test_the_papers_map_starts_in_the_middle(toy):
-    middle = (toy.rig.lower + toy.rig.upper) / 2
-    torch.testing.assert_close(RangeTanh(toy.rig)(torch.zeros(1, 7))[0], middle)
+    middle = (toy.source.lower + toy.source.upper) / 2
+    torch.testing.assert_close(RangeTanh(toy.source)(torch.zeros(1, 7))[0], middle)
 
 
 @pytest.mark.parametrize("name", list(NETWORKS))
@@ -91,7 +91,7 @@ def test_a_network_saves_its_own_weights_only(name, toy):
 
 
 def test_the_surrogates_weights_lie_within_0_and_1(toy):
-    weights = ControlMLP(toy.rig, hidden=[16])(torch.rand(5, 7) * 100)
+    weights = ControlMLP(toy.source, hidden=[16])(torch.rand(5, 7) * 100)
     assert weights.shape == (5, 12) and weights.min() >= 0 and weights.max() <= 1
 
 

@@ -42,7 +42,7 @@ TINY = [
     "budget.frames=20",
     "budget.seeds=[0,1,2]",
     "budget.settings=['trainer=cpu','model.network.hidden=[32]','data.steps_per_epoch=6','data.batch_size=8',"
-    "'judging.validation_poses=4','pictures.every_n_validations=null','pictures.final=false','trainer.log_every_n_steps=1']",
+    "'evaluation.validation_poses=4','pictures.every_n_validations=null','pictures.final=false','trainer.log_every_n_steps=1']",
     *(f"budget.networks.{name}.steps=12" for name in ("surrogate", "inverse", "holden", "best", "body")),
     "budget.others=[blendshape_ridge,quadratic]",
     "budget.optimum={starts: 2, key_starts: 1, steps: 6, descent_steps: 10}",

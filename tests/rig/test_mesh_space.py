@@ -11,21 +11,21 @@ from tests.support.toys import ToyRig
 
 
 def test_the_frame_is_orthonormal_and_spans_the_basis(face_in_space):
-    space, rig = face_in_space.space, face_in_space.rig
-    frame = space.frame.flatten(1).double()
+    space, rig = face_in_space.space, face_in_space.source
+    frame = space.directions.flatten(1).double()
     assert space.size <= 628
     torch.testing.assert_close(frame @ frame.T, torch.eye(space.size, dtype=torch.float64), atol=1e-5, rtol=0)
-    rebuilt = face_in_space.linear_map @ space.frame.flatten(1)
+    rebuilt = face_in_space.linear_map @ space.directions.flatten(1)
     assert (rebuilt - rig.basis.flatten(1)).abs().max() < 1e-3
 
 
 def test_meshes_of_the_rig_are_kept_whole(face_in_space):
-    controls = random_controls(face_in_space.rig, 6, seed=0)
-    vertices = face_in_space.rig(controls)
+    controls = random_controls(face_in_space.source, 6, seed=0)
+    vertices = face_in_space.source(controls)
     coordinates = face_in_space.space.encode(vertices)
     torch.testing.assert_close(face_in_space.space.decode(coordinates), vertices, atol=2e-3, rtol=0)
     torch.testing.assert_close(coordinates, face_in_space(controls), atol=2e-3, rtol=1e-5)
-    assert face_in_space(face_in_space.rig.neutral_controls[None]).abs().max() == 0
+    assert face_in_space(face_in_space.source.neutral_controls[None]).abs().max() == 0
 
 
 def test_loss_and_gradient_equal_those_of_full_meshes_constant_aside():
@@ -55,8 +55,8 @@ def test_loss_and_gradient_equal_those_of_full_meshes_constant_aside():
 
 
 def test_distances_in_mesh_coordinates_are_distances_of_vertices(face_in_space):
-    controls = random_controls(face_in_space.rig, 4, seed=3)
-    one, other = face_in_space.rig(controls[:2]), face_in_space.rig(controls[2:])
+    controls = random_controls(face_in_space.source, 4, seed=3)
+    one, other = face_in_space.source(controls[:2]), face_in_space.source(controls[2:])
     expected = (one - other).square().sum(dim=2).mean().sqrt()
     found = root_mean_square_mm(face_in_space.space.encode(one), face_in_space.space.encode(other), 8447)
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=0)

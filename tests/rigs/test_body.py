@@ -137,7 +137,7 @@ def test_the_features_tell_the_angles_and_take_the_short_way_round(body):
 def test_mesh_space_is_exact_and_its_frame_orthonormal(body, body_in_space):
     space = body_in_space.space
     assert space.size == 912
-    frame = space.frame.flatten(1)
+    frame = space.directions.flatten(1)
     assert (frame @ frame.T - torch.eye(912)).abs().max() < 1e-4
     controls = drawn(body, 3)
     torch.testing.assert_close(space.decode(body_in_space(controls)), body(controls), atol=0.02, rtol=0)
@@ -196,7 +196,7 @@ def test_every_pose_that_has_a_name_is_within_the_limits(body):
 
 @pytest.mark.parametrize("model", ["inverse", "holden", "forward"])
 def test_every_model_trains_on_it(model, run, tmp_path):
-    hidden = ["model.network.hidden=[16]", "judging.test_poses=8", "trainer.max_steps=3", "data.steps_per_epoch=3"]
+    hidden = ["model.network.hidden=[16]", "evaluation.test_poses=8", "trainer.max_steps=3", "data.steps_per_epoch=3"]
     made = run("train", "rig=body", f"model={model}", *hidden, small=True)
     assert made.code == 0, made.text
     assert np.isfinite(made.metrics["rig_poses/mean_vertex_error_mm"])

@@ -238,8 +238,8 @@ def test_an_avatar_trains_by_the_usual_command(run, face, tmp_path):
     face_avatar(tmp_path / "head.glb", face, 50)
     small = ["model.network.hidden=[32]", "trainer.max_steps=6", "data.steps_per_epoch=6", "data.batch_size=8"]
     small += [
-        "judging.test_poses=10",
-        "judging.validation_poses=4",
+        "evaluation.test_poses=10",
+        "evaluation.validation_poses=4",
         "pictures.every_n_validations=null",
         "pictures.final=false",
     ]

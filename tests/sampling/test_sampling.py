@@ -34,14 +34,14 @@ def ks_distance(values: torch.Tensor, cdf) -> float:
 
 
 def test_the_papers_controls_have_uniform_counts_and_uniform_values(face_in_space):
-    rig = face_in_space.rig
+    rig = face_in_space.source
     controls = SparseControls(face_in_space).sample(COUNT, generator())
     active = controls != rig.neutral_controls
     counts = active.sum(dim=1)
     assert counts.min() == 1 and counts.max() == 137
     shares = torch.bincount(counts, minlength=138)[1:] / COUNT
     assert (shares - 1 / 137).abs().max() < 5 * (1 / 137 / COUNT) ** 0.5
-    for column in (0, 60, face_in_space.rig.control_names.index("jawSide")):
+    for column in (0, 60, face_in_space.source.control_names.index("jawSide")):
         values = controls[active[:, column], column]
         low, high = rig.lower[column], rig.upper[column]
         assert ks_distance(values, lambda x, low=low, high=high: (x - low) / (high - low)) < 2 / len(values) ** 0.5
@@ -63,7 +63,7 @@ def test_plausible_controls_are_few_and_often_faint(face_in_space):
     counts = (controls != 0).sum(dim=1)
     assert counts.max() <= 40 and counts.median() <= 8
     assert ks_distance(counts.clamp(1, 40).float().log(), lambda x: x / torch.tensor(40.0).log()) < 0.12  # log-uniform, rounded
-    assert (controls >= face_in_space.rig.lower).all() and (controls <= face_in_space.rig.upper).all()
+    assert (controls >= face_in_space.source.lower).all() and (controls <= face_in_space.source.upper).all()
     single = controls[counts == 1]
     strength = single.abs().amax(dim=1)
     assert 0.55 < (strength < 0.5).float().mean() < 0.75  # half are uniform, half the product of two uniforms
@@ -142,7 +142,7 @@ def test_noise_has_the_size_that_it_says_and_smooth_noise_is_smooth(face_in_spac
     smooth = CaptureNoise(space, smooth_mm=1.0, radius_mm=25).sample(200, generator())
     moved = space.decode(smooth) - space.rest_vertices
     assert 0.4 < moved.square().sum(dim=2).mean().sqrt() <= 1.1  # what of 1 mm the rig's space can see
-    edges = torch.cat([face_in_space.rig.faces[:, :2], face_in_space.rig.faces[:, 1:]])
+    edges = torch.cat([face_in_space.source.faces[:, :2], face_in_space.source.faces[:, 1:]])
     apart = (moved[:, edges[:, 0]] - moved[:, edges[:, 1]]).norm(dim=2).mean()
     assert apart < 0.35 * moved.norm(dim=2).mean()
     noisy = WithNoise(RandomCombinations(face_in_space), CaptureNoise(space, vertex_mm=0.1))

@@ -155,7 +155,7 @@ def test_checkpoints_hold_tensors_and_values_or_are_refused(tmp_path, mark):
 
 
 def test_a_run_whose_checkpoint_is_a_bomb_is_not_gone_on_with(run, mark):
-    short = ["trainer.max_steps=1", "data.batch_size=2", "judging.test_poses=2", "checkpoint.every_n_steps=1"]
+    short = ["trainer.max_steps=1", "data.batch_size=2", "evaluation.test_poses=2", "checkpoint.every_n_steps=1"]
     folder = run("train", *short).folder
     (folder / "metrics.json").unlink()  # as if it had been stopped
     hostile.torch_bomb(folder / "checkpoints/last.ckpt", mark)

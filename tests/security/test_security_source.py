@@ -142,7 +142,7 @@ def test_training_and_looking_open_no_port_and_call_nobody(run, tmp_path, monkey
     with socket.create_server(("127.0.0.1", 0)):
         assert HEARD, "the ear is deaf"
     HEARD.clear()
-    outcome = run("train", "trainer.max_steps=1", "data.batch_size=2", "judging.test_poses=2")
+    outcome = run("train", "trainer.max_steps=1", "data.batch_size=2", "evaluation.test_poses=2")
     assert outcome.code == 0, outcome.text
     animation = moving(ToyRig(), with_motion=False)
     write_viewer(tmp_path / "look.html", animation, errors_of(animation), lambda rows: animation.rig(animation.controls[rows]))

@@ -15,8 +15,8 @@ from tests.support.toys import ToyRig
 
 
 def test_weights_say_what_a_mesh_counts_against_the_prior(toy):
-    objective, coordinates = Objective(toy, prior=0.5), toy(poses(toy.rig, 6))
-    start = objective.units(poses(toy.rig, 6, "start"))
+    objective, coordinates = Objective(toy, prior=0.5), toy(poses(toy.source, 6))
+    start = objective.units(poses(toy.source, 6, "start"))
     plain = levenberg_marquardt(objective, coordinates, start, 40)
     weights = torch.tensor([1.0, 1, 1, 0, 100, 1e-4])
     found = levenberg_marquardt(objective, coordinates, start, 40, weights=weights)
@@ -41,7 +41,7 @@ def test_a_frame_that_does_not_count_follows_its_neighbours(toy):
 
 
 def test_sparsity_leaves_fewer_controls_in_use(toy):
-    coordinates = toy(poses(toy.rig, 20)) + 0.5 * torch.randn(20, toy.space.size, generator=generator_at(0, "noise"))
+    coordinates = toy(poses(toy.source, 20)) + 0.5 * torch.randn(20, toy.space.size, generator=generator_at(0, "noise"))
     used = []
     for sparsity in (0.0, 0.05):
         objective = Objective(toy, sparsity=sparsity)
@@ -50,10 +50,10 @@ def test_sparsity_leaves_fewer_controls_in_use(toy):
 
 
 def test_refinement_improves_on_an_untrained_network(toy):
-    controls = poses(toy.rig, 10)
+    controls = poses(toy.source, 10)
     network = DirectInverse(toy, hidden=[8]).eval()
-    meshes = toy.rig(controls)
-    plain, refined = (mesh_error_mm(toy.rig, Inverse(network, steps)(meshes), controls).mean() for steps in (0, 8))
+    meshes = toy.source(controls)
+    plain, refined = (mesh_error_mm(toy.source, Inverse(network, steps)(meshes), controls).mean() for steps in (0, 8))
     assert refined < 0.3 * plain
     start = Objective(toy).units(network(toy(controls)).detach())
     assert refine_meshes(Objective(toy), toy(controls), start, 8).steps.max() <= 8
@@ -86,7 +86,7 @@ def test_steps_on_the_mean_distance_lower_it(toy):
     start = objective.units(controls)
 
     def mean_distance_mm(units):
-        return (toy.rig(objective.to_controls(units)) - toy.space.decode(coordinates)).norm(dim=2).mean()
+        return (toy.source(objective.to_controls(units)) - toy.space.decode(coordinates)).norm(dim=2).mean()
 
     squares = solve_clip(objective, coordinates, start, 1e-3, 12)
     means = solve_clip(objective, coordinates, start, 1e-3, 12, mean_steps=12)

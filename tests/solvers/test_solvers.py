@@ -62,7 +62,7 @@ def mesh_error_mm(rig, found, expected):
 
 @pytest.mark.parametrize("name", ["face", "toy", "automatic face", "black box", "body"])
 def test_jacobians_agree_with_finite_differences(name, face, toy, body):
-    rig = {"toy": toy.rig, "black box": toy.rig, "body": body}.get(name, face)
+    rig = {"toy": toy.source, "black box": toy.source, "body": body}.get(name, face)
     controls, step = inside(rig, 3), 1e-6
     answer = LinearRig.coefficient_jacobian if name == "automatic face" else type(rig).coefficient_jacobian
     if name == "black box":
@@ -88,8 +88,8 @@ def test_jacobians_agree_with_finite_differences(name, face, toy, body):
 
 def test_the_gradient_is_that_of_the_cost(face_in_space):
     objective = Objective(face_in_space, prior=1e-5, sparsity=1e-4, dtype=torch.float64)
-    units = objective.units(inside(face_in_space.rig, 2))
-    target = face_in_space(inside(face_in_space.rig, 5)[3:].float()).double()
+    units = objective.units(inside(face_in_space.source, 2))
+    target = face_in_space(inside(face_in_space.source, 5)[3:].float()).double()
     given = torch.eye(len(objective.span), dtype=torch.float64) * 1e-6
     near = objective.linearise(units, target)
     numeric = [(objective.cost(units + one, target) - objective.cost(units - one, target)) / 2e-6 for one in given]
@@ -100,7 +100,7 @@ def test_the_gradient_is_that_of_the_cost(face_in_space):
 
 
 def test_a_pose_of_the_rig_is_recovered_from_a_start_near_it(face_in_space):
-    rig, objective = face_in_space.rig, Objective(face_in_space, NO_PRIOR)
+    rig, objective = face_in_space.source, Objective(face_in_space, NO_PRIOR)
     controls = poses(rig, 6)
     near = objective.units(controls) + 0.01 * torch.randn(controls.shape, generator=generator_at(0, "near"))
     found = levenberg_marquardt(objective, face_in_space(controls), near, 80, 1e-9)
@@ -108,7 +108,7 @@ def test_a_pose_of_the_rig_is_recovered_from_a_start_near_it(face_in_space):
 
 
 def test_bounds_hold_exactly_even_where_the_mesh_lies_beyond_them(face_in_space):
-    rig, objective = face_in_space.rig, Objective(face_in_space)
+    rig, objective = face_in_space.source, Objective(face_in_space)
     weights = 3 * torch.randn(8, len(face_in_space.linear_map), generator=generator_at(0, "beyond"))
     found = objective.to_controls(solve_meshes(objective, weights @ face_in_space.linear_map, 1, 15).units)
     assert (found >= rig.lower).all() and (found <= rig.upper).all()
@@ -146,7 +146,7 @@ def test_a_rank_deficient_rig_and_an_idle_control(face):
 
 
 def test_a_frame_of_nans_is_reported_and_its_neighbours_are_untouched(toy):
-    objective, coordinates = Objective(toy), toy(poses(toy.rig, 12))
+    objective, coordinates = Objective(toy), toy(poses(toy.source, 12))
     broken = coordinates.clone()
     broken[5], broken[7, 0] = torch.nan, torch.inf
     whole, found = solve_meshes(objective, coordinates), solve_meshes(objective, broken)
@@ -163,7 +163,7 @@ def test_a_frame_of_nans_is_reported_and_its_neighbours_are_untouched(toy):
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 9])
 def test_clips_of_any_length(toy, count):
-    objective, coordinates = Objective(toy), toy(poses(toy.rig, 9))[:count]
+    objective, coordinates = Objective(toy), toy(poses(toy.source, 9))[:count]
     frames = solve_frames(objective, coordinates)
     assert frames.units.shape == (count, 7)
     clip = solve_clip(objective, coordinates, smoothed(frames, 2.0), 1e-4)

@@ -192,7 +192,7 @@ def test_every_model_trains_from_a_store(store, run, model):
 
 @pytest.mark.slow
 def test_a_run_that_reads_a_store_resumes_to_the_same_weights(store, tmp_path, run):
-    longer = ["trainer.max_steps=200", "data.steps_per_epoch=40", "checkpoint.every_n_steps=7", "judging.validation_poses=2"]
+    longer = ["trainer.max_steps=200", "data.steps_per_epoch=40", "checkpoint.every_n_steps=7", "evaluation.validation_poses=2"]
     longer += [f"data.store={store}"]
     whole = run("train", *longer, folder="whole")
     assert whole.code == 0, whole.text

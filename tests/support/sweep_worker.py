@@ -7,11 +7,11 @@ import sys
 import time
 from pathlib import Path
 
-from riginv.launch.apart import THREADS, end_with_starter
+from riginv.launch.job_process import THREADS, exit_with_parent
 
 
 def main() -> None:
-    end_with_starter()
+    exit_with_parent()
     given = dict(text.split("=", 1) for text in sys.argv[1:])
     folder = Path(given["hydra.run.dir"].strip("'"))
     folder.mkdir(parents=True, exist_ok=True)

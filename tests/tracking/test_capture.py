@@ -192,26 +192,26 @@ def check(rig: LinearRig, space: RigInMeshSpace, meshes: torch.Tensor) -> RigidC
 @pytest.mark.parametrize("noise_mm", [0.0, 0.1, 0.5])
 def test_a_clip_within_its_own_noise_is_left_alone(noise_mm, toy):
     for meshes in (
-        random_poses(toy.rig, FRAMES).vertices(0, FRAMES),
-        simulated_performance(toy.rig).vertices(100, 100 + FRAMES),
+        random_poses(toy.source, FRAMES).vertices(0, FRAMES),
+        simulated_performance(toy.source).vertices(100, 100 + FRAMES),
     ):
         noisy = meshes + noise_mm * torch.randn(meshes.shape, generator=generator_at(0, "capture noise"))
-        found = check(toy.rig, toy, noisy)
+        found = check(toy.source, toy, noisy)
         assert not found.moves and "no rigid motion found" in found.note, found
 
 
 @pytest.mark.parametrize("size", [(0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (0.0, 0.2), (200.0, 60.0)])
 def test_motion_that_is_there_is_found_however_small(size, toy):
-    still = random_poses(toy.rig, FRAMES).vertices(0, FRAMES)
-    assert check(toy.rig, toy, apply_motion(slight(FRAMES, *size), still)).moves
+    still = random_poses(toy.source, FRAMES).vertices(0, FRAMES)
+    assert check(toy.source, toy, apply_motion(slight(FRAMES, *size), still)).moves
 
 
 def test_motion_of_a_few_frames_and_of_all_alike_is_found(toy):
-    still = random_poses(toy.rig, FRAMES).vertices(0, FRAMES)
+    still = random_poses(toy.source, FRAMES).vertices(0, FRAMES)
     few = still.clone()
     few[5:8] = apply_motion(slight(3, 20, 10), few[5:8])
-    assert check(toy.rig, toy, few).moves
-    assert check(toy.rig, toy, still + torch.tensor([0.4, 0.0, 0.0])).moves
+    assert check(toy.source, toy, few).moves
+    assert check(toy.source, toy, still + torch.tensor([0.4, 0.0, 0.0])).moves
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def test_regions_have_names(face, body, toy):
     assert sum(members.int() for members in regions.values()).max() == 1
     labels = label(regions, len(face.rest_vertices))
     assert labels[int(face.arkit_deltas()["mouthSmileLeft"].norm(dim=1).argmax())] == "mouth"
-    assert "upperleg01.L" in regions_of(body) and regions_of(toy.rig) == {}
+    assert "upperleg01.L" in regions_of(body) and regions_of(toy.source) == {}
 
 
 @pytest.mark.parametrize(

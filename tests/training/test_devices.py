@@ -22,8 +22,8 @@ from tests.conftest import ROOT, SMALL
 from tests.training.test_resume import restore_sigint, same_weights, saved_step
 
 TWO = ["trainer=ddp", "trainer.accelerator=cpu"]
-UNEVEN = ["data.batch_size=7", "judging.validation_poses=5"]
-PLACES = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT", "TORCHELASTIC_RUN_ID", "RIGINV_WATCHER")
+UNEVEN = ["data.batch_size=7", "evaluation.validation_poses=5"]
+PLACES = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT", "TORCHELASTIC_RUN_ID", "RIGINV_LAUNCHER_PID")
 
 
 @pytest.fixture(autouse=True)
@@ -169,8 +169,8 @@ def test_every_model_trains_in_two_processes(run, arguments):
 
 @pytest.mark.slow
 def test_more_processes_than_validation_poses(run):
-    one = run("train", "judging.validation_poses=2", folder="one")
-    three = run("train", "judging.validation_poses=2", *TWO, "trainer.devices=3", folder="three")
+    one = run("train", "evaluation.validation_poses=2", folder="one")
+    three = run("train", "evaluation.validation_poses=2", *TWO, "trainer.devices=3", folder="three")
     assert one.code == three.code == 0, three.text
     assert apart(one.folder, three.folder) < 1e-4
     alone, shared = curves(one.folder), curves(three.folder)
@@ -286,7 +286,7 @@ def test_processes_of_srun_train_what_one_process_trains(run, tmp_path):
 
 @pytest.mark.slow
 def test_the_default_face_in_two_processes(run):
-    face = ["trainer.max_steps=30", "data.steps_per_epoch=15", "judging.test_poses=40", "judging.validation_poses=16"]
+    face = ["trainer.max_steps=30", "data.steps_per_epoch=15", "evaluation.test_poses=40", "evaluation.validation_poses=16"]
     face += ["pictures.every_n_validations=null", "pictures.final=false"]
     one = run("train", *face, folder="one", small=False)
     two = run("train", *face, *TWO, folder="two", small=False)

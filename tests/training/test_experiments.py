@@ -19,8 +19,8 @@ FEW_STEPS = [
     "trainer.max_steps=4",
     "data.steps_per_epoch=2",
     "data.batch_size=4",
-    "judging.test_poses=6",
-    "judging.validation_poses=2",
+    "evaluation.test_poses=6",
+    "evaluation.validation_poses=2",
     "pictures.every_n_validations=null",
     "pictures.final=false",
     "trainer.log_every_n_steps=1",
@@ -55,7 +55,7 @@ def test_an_inverse_of_the_paper_has_the_papers_numbers(name):
     assert (config["model"]["schedule"]["factor"], config["model"]["schedule"]["patience"]) == (0.5, 20)
     assert config["stop_below_lr"] == 1e-6 and config["trainer"]["max_steps"] is None
     assert (config["data"]["batch_size"], config["data"]["steps_per_epoch"]) == (64, 10_000)
-    assert config["judging"]["test_poses"] == 10_000
+    assert config["evaluation"]["test_poses"] == 10_000
     sampler = config["sampler"]["_target_"].rpartition(".")[2]
     assert sampler == ("RigPoses" if "holden" in name else "RandomCombinations")
     if "holden" not in name:
@@ -67,7 +67,7 @@ def test_the_surrogate_of_the_paper_has_the_papers_numbers():
     to_typed(config, TrainConfig)
     assert config["model"]["network"]["hidden"] == [1024, 1024]
     assert config["model"]["loss"]["_target_"].endswith("SquaredVertexLoss")
-    assert config["data"]["stored_poses"] == 90_000 and config["judging"]["test_poses"] == 10_000
+    assert config["data"]["stored_poses"] == 90_000 and config["evaluation"]["test_poses"] == 10_000
     assert config["sampler"]["controls"]["max_active"] is None
 
 

@@ -15,7 +15,7 @@ from riginv.sampling.meshes import RigPoses
 from riginv.training.forward import ForwardModule
 from riginv.training.holden import HoldenModule
 from riginv.training.inverse import InverseModule
-from riginv.training.losses import SquaredVertexLoss, VertexDistanceLoss, root_mean_square_mm
+from riginv.training.losses import RmsVertexDistanceLoss, SquaredVertexLoss, root_mean_square_mm
 from tests.support.toys import BlackBox, ToyRig
 
 ADAM = partial(torch.optim.Adam, lr=3e-3)
@@ -25,13 +25,13 @@ CONSTANT = partial(torch.optim.lr_scheduler.ConstantLR, factor=1.0)
 def make(name: str, toy):
     torch.manual_seed(0)
     if name == "inverse":
-        return InverseModule(toy, StagedInverse(toy, hidden=[64]), VertexDistanceLoss(162), ADAM, CONSTANT)
+        return InverseModule(toy, StagedInverse(toy, hidden=[64]), RmsVertexDistanceLoss(162), ADAM, CONSTANT)
     if name == "inverse, paper":
         return InverseModule(toy, DirectInverse(toy, hidden=[128, 64]), SquaredVertexLoss(162), ADAM, CONSTANT)
     if name == "holden":
         network = DirectInverse(toy, hidden=[128, 64], control_map="neutral_start")
         return HoldenModule(toy, network, ADAM, CONSTANT)
-    return ForwardModule(toy, ControlMLP(toy.rig, hidden=[128, 64]), SquaredVertexLoss(162), ADAM, CONSTANT)
+    return ForwardModule(toy, ControlMLP(toy.source, hidden=[128, 64]), SquaredVertexLoss(162), ADAM, CONSTANT)
 
 
 # How much of the neutral error may be left. The paper's own network stays far behind: its controls start in the middle of
@@ -63,7 +63,7 @@ class Cubes(torch.nn.Module):
 
 
 @pytest.mark.parametrize(
-    "loss", [VertexDistanceLoss(162), SquaredVertexLoss(162), Cubes()], ids=lambda loss: type(loss).__name__
+    "loss", [RmsVertexDistanceLoss(162), SquaredVertexLoss(162), Cubes()], ids=lambda loss: type(loss).__name__
 )
 @pytest.mark.parametrize("sampled_vertices", [0, 50])
 def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_rig(loss, sampled_vertices, face_in_space):
@@ -75,7 +75,7 @@ def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_
     network.calibrate(target)
     module.log = lambda *args, **kwargs: None
     module.training_step(batch, 0).backward()
-    answers = network.answers(target)
+    answers = network.estimates(target)
     losses = [*(loss for _ in answers[1:]), module.last_loss]
     total = sum(loss(answer.coordinates, target) for loss, answer in zip(losses, answers))
     for part in network.learned_parts():

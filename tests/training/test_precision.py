@@ -18,14 +18,14 @@ def test_bfloat16_stays_out_of_the_rig(face_in_space):
         for part in network.learned_parts():
             for weight in part.parameters():
                 weight.mul_(3)
-    exact = network.answers(coordinates)
+    exact = network.estimates(coordinates)
     use_bfloat16(network)
-    rounded = network.answers(coordinates)
+    rounded = network.estimates(coordinates)
     for full, half in zip(exact, rounded):
         assert 1e-6 < (full.controls - half.controls).abs().max() < 0.1  # bfloat16 it is
         assert half.controls.dtype == half.coordinates.dtype == torch.float32
         assert torch.equal(half.coordinates, face_in_space(half.controls))
-    assert torch.equal(network(torch.zeros(1, face_in_space.space.size)), face_in_space.rig.neutral_controls[None])
+    assert torch.equal(network(torch.zeros(1, face_in_space.space.size)), face_in_space.source.neutral_controls[None])
     with torch.autocast("cpu", torch.bfloat16):
         wrong = face_in_space(half.controls).float()
     off = (face_in_space.space.decode(wrong) - face_in_space.space.decode(half.coordinates)).norm(dim=2)
@@ -41,9 +41,9 @@ def test_training_as_on_a_gpu_in_bfloat16_ends_in_a_bundle_of_float32(run):
 
 @pytest.mark.slow
 def test_compiled_training_leaves_the_same_bundle(run):
-    plain = run("train", "model.network.corrections=1", folder="plain")
-    compiled = run("train", "model.network.corrections=1", "trainer.compile=true", folder="compiled")
+    plain = run("train", "model.network.refinement_steps=1", folder="plain")
+    compiled = run("train", "model.network.refinement_steps=1", "trainer.compile=true", folder="compiled")
     assert plain.code == compiled.code == 0, compiled.text
     assert apart(plain.folder, compiled.folder) < 1e-3
-    resumed = run("train", "model.network.corrections=1", "trainer.compile=true", "resume=true", folder="compiled")
+    resumed = run("train", "model.network.refinement_steps=1", "trainer.compile=true", "resume=true", folder="compiled")
     assert resumed.code == 0 and resumed.metrics == compiled.metrics

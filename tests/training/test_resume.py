@@ -15,7 +15,12 @@ from safetensors.torch import load_file
 from tests.conftest import ROOT, SMALL
 
 STEPS = 400  # so many that a run is far from its end when it is killed, on a busy machine too
-LONGER = [f"trainer.max_steps={STEPS}", "data.steps_per_epoch=40", "checkpoint.every_n_steps=7", "judging.validation_poses=2"]
+LONGER = [
+    f"trainer.max_steps={STEPS}",
+    "data.steps_per_epoch=40",
+    "checkpoint.every_n_steps=7",
+    "evaluation.validation_poses=2",
+]
 
 
 def start(folder: Path, *more: str) -> subprocess.Popen:

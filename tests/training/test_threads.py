@@ -17,7 +17,7 @@ from riginv.sampling.controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
 from riginv.training.halves import can_be_halved, worth_halving
 from riginv.training.inverse import InverseModule
-from riginv.training.losses import VertexDistanceLoss
+from riginv.training.losses import RmsVertexDistanceLoss
 from tests.training.test_modules import ADAM, CONSTANT, Cubes
 
 
@@ -117,7 +117,7 @@ def test_a_single_thread_for_a_while():
 def one_step(toy, workers, rows=33):
     torch.manual_seed(0)
     network = StagedInverse(toy, hidden=[512, 512], width=64)
-    module = InverseModule(toy, network, VertexDistanceLoss(162), ADAM, CONSTANT, sampled_vertices=40)
+    module = InverseModule(toy, network, RmsVertexDistanceLoss(162), ADAM, CONSTANT, sampled_vertices=40)
     module.workers, module.log = workers, lambda *args, **kwargs: None
     batch = RigPoses(toy, PlausibleControls(toy)).sample(rows, generator_at(0, "step"))
     network.calibrate(batch["coordinates"])
@@ -137,7 +137,7 @@ def test_halves_give_the_gradients_of_the_whole_and_every_bit_whatever_computes_
 
 def test_what_is_not_a_mean_over_meshes_is_computed_whole(toy):
     staged = StagedInverse(toy, hidden=[8])
-    assert can_be_halved(staged, [VertexDistanceLoss(162)]) and not can_be_halved(staged, [Cubes()])
+    assert can_be_halved(staged, [RmsVertexDistanceLoss(162)]) and not can_be_halved(staged, [Cubes()])
     assert not can_be_halved(NormalisedInverse(toy, "batch", [8]), [])
     weights = list(staged.parameters())
     assert not worth_halving(2, weights) and not worth_halving(1, weights) and worth_halving(10_000_000, weights)

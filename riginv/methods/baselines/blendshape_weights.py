@@ -46,12 +46,12 @@ class BlendshapeWeights(Method):
     def prepare(self, seed: int) -> None:
         super().prepare(seed)
         self.lookup = ControlLookup(self.rig)
-        self.shapes = self.rig.linear_map[: self.rig.rig.primary_count].double()
+        self.shapes = self.rig.linear_map[: self.rig.source.primary_count].double()
         self.gram = self.shapes @ self.shapes.T
         self.gram.diagonal().add_(self.ridge)
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
 
     def weights(self, coordinates: Tensor) -> Tensor:
         """The weights `(mesh, shape)` of the primary shapes for meshes `(mesh, coordinate)`."""

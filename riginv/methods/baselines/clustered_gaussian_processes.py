@@ -59,16 +59,16 @@ class ClusteredGaussianProcesses(Method):
             self.parts.append((cluster, components, process))
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
 
     def _view(self, cluster: Cluster) -> Tensor:
         """A map `(coordinate, coordinate)` after which distances are those of the cluster's vertices."""
-        frame = self.rig.space.frame[:, cluster.vertices].flatten(1).double()
+        frame = self.rig.space.directions[:, cluster.vertices].flatten(1).double()
         squares, directions = torch.linalg.eigh(frame @ frame.T)
         return directions * squares.clamp_min(0).sqrt()
 
     def _solve(self, coordinates: Tensor) -> Tensor:
-        away = coordinates.new_zeros(len(coordinates), len(self.rig.rig.controls), dtype=torch.float64)
+        away = coordinates.new_zeros(len(coordinates), len(self.rig.source.controls), dtype=torch.float64)
         total = torch.zeros(away.shape[1], dtype=torch.float64)
         for cluster, components, process in self.parts:
             away[:, cluster.controls] += process(components(coordinates)) * cluster.strength

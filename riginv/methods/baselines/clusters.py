@@ -30,8 +30,8 @@ class Cluster(NamedTuple):
 
 def control_reach(rig: RigInMeshSpace) -> Tensor:
     """How far each control moves each vertex at most, on its own, mm, `(vertex, control)`."""
-    sides = Sides(rig.rig)
-    reach = torch.zeros(rig.space.vertex_count, len(rig.rig.controls))
+    sides = Sides(rig.source)
+    reach = torch.zeros(rig.space.vertex_count, len(rig.source.controls))
     for side, weights in enumerate(torch.eye(len(sides), dtype=torch.float64)):
         moved = rig.space.decode(pose_coordinates(rig, sides, weights[None]).to(rig.linear_map))[0] - rig.space.rest_vertices
         control = int(sides.control[side])

@@ -37,11 +37,11 @@ class ControlLookup:
     """
 
     def __init__(self, rig: RigInMeshSpace) -> None:
-        self.sides, shapes = Sides(rig.rig), rig.rig.primary_count
+        self.sides, shapes = Sides(rig.source), rig.source.primary_count
         knots = torch.arange(1, KNOTS + 1, dtype=torch.float64) / KNOTS
         poses = (torch.eye(len(self.sides), dtype=torch.float64)[:, None] * knots[:, None]).flatten(0, 1)
         with torch.no_grad():
-            pieces = [rig.rig.coefficients(self.sides.controls(piece))[:, :shapes].double() for piece in poses.split(512)]
+            pieces = [rig.source.coefficients(self.sides.controls(piece))[:, :shapes].double() for piece in poses.split(512)]
         curves = torch.cat(pieces).unflatten(0, (len(self.sides), KNOTS))
         full = curves[:, -1]
         drives = (full > MIN_EFFECT * full.amax(dim=1, keepdim=True)).sum(dim=1)

@@ -130,7 +130,7 @@ class CoordinateDescent(Method):
         self.descent = GramDescent(with_products(self.rig, ramps(self.rig, squares=False), self.products), self.sparsity)
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
 
     def _solve(self, coordinates: Tensor) -> Tensor:
         sides = self.descent.model.sides

@@ -52,7 +52,7 @@ class HoldenGaussianProcess(Method):
         self.process = GaussianProcess(inputs[kept], away[kept])
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
 
     def _solve(self, coordinates: Tensor) -> Tensor:
         return as_controls(self.rig, self.process(self.components(coordinates)))

@@ -75,7 +75,7 @@ class HoldenNetwork(Method):
         if self.loaded:
             return
         torch.manual_seed(seed)
-        self.network = self.make_network(self.rig).to(self.rig.rig.dtype)
+        self.network = self.make_network(self.rig).to(self.rig.source.dtype)
         sample = self.sampler.sample(CALIBRATION_MESHES, generator_at(seed, "calibration"))
         self.network.calibrate(sample["coordinates"])
         module = HoldenModule(self.rig, self.network, self._optimizer, self._schedule)
@@ -86,11 +86,11 @@ class HoldenNetwork(Method):
     def invert(self, meshes: MeshSet) -> Tensor:
         if self.loaded:
             return self.loaded.invert(meshes)
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
 
     @torch.no_grad()
     def _solve(self, coordinates: Tensor) -> Tensor:
-        return self.network(coordinates).clamp(self.rig.rig.lower, self.rig.rig.upper)
+        return self.network(coordinates).clamp(self.rig.source.lower, self.rig.source.upper)
 
     def _optimizer(self, weights: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
         return torch.optim.Adam(weights, lr=self.lr, fused=True)

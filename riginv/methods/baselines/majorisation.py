@@ -126,7 +126,7 @@ class MajorisationMinimisation(Method):
         self.majoriser = Majoriser(with_products(self.rig, ramps(self.rig, squares=True), [self.pairs]), self.sparsity)
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
 
     def _solve(self, coordinates: Tensor) -> Tensor:
         sides = self.majoriser.model.sides

@@ -24,7 +24,7 @@ def pose_coordinates(rig: RigInMeshSpace, sides: Sides, weights: Tensor) -> Tens
 
 def ramps(rig: RigInMeshSpace, squares: bool) -> ProductModel:
     """Each side alone, linear in its weight; or quadratic, through its poses at half and at full weight."""
-    sides = Sides(rig.rig)
+    sides = Sides(rig.source)
     count = torch.arange(len(sides))
     full = pose_coordinates(rig, sides, torch.eye(len(sides), dtype=torch.float64))
     table = torch.tensor([[0.0, 1.0]], dtype=torch.float64).expand(len(sides), 2)
@@ -41,7 +41,7 @@ def tables(rig: RigInMeshSpace, pieces: int) -> ProductModel:
 
     The last activations, one for each side, are these curves: how far along its full displacement a side has come.
     """
-    sides = Sides(rig.rig)
+    sides = Sides(rig.source)
     count, knots = len(sides), torch.arange(1, pieces + 1, dtype=torch.float64) / pieces
     poses = (torch.eye(count, dtype=torch.float64)[:, None] * knots[:, None]).flatten(0, 1)
     paths = pose_coordinates(rig, sides, poses).unflatten(0, (count, pieces))

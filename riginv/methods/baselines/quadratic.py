@@ -50,7 +50,7 @@ class QuadraticLevenbergMarquardt(Method):
 
     def invert(self, meshes: MeshSet) -> Tensor:
         coordinates = self.coordinates(meshes)
-        return in_batches(coordinates, BATCH_SIZE, self._solve, len(self.rig.rig.controls))
+        return in_batches(coordinates, BATCH_SIZE, self._solve, len(self.rig.source.controls))
 
     @torch.no_grad()
     def _solve(self, coordinates: Tensor) -> Tensor:

@@ -59,7 +59,7 @@ class TabulatedGaussNewton(Method):
         self.objective = ModelObjective(model, self.rig.space.vertex_count, self.prior)
 
     def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.rig.controls))
+        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
 
     @torch.no_grad()
     def _solve(self, coordinates: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ def training_poses(rig: RigInMeshSpace, sampler: MeshSampler, count: int, seed: 
     batches = [sampler.sample(min(BATCH_SIZE, count - start), generator) for start in range(0, count, BATCH_SIZE)]
     if "controls" not in batches[0]:
         raise InputError("the sampler of a regression draws meshes without their controls: choose sampler=rig_poses")
-    neutral, span = rig.rig.neutral_controls, rig.rig.upper - rig.rig.lower
+    neutral, span = rig.source.neutral_controls, rig.source.upper - rig.source.lower
     controls = torch.cat([neutral[None], *(batch["controls"] for batch in batches)])
     coordinates = torch.cat([rig(neutral[None]).detach(), *(batch["coordinates"] for batch in batches)])
     return coordinates[:count].double(), ((controls - neutral) / span)[:count].double()
@@ -34,8 +34,8 @@ def training_poses(rig: RigInMeshSpace, sampler: MeshSampler, count: int, seed: 
 
 def as_controls(rig: RigInMeshSpace, away: Tensor) -> Tensor:
     """Distances from neutral `(mesh, control)`, in ranges, as controls within the limits."""
-    own = rig.rig.neutral_controls.double() + away * (rig.rig.upper - rig.rig.lower).double()
-    return own.to(rig.rig.dtype).clamp(rig.rig.lower, rig.rig.upper)
+    own = rig.source.neutral_controls.double() + away * (rig.source.upper - rig.source.lower).double()
+    return own.to(rig.source.dtype).clamp(rig.source.lower, rig.source.upper)
 
 
 def in_batches(coordinates: Tensor, size: int, solve: Callable[[Tensor], Tensor], controls: int) -> Tensor:

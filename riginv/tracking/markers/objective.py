@@ -118,7 +118,7 @@ class MarkerObjective(PenalisedObjective):
     @torch.no_grad()
     def residuals(self, units: Tensor, packed: Tensor) -> Residuals:
         """The residuals at controls `(frame, control)`."""
-        return self._residuals(self.rig.rig.coefficients(self.lower + self.span * units), packed)
+        return self._residuals(self.rig.source.coefficients(self.lower + self.span * units), packed)
 
     def _residuals(self, coefficients: Tensor, packed: Tensor) -> Residuals:
         count = len(self.placement)
@@ -146,7 +146,7 @@ class MarkerObjective(PenalisedObjective):
 
     def derivatives(self, units: Tensor, packed: Tensor) -> "Derivatives":
         """The weighted residuals at controls `(frame, control)`, and their derivatives."""
-        coefficients, jacobian = self.rig.rig.coefficient_jacobian(self.lower + self.span * units)
+        coefficients, jacobian = self.rig.source.coefficient_jacobian(self.lower + self.span * units)
         found = self._residuals(coefficients, packed)
         by_corners = point_derivatives(found.corners, self.placement.barycentric, self.placement.offset_mm)
         rows = torch.einsum("fmaij,kmij->fmak", by_corners, self.corners_basis).flatten(1, 2)

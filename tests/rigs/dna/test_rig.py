@@ -212,8 +212,8 @@ def test_a_character_of_joints_alone_tells_its_skeleton(body, tmp_path):
 def test_a_rig_trains_is_evaluated_and_inverted_by_the_usual_commands(run, tmp_path, file):
     content = everything() if file == "linear" else many_joints().file()
     written(tmp_path / "a.dna", content)
-    small = ["model.network.hidden=[32]", "model.network.corrections=1", "trainer.max_steps=6", "data.steps_per_epoch=6"]
-    small += ["data.batch_size=8", "judging.test_poses=8", "judging.validation_poses=4"]
+    small = ["model.network.hidden=[32]", "model.network.refinement_steps=1", "trainer.max_steps=6", "data.steps_per_epoch=6"]
+    small += ["data.batch_size=8", "evaluation.test_poses=8", "evaluation.validation_poses=4"]
     small += [
         "pictures.every_n_validations=null",
         "pictures.final=false",

@@ -14,7 +14,7 @@ from pathlib import Path
 from riginv.launch.sweep_record import FINISHED, TRACEBACK, JobRecord, read_record, record_file
 
 THREADS = "OMP_NUM_THREADS MKL_NUM_THREADS OPENBLAS_NUM_THREADS BLIS_NUM_THREADS VECLIB_MAXIMUM_THREADS NUMEXPR_NUM_THREADS"
-STARTER = "RIGINV_STARTER"  # the number of the process that started that of a job
+PARENT_PID = "RIGINV_PARENT_PID"  # process id of the launcher, in the environment of a job
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Job:
 
 
 def run_in_subprocess(job: Job, threads: int | None = None) -> None:
-    """Run a job to its end in a process of its own; its record says how that went.
+    """Run a job to its end in a subprocess; its record holds the outcome.
 
     Args:
         job: skipped if finished; resumed if it was started before.
@@ -65,43 +65,47 @@ def run_in_subprocess(job: Job, threads: int | None = None) -> None:
         with subprocess.Popen(
             [sys.executable, "-m", job.module, *job.arguments, *resume],
             cwd=job.directory if job.directory.is_dir() else None,
-            env={**os.environ, STARTER: str(os.getpid()), **(dict.fromkeys(THREADS.split(), str(threads)) if threads else {})},
+            env={
+                **os.environ,
+                PARENT_PID: str(os.getpid()),
+                **(dict.fromkeys(THREADS.split(), str(threads)) if threads else {}),
+            },
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
         ) as process:
             code = process.wait()
-    said = log_file.read_bytes()[start:].decode("utf-8", errors="replace")
-    record.ended(job.sweep, time.perf_counter() - began, None if code == 0 else _why(said, code))
+    output = log_file.read_bytes()[start:].decode("utf-8", errors="replace")
+    record.ended(job.sweep, time.perf_counter() - began, None if code == 0 else _failure(output, code))
 
 
-def end_with_starter() -> None:
-    """In the process of a job: end as soon as the process that started it has."""
-    starter = os.environ.pop(STARTER, None)
-    if starter is not None:
-        end_with(int(starter))
+def exit_with_parent() -> None:
+    """In the process of a job: exit as soon as its launcher has."""
+    parent = os.environ.pop(PARENT_PID, None)
+    if parent is not None:
+        exit_with_process(int(parent))
 
 
-def _why(said: str, code: int) -> str:
+def _failure(output: str, code: int) -> str:
     """The last line of a failed process's output, or the signal that killed it."""
     if code < 0:
         return f"its process was killed by signal {-code}{', possibly out of memory' if code == -9 else ''}"
-    *before, last = said.rstrip().splitlines() or [f"its process ended with code {code}"]
+    *before, last = output.rstrip().splitlines() or [f"its process ended with code {code}"]
     if last.startswith("error: "):
         return last.removeprefix("error: ")
     traceback = max((number for number, line in enumerate(before) if line == TRACEBACK), default=len(before))
     return "\n".join([*before[traceback:], last])
 
 
-EVERY_SECONDS = 0.5
+POLL_SECONDS = 0.5
 
 
-def end_with(parent: int) -> None:
-    """End this process as soon as its parent, of that process number, is gone."""
+def exit_with_process(parent: int) -> None:
+    """Exit as soon as the parent, of that process id, is gone."""
 
     def watch() -> None:
         while os.getppid() == parent:
-            time.sleep(EVERY_SECONDS)
+            time.sleep(POLL_SECONDS)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

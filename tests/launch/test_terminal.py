@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from riginv.launch.closed_output import exit_on_broken_pipe
 from riginv.launch.help import explained_keys
+from riginv.launch.terminal import exit_on_broken_pipe
 from tests.conftest import ROOT
 
 TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}")

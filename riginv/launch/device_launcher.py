@@ -1,7 +1,7 @@
 """Launches a command once for each device, monitors the processes, and on failure ends all and prints the first error.
 
 Each process has its own session, so that Ctrl-C reaches only the launcher, which forwards it to rank 0. Only rank 0 prints. If
-the launcher is killed, all ranks exit (`riginv.launch.watched`).
+the launcher is killed, all ranks exit (`riginv.launch.rank_process`).
 """
 
 import os
@@ -15,7 +15,7 @@ from pathlib import Path
 from lightning.fabric.plugins.environments.lightning import find_free_network_port
 
 from riginv.errors import InputError
-from riginv.launch.watched import REPORT, WATCHER, read_report
+from riginv.launch.rank_process import LAUNCHER_PID, REPORT, read_report
 
 COMMAND = "riginv.train"
 POLL_SECONDS = 0.1
@@ -54,7 +54,7 @@ def _start(count: int, folder: Path, reports: Path) -> list[subprocess.Popen]:
     shared = {
         "OMP_NUM_THREADS": str(max(1, cores // count)),
         **os.environ,
-        WATCHER: str(os.getpid()),
+        LAUNCHER_PID: str(os.getpid()),
         "WORLD_SIZE": str(count),
         "MASTER_ADDR": "127.0.0.1",
         "MASTER_PORT": str(find_free_network_port()),

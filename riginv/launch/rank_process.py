@@ -1,4 +1,4 @@
-"""A rank process started by `riginv.launch.starter`: reports its exception to a file, and exits with its launcher.
+"""A rank process started by `riginv.launch.device_launcher`: reports its exception to a file, and exits with its launcher.
 
 The launcher prints one of the reports, as all ranks fail together.
 """
@@ -9,9 +9,9 @@ import traceback
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from riginv.launch.apart import end_with
+from riginv.launch.job_process import exit_with_process
 
-WATCHER, REPORT = "RIGINV_WATCHER", "RIGINV_REPORT"
+LAUNCHER_PID, REPORT = "RIGINV_LAUNCHER_PID", "RIGINV_REPORT"
 
 
 @dataclass(frozen=True)
@@ -27,15 +27,15 @@ class Report:
     explained: bool
 
 
-def is_watched() -> bool:
-    """Whether another process has started this one for its run."""
-    return WATCHER in os.environ
+def is_rank_process() -> bool:
+    """Whether a launcher has started this process as one of several ranks."""
+    return LAUNCHER_PID in os.environ
 
 
 def report(error: BaseException, message: str | None) -> None:
     """Write the error to the launcher's report file: the message for the user, or the traceback."""
-    told = Report(message or "".join(traceback.format_exception(error)), explained=message is not None)
-    Path(os.environ[REPORT]).write_text(json.dumps(asdict(told)), encoding="utf-8")
+    text = Report(message or "".join(traceback.format_exception(error)), explained=message is not None)
+    Path(os.environ[REPORT]).write_text(json.dumps(asdict(text)), encoding="utf-8")
 
 
 def read_report(path: Path) -> Report | None:
@@ -43,6 +43,6 @@ def read_report(path: Path) -> Report | None:
     return Report(**json.loads(path.read_text(encoding="utf-8"))) if path.is_file() and path.stat().st_size else None
 
 
-def end_with_watcher() -> None:
-    """End this process as soon as the one that watches it is gone."""
-    end_with(int(os.environ[WATCHER]))
+def exit_with_launcher() -> None:
+    """Exit as soon as the launcher is gone."""
+    exit_with_process(int(os.environ[LAUNCHER_PID]))

@@ -17,7 +17,7 @@ from omegaconf import DictConfig, open_dict
 from rich.console import Console
 
 from riginv.errors import InputError
-from riginv.launch.apart import Job
+from riginv.launch.job_process import Job
 from riginv.launch.sweep_folder import swept
 from riginv.launch.sweep_progress import SweepProgress
 from riginv.launch.sweep_record import FINISHED
