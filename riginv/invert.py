@@ -32,6 +32,7 @@ from riginv.runs.checksums import SUMS, sha256
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
 from riginv.runs.locks import exclusive_lock
+from riginv.runs.threads import single_threaded
 from riginv.tracking.actors.actor import Actor, posed_actor
 from riginv.tracking.actors.files import write_actor
 from riginv.tracking.actors.finding import find_actor
@@ -126,7 +127,7 @@ def invert_vertices(
     actor = find_actor(settings, settings.reading, clip, rig, true_rig)
     parts = build_parts(settings, clip, rig, true_rig, inverse, actor)
     notes = [*notes, *([*actor.notes, f"the actor is {actor.sentence}"] if actor else []), *parts.notes]
-    with exclusive_lock(out), InversionProgress(len(clip), notes) as progress:
+    with exclusive_lock(out), single_threaded(), InversionProgress(len(clip), notes) as progress:
         free_folder(settings.out)
         arguments = (clip, parts.inverter, parts.evaluator, settings.window, progress.advance)
         found = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)

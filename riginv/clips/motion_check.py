@@ -58,25 +58,32 @@ class MotionCheck:
 
     def add(self, start: int, vertices: Tensor) -> None:
         """Measure frames `(frame, vertex, 3)`, mm; the first is frame `start` of the clip."""
-        before = self._last[1] if self._last and self._last[0] == start - 1 else None
-        for row, mesh in enumerate(vertices, start=start):
-            if not self.seen[row] or (before is not None and self.moved_mm[row].isnan()):
-                self._measure(row, mesh, before)
-            before = mesh
-        if before is not None and len(vertices):
-            self._last = (start + len(vertices) - 1, before.clone())  # a view would keep the window in memory
-
-    def _measure(self, row: int, mesh: Tensor, before: Tensor | None) -> None:
-        self.seen[row] = True
-        known = torch.isfinite(mesh).all(dim=1)
-        if float(known.float().mean()) <= KNOWN:
+        if not len(vertices):
             return
+        before = self._last[1] if self._last and self._last[0] == start - 1 else None
+        rows = torch.arange(start, start + len(vertices))
+        follows = torch.ones(len(rows), dtype=torch.bool)
+        follows[0] = before is not None
+        new = ~self.seen[rows] | (follows & self.moved_mm[rows].isnan())
+        if bool(new.any()):
+            self._measure(rows, vertices, vertices[:1] if before is None else before[None], new, follows)
+        self._last = (int(rows[-1]), vertices[-1].clone())  # a view would keep the window in memory
+
+    def _measure(self, rows: Tensor, vertices: Tensor, before: Tensor, new: Tensor, follows: Tensor) -> None:
+        """Measure the new ones of consecutive frames; `before` is the mesh before them, where the first one follows one."""
+        self.seen[rows] = True
+        known = torch.isfinite(vertices).all(dim=2)
+        enough = known.float().mean(dim=1) > KNOWN
         if self._first is None:
-            self._first = mesh.clone()
-            self.extent = mesh[known].amax(dim=0) - mesh[known].amin(dim=0)
-        self.displacement_mm[row] = _farthest(mesh, self._first)[0]
-        if before is not None:
-            self.moved_mm[row], self.moved_vertex[row] = _farthest(mesh, before)
+            if not bool(enough.any()):
+                return
+            row = int(enough.int().argmax())
+            self._first = vertices[row].clone()
+            self.extent = self._first[known[row]].amax(dim=0) - self._first[known[row]].amin(dim=0)
+        new, moved = new & enough, new & enough & follows
+        self.displacement_mm[rows[new]] = _farthest(vertices, self._first)[0][new]
+        distance, vertex = _farthest(vertices, torch.cat([before, vertices[:-1]]))
+        self.moved_mm[rows[moved]], self.moved_vertex[rows[moved]] = distance[moved], vertex[moved]
 
     @property
     def motion(self) -> ClipMotion:
@@ -141,10 +148,10 @@ class MotionCheck:
         return f"its frames repeat: {finding}: written at {self.fps:g} frames a second and animated at about {rate:.3g}{advice}"
 
 
-def _farthest(mesh: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
-    """The largest distance between two meshes `(vertex, 3)` at vertices known in both, and the index of the vertex."""
-    distance, vertex = (mesh - other).norm(dim=1).nan_to_num(0.0).max(dim=0)
-    return distance, vertex
+def _farthest(meshes: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
+    """The largest distance between meshes `(frame, vertex, 3)` at vertices known in both, and the index of the vertex."""
+    distance, vertex = (meshes - other).square().sum(dim=2).nan_to_num(0.0).max(dim=1)
+    return distance.sqrt(), vertex
 
 
 def _runs(flags: Tensor) -> list[int]:

@@ -2,6 +2,7 @@
 
 import functools
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 
 import torch
 from jaxtyping import Float
@@ -99,8 +100,12 @@ class InverseNetwork(RigNetwork, ABC):
         self.control_map = CONTROL_MAPS[control_map](rig.source)
 
     @abstractmethod
+    def each_estimate(self, coordinates: Float[Tensor, "batch coordinate"]) -> Iterator[Estimate]:
+        """The estimates of all stages, one for each of `learned_parts`, the last one the most refined."""
+
     def estimates(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Estimate]:
-        """The estimates of all stages, the last one the most refined; training uses all of them."""
+        """The estimates of all stages; training uses all of them."""
+        return list(self.each_estimate(coordinates))
 
     def calibrate(self, coordinates: Float[Tensor, "batch coordinate"]) -> None:
         """Set fixed scales from sampled mesh coordinates `(batch, coordinate)`, before training."""
@@ -134,8 +139,8 @@ class DirectInverse(InverseNetwork):
     def learned_parts(self) -> list[nn.Module]:
         return [self.network]
 
-    def estimates(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Estimate]:
-        return [self.estimate(self.network(coordinates), coordinates)]
+    def each_estimate(self, coordinates: Float[Tensor, "batch coordinate"]) -> Iterator[Estimate]:
+        yield self.estimate(self.network(coordinates), coordinates)
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         return self.control_map(self.network(coordinates))
@@ -207,17 +212,15 @@ class StagedInverse(InverseNetwork):
     def learned_parts(self) -> list[nn.Module]:
         return [*self.stages, *self.corrections]
 
-    def estimates(self, coordinates: Float[Tensor, "batch coordinate"]) -> list[Estimate]:
+    def each_estimate(self, coordinates: Float[Tensor, "batch coordinate"]) -> Iterator[Estimate]:
         inputs = self.features(coordinates) if self.features else coordinates / self.coordinate_scale
         before = None
         if self.features:
             before = self.estimate(self.control_map.raw_of(self.features.guess(inputs)), coordinates)
-        result: list[Estimate] = []
         for stage in [*self.stages, *self.corrections]:
             raw = stage(inputs) if before is None else self._refined(stage, before, inputs)
             before = self.estimate(raw, coordinates)
-            result.append(before)
-        return result
+            yield before
 
     def _refined(self, stage: nn.Module, estimate: Estimate, inputs: Tensor) -> Tensor:
         """The raw outputs `(batch, control)` of an estimate, refined by a stage."""

@@ -18,6 +18,7 @@ from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
 CONVERGED_MM = 0.01  # mean vertex displacement by an iteration, below which a frame is finished
 MIN_KNOWN = 0.02  # fraction of the vertices that must be known to solve a frame
 MIN_KNOWN_VERTICES = 3
+KEY_STRIDE = 8  # between the frames of a window that are solved first
 
 
 def interpolate_controls(controls: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
@@ -143,10 +144,26 @@ class _AlternatingSolve:
     def solve(self) -> Tensor:
         """Iterate until every frame has converged; the controls `(frame, control)`."""
         rows = torch.arange(len(self.vertices))
-        is_direct = self.recovered is None and self.rigid is None
-        for iteration in range(1 if is_direct else self.inverter.iterations):
-            rows = rows[self._iterate(rows, iteration)] if len(rows) else rows
+        if self.recovered is None and self.rigid is None:
+            self._iterate(rows, 0)
+            return self.controls
+        if self.inverter.estimator.frames_are_independent and self.recovered is None and len(rows) > 2 * KEY_STRIDE:
+            keys = rows[::KEY_STRIDE]
+            self._converge(keys)
+            self._start_from(keys)
+        self._converge(rows)
         return self.controls
+
+    def _converge(self, rows: Tensor) -> None:
+        for iteration in range(self.inverter.iterations):
+            rows = rows[self._iterate(rows, iteration)] if len(rows) else rows
+
+    def _start_from(self, keys: Tensor) -> None:
+        """Fit the motion of all frames to the anchors at controls that are interpolated between key frames."""
+        rows = torch.arange(len(self.vertices))
+        is_key = torch.zeros(len(rows), dtype=torch.bool).index_fill_(0, keys, True)
+        self.controls = interpolate_controls(self.controls, is_key, rows)
+        self._update(rows)
 
     def _iterate(self, rows: Tensor, iteration: int) -> Tensor:
         """One iteration for some frames; whether each needs another."""

@@ -21,7 +21,13 @@ UNCONVERGED_MM = 0.02  # root mean square distance that a further solver step wo
 
 
 class ControlEstimator(ABC):
-    """Maps filled meshes `(frame, vertex, 3)`, mm, without rigid motion, to controls `(frame, control)`."""
+    """Maps filled meshes `(frame, vertex, 3)`, mm, without rigid motion, to controls `(frame, control)`.
+
+    Attributes:
+        frames_are_independent: whether the controls of a frame do not depend on the others.
+    """
+
+    frames_are_independent = False
 
     @abstractmethod
     def estimate(self, vertices: Tensor) -> Tensor:
@@ -42,6 +48,8 @@ class NetworkEstimator(ControlEstimator):
     Args:
         rig: of the meshes: the network's, or that of an actor.
     """
+
+    frames_are_independent = True
 
     def __init__(self, inverse: Inverse, constraints: ControlConstraints, rig: RigInMeshSpace) -> None:
         self.inverse, self.constraints, self.space = inverse, constraints, rig.space

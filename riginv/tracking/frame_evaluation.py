@@ -21,7 +21,7 @@ from riginv.tracking.stability import TrainingRange
 
 
 class FrameEvaluator:
-    """Evaluates windows in order, and keeps the errors and flags of their frames.
+    """Evaluates windows, from several threads if need be, and keeps the errors and flags of their frames.
 
     Args:
         frames: number of frames of the clip.
@@ -53,13 +53,14 @@ class FrameEvaluator:
         self.mean, self.worst = torch.full((frames,), torch.nan), torch.full((frames,), torch.nan)
         self.neutral = torch.full((frames,), torch.nan)
         self.vertex = torch.zeros(frames, dtype=torch.long)
-        self.flags: list[list[str]] = []
+        self.flags: list[list[str]] = [[] for _ in range(frames)]
 
     @torch.no_grad()
-    def add(self, found: WindowResult, converged: Tensor | None = None) -> None:
-        """Evaluate the frames of the next window.
+    def add(self, first: int, found: WindowResult, converged: Tensor | None = None) -> None:
+        """Evaluate the frames of a window.
 
         Args:
+            first: index of its first frame in the clip.
             converged: whether each frame did, `(frame,)`, where it is known; else the estimator tells.
         """
         recovered = found.recovered if self.true_rig is self.rig else self.true_rig(found.controls)
@@ -71,13 +72,13 @@ class FrameEvaluator:
         counts = known.sum(dim=1)
         mean = torch.where(counts > 0, distance.sum(dim=1) / counts.clamp_min(1), torch.nan)
         worst, vertex = distance.max(dim=1)
-        rows = slice(len(self.flags), len(self.flags) + len(mean))
+        rows = slice(first, first + len(mean))
         self.mean[rows], self.vertex[rows] = mean, vertex
         self.worst[rows] = torch.where(counts > 0, worst, torch.nan)
         neutral = torch.where(known, (self.true_rig.rest_vertices - found.stabilised).norm(dim=2), 0.0)
         self.neutral[rows] = torch.where(counts > 0, neutral.sum(dim=1) / counts.clamp_min(1), torch.nan)
         converged = self.estimator.converged(found.filled, found.controls) if converged is None else converged
-        self.flags += self._flags(found, mean, converged)
+        self.flags[rows] = self._flags(found, mean, converged)
 
     def _flags(self, found: WindowResult, mean: Tensor, converged: Tensor) -> list[list[str]]:
         filled = found.filled

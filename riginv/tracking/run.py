@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -9,6 +10,7 @@ from torch import Tensor
 from riginv.animation.animation import FrameErrors
 from riginv.clips.clip import Clip
 from riginv.errors import InputError
+from riginv.runs.threads import workers
 from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.levenberg_marquardt import Solution
 from riginv.tracking.alternation import WindowInverter, WindowResult, interpolate_controls, interpolate_motion
@@ -17,6 +19,7 @@ from riginv.tracking.frame_evaluation import FrameEvaluator
 from riginv.tracking.options import SolverOptions
 from riginv.tracking.rigid import fit_rigid
 
+PARTS = 2  # of a window, for as many threads
 Advance = Callable[[str, int], None]  # told the name of a pass, and how many frames of it are done
 
 
@@ -43,10 +46,25 @@ def invert_clip(clip: Clip, inverter: WindowInverter, evaluator: FrameEvaluator,
         advance: reports progress.
     """
     kept = _FrameResults(len(clip), inverter)
-    for start, vertices in clip.batches(window):
-        found = inverter.invert(vertices)
-        evaluator.add(found)
-        kept.add(start, found)
+
+    def invert(first: int, vertices: Tensor) -> None:
+        with torch.no_grad():
+            found = inverter.invert(vertices)
+        evaluator.add(first, found)
+        kept.add(first, found)
+
+    windows = clip.batches(window)
+    at_once = PARTS if inverter.estimator.frames_are_independent and evaluator.true_rig is evaluator.rig else 1
+    following = next(windows, None)
+    while following is not None:
+        first, vertices = following
+        if at_once == 1:  # solvers have threads of their own
+            invert(first, vertices)
+            following = next(windows, None)
+        else:
+            starts = torch.arange(first, first + len(vertices)).tensor_split(at_once)
+            parts = [partial(invert, int(rows[0]), vertices[rows - first]) for rows in starts if len(rows)]
+            following = workers().run([*parts, partial(next, windows, None)])[-1]
         advance("inverting", len(vertices))
     kept.check(clip)
     kept.controls = _continuous(inverter, kept.controls)
@@ -113,7 +131,7 @@ def _evaluated(
     for first, vertices in clip.batches(window):
         rows = slice(first, first + len(vertices))
         found = _with_controls(vertices, controls[rows], inverter, kept.known[rows])
-        evaluator.add(found, converged[rows])
+        evaluator.add(first, found, converged[rows])
         kept.add(first, found)
         advance("evaluating", len(vertices))
     return kept.finished(controls, clip, evaluator)

@@ -30,8 +30,8 @@ from riginv.training.config import ModelConfig, TrainConfig, TrainerConfig
 from riginv.training.dashboard import Dashboard
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import this_process
-from riginv.training.halves import HALVES
 from riginv.training.module import RigModule
+from riginv.training.parallel import HALVES
 from riginv.training.pictures import PosePictures
 from riginv.training.progress import TrainingProgress
 

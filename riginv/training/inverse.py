@@ -11,8 +11,10 @@ from riginv.networks.inverse import Estimate, InverseNetwork
 from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.runs.threads import Workers
 from riginv.training.losses import LengthLoss, MeanDistanceLoss
 from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
+from riginv.training.parallel import in_stages
 
 
 class InverseModule(RigModule):
@@ -61,6 +63,16 @@ class InverseModule(RigModule):
         return _PrecomputedGradients.apply(sum(values), *gradients, *(estimate.raw for estimate in estimates)), estimates[
             -1
         ].found
+
+    def loss_on_threads(self, batch: PoseBatch, weights: list[nn.Parameter], workers: Workers) -> tuple[Tensor, Tensor]:
+        parts = self.network.learned_parts()
+        if len(parts) == 1:
+            return super().loss_on_threads(batch, weights, workers)
+
+        def backward(estimate: Estimate, number: int) -> tuple[Tensor, Tensor]:
+            return value_and_gradient(self.last_loss if number == len(parts) - 1 else self.loss, estimate)
+
+        return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers)
 
     def results(self, batch: PoseBatch) -> Tensor:
         return self.true_rig(self.network(batch["coordinates"]))

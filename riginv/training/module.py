@@ -22,8 +22,8 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import Workers
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import all_reduce_means, check_normalisation, is_distributed
-from riginv.training.halves import can_be_halved, in_halves, worth_halving
 from riginv.training.losses import root_mean_square_mm
+from riginv.training.parallel import can_be_halved, in_halves, worth_halving
 
 OptimizerFactory = Callable[[Iterable[nn.Parameter]], Optimizer]
 ScheduleFactory = Callable[[Optimizer], LRScheduler | ReduceLROnPlateau]
@@ -41,7 +41,7 @@ class RigModule(L.LightningModule, ABC):
     Attributes:
         kind: of bundle that it makes: `inverse` (meshes to controls) or `forward` (a surrogate).
         true_rig: the rig that validation evaluates on; by default the rig itself.
-        workers: threads that compute halves of a batch; None: batches are computed whole.
+        workers: threads that compute a step together; None: a step is computed by one.
         stop_below_lr: training ends once the schedule has brought the learning rate below this (paper: 1e-6); None: never.
     """
 
@@ -79,19 +79,21 @@ class RigModule(L.LightningModule, ABC):
         return [self.loss]
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
-        loss, found = self._in_halves(batch) if self.halved else self.loss_and_coordinates(batch)
+        weights = [weight for weight in self.network.parameters() if weight.requires_grad]
+        if self.workers is not None and self.can_use_threads and worth_halving(len(batch["coordinates"]), weights):
+            loss, found = self.loss_on_threads(batch, weights, self.workers)
+        else:
+            loss, found = self.loss_and_coordinates(batch)
         return self.log_step(loss, found, batch["coordinates"])
 
-    def _in_halves(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
-        weights = [weight for weight in self.network.parameters() if weight.requires_grad]
-        if self.workers is None or not worth_halving(len(batch["coordinates"]), weights):
-            return self.loss_and_coordinates(batch)
-        return in_halves(self.loss_and_coordinates, batch, weights, self.workers)
+    def loss_on_threads(self, batch: PoseBatch, weights: list[nn.Parameter], workers: Workers) -> tuple[Tensor, Tensor]:
+        """As `loss_and_coordinates`, computed by two threads, with the gradients of the weights."""
+        return in_halves(self.loss_and_coordinates, batch, weights, workers)
 
     @functools.cached_property
-    def halved(self) -> bool:
-        """Whether batches that are worth it are computed in halves."""
-        return self.workers is not None and can_be_halved(self.network, self.losses)
+    def can_use_threads(self) -> bool:
+        """Whether `loss_on_threads` computes the same loss."""
+        return can_be_halved(self.network, self.losses)
 
     @abstractmethod
     def results(self, batch: PoseBatch) -> Tensor:
@@ -102,7 +104,7 @@ class RigModule(L.LightningModule, ABC):
             check_normalisation(self.network, self.trainer.strategy.root_device)
 
     def on_train_start(self) -> None:
-        if self.workers is not None and self.halved and self.device.type == "cpu" and self.trainer.is_global_zero:
+        if self.workers is not None and self.can_use_threads and self.device.type == "cpu" and self.trainer.is_global_zero:
             self.workers.look()
             missing = why_not()
             print(f"training on {self.workers.describe()}{f'; no compiled kernels: {missing}' if missing else ''}", flush=True)

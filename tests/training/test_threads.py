@@ -15,9 +15,9 @@ from riginv.rig.batches import generator_at
 from riginv.runs.threads import Workers, single_threaded
 from riginv.sampling.controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
-from riginv.training.halves import can_be_halved, worth_halving
 from riginv.training.inverse import InverseModule
 from riginv.training.losses import RmsVertexDistanceLoss
+from riginv.training.parallel import can_be_halved, worth_halving
 from tests.training.test_modules import ADAM, CONSTANT, Cubes
 
 
@@ -127,7 +127,7 @@ def one_step(toy, workers, rows=33):
 
 
 def test_halves_give_the_gradients_of_the_whole_and_every_bit_whatever_computes_them(toy, monkeypatch):
-    monkeypatch.setattr("riginv.training.halves.WORTH_SPLITTING", 1)
+    monkeypatch.setattr("riginv.training.parallel.WORTH_SPLITTING", 1)
     (whole, expected), (one, by_one), (two, by_two) = (one_step(toy, workers) for workers in (None, Workers(1), Workers(2)))
     assert torch.equal(one, two) and all(torch.equal(a, b) for a, b in zip(by_one, by_two)) and len(by_one) == len(expected)
     torch.testing.assert_close(one, whole)

@@ -1,13 +1,19 @@
-"""A training step in two halves of the batch, each computed by one thread, on however many cores there are."""
+"""A training step on two threads: the backward pass of each stage beside the forward pass of the next, or halves of the batch.
 
-from collections.abc import Callable, Sequence
+Results have the same bits whatever the number of threads.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from itertools import chain
+from queue import SimpleQueue
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from riginv.networks.inverse import Estimate
 from riginv.rig.batches import PoseBatch, split_batch
 from riginv.runs.threads import Workers
 
@@ -25,6 +31,51 @@ def can_be_halved(network: nn.Module, losses: Sequence[nn.Module]) -> bool:
 def worth_halving(rows: int, weights: Sequence[nn.Parameter]) -> bool:
     """Whether a batch on a CPU is large enough."""
     return rows >= HALVES and weights[0].device.type == "cpu" and rows * sum(w.numel() for w in weights) >= WORTH_SPLITTING
+
+
+def in_stages(
+    estimates: Iterable[Estimate],
+    parts: Sequence[nn.Module],
+    backward: Callable[[Estimate, int], tuple[Tensor, Tensor]],
+    workers: Workers,
+) -> tuple[Tensor, Tensor]:
+    """The loss of a batch, with the gradients of all weights, and the coordinates of the last estimate.
+
+    No gradient passes from a stage to the one before it, so one thread computes the estimates and another the gradients of each
+    stage as soon as its estimate is there.
+
+    Args:
+        estimates: of all stages, computed as they are iterated over.
+        parts: the stages' modules.
+        backward: from an estimate and its index to its loss and the gradient of that by its raw outputs, both without a graph.
+        workers: threads.
+    """
+    waiting: SimpleQueue[tuple[int, Estimate] | None] = SimpleQueue()
+    values, gradients, found = [torch.empty(0)] * len(parts), [()] * len(parts), []
+    weights = [[weight for weight in part.parameters() if weight.requires_grad] for part in parts]
+
+    def differentiate() -> None:
+        while (item := waiting.get()) is not None:
+            number, estimate = item
+            values[number], gradient = backward(estimate, number)
+            gradients[number] = torch.autograd.grad(estimate.raw, weights[number], gradient)
+        waiting.put(None)  # for the other thread
+
+    def estimate_all() -> None:
+        try:
+            for number, estimate in enumerate(estimates):
+                if number + 1 < len(parts):
+                    _ = estimate.gradient  # the next stage needs it, too: computed by this thread alone
+                else:
+                    found.append(estimate.found)
+                waiting.put((number, estimate))
+        finally:
+            waiting.put(None)
+        differentiate()
+
+    workers.run([estimate_all, differentiate])
+    total = _WithGradients.apply(sum(values), list(chain(*gradients)), *chain(*weights))
+    return total, found[0]
 
 
 def in_halves(
