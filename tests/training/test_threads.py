@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from riginv.networks.ablations import NormalisedInverse
-from riginv.networks.inverse import StagedInverse
+from riginv.networks.inverse import DirectInverse, StagedInverse
 from riginv.rig.batches import generator_at
 from riginv.runs.threads import Workers, single_threaded
 from riginv.sampling.controls import PlausibleControls
@@ -114,9 +114,9 @@ def test_a_single_thread_for_a_while():
     assert torch.get_num_threads() == before
 
 
-def one_step(toy, workers, rows=33):
+def one_step(toy, workers, kind, rows=33):
     torch.manual_seed(0)
-    network = StagedInverse(toy, hidden=[512, 512], width=64)
+    network = kind(toy, hidden=[512, 512])
     module = InverseModule(toy, network, RmsVertexDistanceLoss(162), ADAM, CONSTANT, sampled_vertices=40)
     module.workers, module.log = workers, lambda *args, **kwargs: None
     batch = RigPoses(toy, PlausibleControls(toy)).sample(rows, generator_at(0, "step"))
@@ -126,9 +126,10 @@ def one_step(toy, workers, rows=33):
     return loss.detach(), [weight.grad for weight in network.parameters() if weight.grad is not None]
 
 
-def test_halves_give_the_gradients_of_the_whole_and_every_bit_whatever_computes_them(toy, monkeypatch):
+@pytest.mark.parametrize("kind", [StagedInverse, DirectInverse])  # stages side by side, halves of the batch
+def test_threads_give_the_gradients_of_one_and_the_same_bits(kind, toy, monkeypatch):
     monkeypatch.setattr("riginv.training.parallel.WORTH_SPLITTING", 1)
-    (whole, expected), (one, by_one), (two, by_two) = (one_step(toy, workers) for workers in (None, Workers(1), Workers(2)))
+    (whole, expected), (one, by_one), (two, by_two) = (one_step(toy, given, kind) for given in (None, Workers(1), Workers(2)))
     assert torch.equal(one, two) and all(torch.equal(a, b) for a, b in zip(by_one, by_two)) and len(by_one) == len(expected)
     torch.testing.assert_close(one, whole)
     for found, wanted in zip(by_one, expected):
