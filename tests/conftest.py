@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
+from hydra.types import RunMode
 from jaxtyping import install_import_hook
 
 from tests.support import shape_checks
@@ -80,6 +82,7 @@ LEAVE_NO_FOLDER = (
     "export_dna",
     "gui_dna",
 )
+SETS_MODE = ("-m", "--multirun", "hydra.mode")  # no config of ours does
 SMALL = [
     "rig=toy",
     f"--config-dir={ROOT / 'tests/conf'}",
@@ -157,12 +160,15 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
         capfd.readouterr()
         GlobalHydra.instance().clear()
         code = 0
-        try:
-            command(name)(COMMANDS[name])()
-        except SystemExit as stop:
-            code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
-        finally:
-            torch.use_deterministic_algorithms(False)
+        with monkeypatch.context() as patched:
+            if not any(argument.startswith(SETS_MODE) for argument in given):  # then Hydra would compose all for this answer
+                patched.setattr(Hydra, "get_mode", lambda *args, **kwargs: RunMode.RUN)
+            try:
+                command(name)(COMMANDS[name])()
+            except SystemExit as stop:
+                code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+            finally:
+                torch.use_deterministic_algorithms(False)
         out, err = capfd.readouterr()
         return Outcome(code, out + err, target)
 
