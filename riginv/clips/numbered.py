@@ -199,8 +199,8 @@ def _with_missing(path: str, numbers: np.ndarray, step: int, bridge: bool) -> np
     missing = np.setdiff1d(full, numbers)
     if not bridge:
         raise InputError(
-            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]} are missing: {_spans(missing, step)}; add them, "
-            "or let their neighbours stand in with reading.missing_frames=bridge"
+            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]}{f' (one every {step})' if step > 1 else ''} are "
+            f"missing: {_spans(missing, step)}; add them, or interpolate them with reading.missing_frames=bridge"
         )
     return full
 
