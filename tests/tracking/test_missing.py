@@ -102,7 +102,7 @@ def test_a_clip_that_the_rig_makes_lacks_nothing(folders, run):
     ("arguments", "says"),
     [
         (["rig=toy", "clip=nowhere.npz"], "nowhere.npz"),
-        (["clip=a.npz"], "give bundle=DIR, a trained inverse, or rig=NAME"),
+        (["clip=a.npz"], "the rig of the clip is not given: add rig=NAME"),
         (["rig=toy", "clip=a.npz", "factors=9"], "factors is 9, expected 1 to 6"),
         (["rig=toy", "clip=a.npz", "shapes=0"], "shapes is 0"),
         (["rig=toy", "clip=a.npz", "method=clip"], "method=clip: expected refined or levenberg_marquardt"),
