@@ -77,7 +77,7 @@ def compare(folder: Path, found: Path) -> None:
     curves = csv_curves(read_csv(found / "curves.csv"))
     names = curves.names or []
     controls = torch.from_numpy(curves.values[:, [names.index(name) for name in rig.control_names]]).float()
-    truth = rig(torch.from_numpy(np.load(folder / "truth.npz")["controls"]))
+    truth = rig(torch.from_numpy(np.load(folder / "truth.npz")["controls"]))[curves.frame_numbers - 1]  # the take counts from 1
     errors, neutral = (rig(controls) - truth).norm(dim=2).mean(dim=1), (rig.rest_vertices - truth).norm(dim=2).mean()
     print(f"mean error of all {truth.shape[1]:,} vertices: {errors.mean():.2f} mm, worst frame {errors.max():.2f} mm", end="")
     print(f" (neutral {neutral:.2f} mm)")

@@ -42,6 +42,10 @@ def check(config: DictConfig) -> None:
             console.print(f"  [red]broken[/]  {clause}\n          {escape(str(error))}", highlight=False)
     if broken:
         sys.exit(1)
+    console.print(
+        "The rig fulfils the contract. Next, with the same rig arguments: riginv contact_sheet, invert or train.",
+        soft_wrap=True,
+    )
 
 
 if __name__ == "__main__":

@@ -78,7 +78,7 @@ class InvertConfig(TrackingOptions):
         if self.bundle and self.correspondence in ("surface", "markers"):
             raise InputError(f"correspondence={self.correspondence} needs no network: give rig=NAME in place of bundle=DIR")
         if not self.bundle and self.rig is None:
-            raise InputError("give bundle=DIR, a trained inverse, or rig=NAME: what is the clip a mesh of?")
+            raise InputError("the rig of the clip is not given: add rig=NAME, or bundle=DIR (a trained inverse)")
 
 
 def invert(config: DictConfig) -> None:

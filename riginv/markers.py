@@ -69,7 +69,7 @@ def run(config: DictConfig) -> None:
     comments: dict[str, str] = {}
     if settings.count is not None:
         placement = suggest_layout(rig, default_prior(rig), settings.count, NOISE_MM, None)
-        lines = [f"  {len(placement)} places on rig '{rig.name}', the most telling first"]
+        lines = [f"  {len(placement)} places on rig '{rig.name}', the most informative first"]
     else:
         placement, distance, lines = _proposed(settings, rig)
         comments = {name: f"{mm:.1f} mm from the surface" for name, mm in zip(placement.names, distance.tolist())}
@@ -77,9 +77,10 @@ def run(config: DictConfig) -> None:
     picture = out.with_suffix(".png")
     with atomic_write(picture) as file:
         draw(rig, placement).save(file, format="PNG", optimize=True)
-    show_lines(
-        [*lines, f"  {out}, {picture}: look whether each marker is where it should be, then riginv.invert markers={out}"]
-    )
+    todo = "check in the picture that each marker is where it is on the actor, then"
+    if settings.clip is None:
+        todo = "put markers of these names there on the actor, record a take, then"
+    show_lines([*lines, f"  {out}, {picture}: {todo} riginv invert correspondence=markers markers={out} clip=TAKE out=DIR"])
 
 
 def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.ndarray, list[str]]:
@@ -108,9 +109,9 @@ def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.nd
             f"  note: {len(clip.names) - len(names)} markers are in a gap there: add them by hand, or take another frame=N"
         )
     if far.any():
-        lines.append(f"  far from the rig: {', '.join(np.array(names)[far][:LISTED])}")
+        lines.append(f"  far from the rig, check their labels: {', '.join(np.array(names)[far][:LISTED])}")
     if found.rivals:
-        lines.append("  warning: the rig fits nearly as well when turned: name three markers' places in anchors=FILE.yaml")
+        lines.append("  warning: the rig fits nearly as well in another rotation: give three markers in anchors=FILE.yaml")
     return found.placement, found.distance_mm, lines
 
 

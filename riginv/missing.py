@@ -64,7 +64,7 @@ class MissingConfig(TrackingOptions):
                 f"method={self.method}: expected refined or levenberg_marquardt, which solve each frame to the end"
             )
         if not self.bundle and self.rig is None:
-            raise InputError("give bundle=DIR, a trained inverse, or rig=NAME: what is the clip a mesh of?")
+            raise InputError("the rig of the clip is not given: add rig=NAME, or bundle=DIR (a trained inverse)")
 
     def with_method(self) -> "MissingConfig":
         """The same with the default method for what is given."""
@@ -95,10 +95,16 @@ def run(config: DictConfig) -> None:
                 files = write_missing(folder, found, facts)
     console = Console()
     if not found:
-        show_lines(["  Nothing in the clip calls for a shape that the rig lacks: nothing was written."], console=console)
+        show_lines(["  The rig lacks no shape for this clip: nothing was written."], console=console)
         return
     console.print(table_of(found, facts))
-    show_lines([f"  {sentence(found)}", f"  {out}: {', '.join(files)}"], console=console)
+    show_lines(
+        [
+            f"  {sentence(found)}",
+            f"  {out}: {', '.join(files)}; with rig=shapes, copy an OBJ file into the rig's folder to add its shape",
+        ],
+        console=console,
+    )
 
 
 def true_controls(settings: MissingConfig, clip: Clip, rig: LinearRig) -> Tensor | None:

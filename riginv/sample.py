@@ -51,7 +51,8 @@ def said(filled: FillResult, seconds: float) -> dict[str, str]:
     if filled.absent:
         rows["state"] = f"shard {filled.shard} is complete; {filled.absent} chunks of other shards are absent"
         return rows
-    return {**rows, **findings(filled.store), "state": "finished" if filled.made else "finished: there was nothing to do"}
+    state = "finished" if filled.made else "finished: there was nothing to do"
+    return {**rows, **findings(filled.store), "state": f"{state} (train on it with data.store={filled.store})"}
 
 
 def verify(path: str) -> None:

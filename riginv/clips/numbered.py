@@ -82,7 +82,7 @@ def find_frames(path: str, suffix: str, bridge: bool = False) -> FrameFiles:
         found = [given.parent / name for name in names if fnmatchcase(name, glob)]
         if found:
             return _in_order(path, found, bridge)
-    expected = "files of that pattern" if is_pattern(path) or "[" in given.name else "that file"
+    expected = "files of that pattern" if is_pattern(path) or "[" in given.name else "a file of that name"
     raise InputError(f"{path}: no frames: expected {expected}, found none{_folder_missing(given)}")
 
 
@@ -138,7 +138,11 @@ def _of_same_kind(given: Path) -> list[Path]:
 
 
 def _folder_missing(given: Path) -> str:
-    return "" if given.parent.is_dir() else f": there is no folder {given.parent}"
+    """The end of a sentence about files that are not there: that their folder is not, or which files of the kind it has."""
+    if not given.parent.is_dir():
+        return f": there is no folder {given.parent}"
+    others = [file.name for file in _of_same_kind(given) if file.suffix.lower() == given.suffix.lower()]
+    return f"; there are {_listed(others)}" if others else ""
 
 
 def _files(folder: Path) -> list[Path]:
@@ -199,8 +203,8 @@ def _with_missing(path: str, numbers: np.ndarray, step: int, bridge: bool) -> np
     missing = np.setdiff1d(full, numbers)
     if not bridge:
         raise InputError(
-            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]} are missing: {_spans(missing, step)}; add them, "
-            "or let their neighbours stand in with reading.missing_frames=bridge"
+            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]}{f' (one every {step})' if step > 1 else ''} are "
+            f"missing: {_spans(missing, step)}; add them, or interpolate them with reading.missing_frames=bridge"
         )
     return full
 

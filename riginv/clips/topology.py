@@ -49,7 +49,7 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
     if not faces or not len(rig_faces):
         return ""
     if not clip.faces:
-        return "the clip has no faces to compare: that its vertices stand in the rig's order is taken on trust"
+        return "the clip has no faces, so the order of its vertices cannot be checked: it is assumed to be the rig's"
     wrong = foreign_edges(clip.faces, rig_faces, rig_vertices)
     if len(wrong):
         first, second = wrong[0].tolist()

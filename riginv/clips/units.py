@@ -14,6 +14,7 @@ from riginv.rig.interface import RigBackend
 from riginv.rig.size import length
 
 DEFAULT_FPS = 30.0
+UP_ASSUMED = "the file does not say which axis is up: y is assumed"
 AS_GIVEN, AS_THE_FILE_SAYS, GUESSED = "as given", "as the file says", "guessed"  # sources of a value
 # Rotations that turn an up axis to y.
 TO_Y_UP = {
@@ -138,8 +139,8 @@ def _guessed_mm(clip: Source, size: float, rig_mm: float, rig: str, limits: Size
         raise _absurd(clip, size * (clip.unit_mm or 1.0), rig_mm, rig, "its own numbers")
     other = f", not of {clip.unit_mm:g} mm as the file says" if clip.unit_mm else ""
     notes.append(
-        f"units of {best} guessed{other}: its mesh is then {size * UNITS[best] / rig_mm:.2f} times as large as that of rig "
-        f"'{rig}' (reading.unit={best} confirms it)"
+        f"units of {best} guessed{other}: in these the mesh is {size * UNITS[best] / rig_mm:.2f} times as large as rig "
+        f"'{rig}' (set the unit with reading.unit={best})"
     )
     return UNITS[best]
 
@@ -147,8 +148,8 @@ def _guessed_mm(clip: Source, size: float, rig_mm: float, rig: str, limits: Size
 def _absurd(clip: Source, found_mm: float, rig_mm: float, rig: str, taken: str) -> InputError:
     return InputError(
         f"{clip.path}: with {taken} its mesh measures {length(found_mm)}, and that of rig '{rig}' {length(rig_mm)}: give "
-        f"the unit with reading.unit=mm, cm, m or millimetres to a unit as a number (about {rig_mm / max(found_mm, 1e-30):.3g} "
-        f"times as much fits)"
+        f"the unit with reading.unit=mm, cm, m or millimetres to a unit as a number (one of about "
+        f"{rig_mm / max(found_mm, 1e-30):.3g} times this size fits)"
     )
 
 
@@ -157,7 +158,7 @@ def _up(clip: Source, reading: ReadingOptions, notes: list[str]) -> tuple[str, s
         return reading.up, AS_GIVEN
     if clip.up:
         return clip.up, AS_THE_FILE_SAYS
-    notes.append("the file does not say which axis is up: y is assumed (reading.up=z if the clip lies on its back)")
+    notes.append(f"{UP_ASSUMED} (reading.up=z if the clip lies on its back)")
     return "y", GUESSED
 
 
@@ -166,7 +167,7 @@ def _fps(clip: Source, reading: ReadingOptions, notes: list[str]) -> tuple[float
         return float(reading.fps), AS_GIVEN
     if clip.fps is None:
         notes.append(
-            f"the file does not say its frame rate: {DEFAULT_FPS:g} frames a second assumed; give yours, as reading.fps=24"
+            f"the file does not say its frame rate: {DEFAULT_FPS:g} frames a second are assumed (reading.fps=24 for another)"
         )
         return DEFAULT_FPS, GUESSED
     if not 0 < clip.fps <= 1e6:

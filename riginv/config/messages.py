@@ -83,17 +83,19 @@ def _unknown_choice(error: MissingConfigException) -> str:
                 group, choice = typed.partition("@")[0], one
     if present := CHOICES.get(group, {}).get(choice):
         return f"{group}={choice} is named {group}={present} now"
-    folder = CONFIGS / group
+    folder, kind = CONFIGS / group, group.replace("methods", "method")
     files = [] if "/" in choice else list(folder.glob("*.yaml"))  # of choices in folders all are shown
     files = files or list(folder.rglob("*.yaml"))
     known = {file.relative_to(folder).with_suffix("").as_posix() for file in files}
     known |= {option for option in error.options or [] if not (folder / option).is_dir()}
-    return f"{group}={choice}: there is no such {group}{did_you_mean(choice, known)} Known: {', '.join(sorted(known))}"
+    return f"{group}={choice}: there is no such {kind}{did_you_mean(choice, known)} Known: {', '.join(sorted(known))}"
 
 
 def _in_quotes(argument: str | None) -> str:
     """How to type an argument whose value is text that Hydra reads something else into."""
     key, equals, value = (argument or "").partition("=")
+    if any(value.count(left) != value.count(right) for left, right in ("[]", "{}")):
+        return "; a bracket in it does not close: put the whole argument in single quotes, such as 'formats=[csv, anim]'"
     return f"; a value with brackets, quotes or the like: {shlex.quote(f'{key}={quoted(value)}')}" if equals and value else ""
 
 
@@ -105,7 +107,7 @@ def _known_keys(config_name: str) -> set[str]:
             config = compose(config_name)
     except (HydraException, OmegaConfBaseException):
         return set()
-    return set(_keys(config))
+    return {key for key in _keys(config) if not key.endswith("_target_")}
 
 
 def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:

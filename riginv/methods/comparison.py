@@ -90,12 +90,15 @@ def write_tables(folder: Path) -> Rows:
 def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
     """Show the rows in the terminal, one table for each set, and why methods were left out, by name."""
     console = Console()
+    if not console.is_terminal:
+        console.width = max(console.width, 110)  # a log: no column is folded
     for name in dict.fromkeys(row["set"] for row in rows):
         table = new_table([heading for key, heading in HEADINGS.items() if key != "set"], name.replace("_", " "))
+        table.columns[0].no_wrap, table.show_edge = True, False
         for row in rows:
             if row["set"] == name:
                 table.add_row(*(_shown(row, key) for key in HEADINGS if key != "set"))
-        console.print(table)
+        console.print(table, "")
     console.print(
         "  Vertex errors on the true rig at the predicted controls. Roughness: mean squared second difference "
         "of the curves. Controls in use: how many are not at neutral, averaged over the meshes. Times optimum: the error "

@@ -1,5 +1,6 @@
 """Atomic writes and checked reads of files."""
 
+import difflib
 import json
 import os
 import re
@@ -87,11 +88,21 @@ def opened(path: Path) -> Iterator[BinaryIO]:
         with path.open("rb") as file:
             yield file
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
+        raise InputError(f"{path}: no such file{_near(path)}") from None
     except InputError:
         raise
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
+
+
+def _near(path: Path) -> str:
+    """The end of a sentence about a file that is not there: files of nearly this name, or that its folder is not there, too."""
+    try:
+        names = os.listdir(path.parent)
+    except (OSError, ValueError):
+        return f", and no folder {path.parent}"
+    near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.7)
+    return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def read_bytes(path: Path) -> bytes:

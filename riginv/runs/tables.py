@@ -102,7 +102,7 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
     for name in sets_of(metrics):
         title, meaning = SETS.get(name, (name, ""))
         console.print(f"  [bold]{escape(title)}[/]: {meaning}", highlight=False, soft_wrap=True)
-    judge = f"Evaluated on the true rig, [bold]{escape(metrics['true_rig'])}[/], which was given the controls."
+    judge = f"Evaluated on the true rig, [bold]{escape(metrics['true_rig'])}[/], posed with the predicted controls."
     if metrics["true_rig"] == NO_RIG:
         judge = "The rig is recorded: errors are on held-out poses, with a [bold]surrogate[/] as the rig."
     console.print(f"  {judge}", highlight=False, soft_wrap=True)
@@ -157,7 +157,8 @@ def control_lines(accuracy: Mapping[str, Any]) -> list[str]:
 def pair_lines(accuracy: Mapping[str, Any], where: str = "") -> list[str]:
     """The confused controls, and those that the mesh cannot tell apart, in sentences for the user."""
     pairs = [
-        f"{pair['instead']} in place of {pair['control']} ({pair['fraction']:.0%} of what it lacks, {pair['frames']} frames)"
+        f"{pair['instead']} in place of {pair['control']} ({pair['fraction']:.0%} of its missing value, in {pair['frames']} "
+        "meshes)"
         for pair in (accuracy.get("confused_controls") or ())[:SHOWN_PAIRS]
     ]
     same, still = (accuracy.get(key) or () for key in ("controls_counted_as_one", "controls_without_effect"))

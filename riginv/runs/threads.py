@@ -137,7 +137,8 @@ class Workers:
         threads = f"{self.count} thread{'s' if self.count > 1 else ''}"
         if self.chosen is not None:
             return f"{threads}, as asked for"
-        return f"{threads} of {self.cores.count} core{'s' if self.cores.count > 1 else ''}, looked at every {SECONDS:g} s"
+        cores = f"{self.cores.count} core{'s' if self.cores.count > 1 else ''}"
+        return f"{threads} of {cores} (free cores are counted every {SECONDS:g} s)"
 
     def _threads(self) -> ThreadPoolExecutor:
         if self._pool is None:

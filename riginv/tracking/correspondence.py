@@ -22,7 +22,7 @@ def by_surface(
     if options.correspondence != "auto" or has_network or reading.vertices is not None or Path(path).suffix == ".csv":
         return options.correspondence == "surface", []
     if is_ragged(path):
-        return True, ["scans of their own topology: fitted by their surface (correspondence=surface)"]
+        return True, ["scans: fitted by their surface (correspondence=surface)"]
     try:
         check_topology(open_sequence(path, rig, reading), rig, reading.check_faces)
     except TopologyError as error:
@@ -30,4 +30,4 @@ def by_surface(
             raise InputError(f"{error}, and correspondence=surface fits its surface") from None
         reason = str(error).partition(": ")[2].partition(": ")[0]
         return True, [f"{reason}: fitted by its surface (correspondence=vertices refuses such clips)"]
-    return False, ["vertices in the rig's own order taken (correspondence=surface fits any mesh by its surface)"]
+    return False, ["the clip is read as the rig's own mesh, vertex by vertex (correspondence=surface: as a scan)"]

@@ -16,6 +16,7 @@ from riginv.rig.interface import RigBackend
 from riginv.runs.console import Bar
 from riginv.runs.tables import control_lines, new_table
 from riginv.tracking.regions import STILL
+from riginv.tracking.results import PAGE
 
 LISTED_FRAMES = 5
 FLAG_MEANINGS = {
@@ -100,9 +101,10 @@ def show(
         console.print(f"  [yellow]{flag}[/]: {count} frames: {FLAG_MEANINGS[flag]}", highlight=False, soft_wrap=True)
     if not counts:
         console.print("  No frame is flagged.", highlight=False)
+    next_step = f"; open {folder / PAGE} in a browser" if PAGE in files else ""
     for note in notes:
         console.print(f"  {note}", highlight=False, soft_wrap=True, markup=False)
-    console.print(f"  {folder}: {', '.join(files)}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"  {folder}: {', '.join(files)}{next_step}", highlight=False, soft_wrap=True, markup=False)
 
 
 def _optimum(errors: FrameErrors, count: int) -> str:
@@ -136,6 +138,6 @@ def _figures(values: Tensor) -> list[str]:
 
 def _frame(animation: Animation, errors: FrameErrors, row: int) -> str:
     region = errors.worst_region[row]
-    where = f", worst at the {region}" if region else ""
+    where = f", worst at {region}" if region else ""
     where = ", worst where no shape moves the mesh" if region == STILL else where
     return f"{int(animation.frame_numbers[row])} ({float(errors.mean_mm[row]):.2g} mm{where})"

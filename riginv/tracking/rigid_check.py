@@ -43,8 +43,8 @@ class RigidCheck:
     def note(self) -> str:
         """A note for the user where there is no rigid motion."""
         return (
-            f"no rigid motion found: with it left in {self.residual_mm:.2g} mm remain (root mean square), of which the best "
-            f"fit, {self.extent_mm:.2g} mm at most, explains next to nothing (motion=remove takes it out all the same)"
+            f"no rigid motion found: removing the best fit, of {self.extent_mm:.2g} mm at most, hardly lowers the error of "
+            f"{self.residual_mm:.2g} mm (root mean square); motion=remove removes it in any case"
         )
 
 
@@ -97,7 +97,7 @@ def anchors_if_moving(
 ) -> Anchors | None:
     """The anchors where a clip has rigid motion; None, and a note, where it has none."""
     if clip.sequence.in_rig_space:
-        notes.append("no rigid motion was looked for: the meshes were made from the rig's own (motion=remove does so)")
+        notes.append("rigid motion was not searched for: the clip was made by the rig (motion=remove searches for it)")
         return None
     check = check_rigid(clip, rig, estimator, anchors, weights, iterations)
     if check.moves:

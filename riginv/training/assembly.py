@@ -180,5 +180,7 @@ def build_trainer(settings: TrainConfig, folder: RunFolder) -> tuple[L.Trainer, 
         )
     except (MisconfigurationException, ImportError, RuntimeError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0]
+        if settings.trainer.accelerator in ("gpu", "cuda") and not torch.cuda.is_available():
+            reason = "PyTorch finds no GPU: train with trainer=cpu, or install a PyTorch for your GPU and its driver"
         raise InputError(f"trainer.accelerator={settings.trainer.accelerator} cannot be used here: {reason}") from None
     return trainer, clock

@@ -27,16 +27,19 @@ def show(folder: RunFolder, rig: str) -> None:
     """
     metrics = checked(folder.path / METRICS, read_json(folder.path / METRICS))
     steps, seconds = metrics["train/steps"], metrics["train/seconds"]
-    more = " capture=CLIP" if {"capture", "simulated_performance"} & set(sets_of(metrics)) else ""
-    if rig.partition(".")[0] not in OURS:
-        more += " rig=NAME --config-dir DIR"  # a bundle names no code of others: the user does
+    clips = " capture=CLIP" if {"capture", "simulated_performance", "walk"} & set(sets_of(metrics)) else ""
+    foreign = rig.partition(".")[0] not in OURS
+    more = " rig=NAME --config-dir DIR" if foreign else ""  # a bundle names no code of others: the user does
+    invert = f"riginv invert bundle='{folder.path / BUNDLE}' clip=CLIP out=DIR{more}"
+    time = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.0f} seconds"
     print_results(
         metrics,
-        f"{steps:,} steps in {seconds / 60:.1f} minutes",
+        f"{steps:,} steps in {time}",
         notes=[
             f"The trained model:  {folder.path / BUNDLE}",
             *([f"Its worst poses:    {folder.path / POSES}"] if (folder.path / POSES).exists() else []),
-            f"Evaluate again:     python -m riginv.evaluate bundle='{folder.path / BUNDLE}'{more}",
+            *([f"Invert a clip:      {invert}"] if clips or "held_out_pairs" in sets_of(metrics) else []),
+            f"Evaluate again:     riginv evaluate bundle='{folder.path / BUNDLE}'{clips}{more}",
             f"Watch or compare:   tensorboard --logdir {folder.path.parent}",
         ],
     )

@@ -66,7 +66,7 @@ function draw() {
   $("now").textContent = `frame ${numbers[row]}   ${seconds.toFixed(2)} s   mean ${millimetres(errors.mean[row])}   max ${millimetres(errors.max[row])}`;
   document.body.dataset.frame = numbers[row];
   const between = part > 0.001 && part < 0.999;
-  $("badge").textContent = [...errors.flags[row].map((flag) => flag.replaceAll("_", " ")), between ? "mesh between kept frames" : ""]
+  $("badge").textContent = [...errors.flags[row].map((flag) => flag.replaceAll("_", " ")), between ? "mesh interpolated between stored frames" : ""]
     .filter(Boolean).join(" · ");
   for (const item of document.querySelectorAll(".frame")) item.classList.toggle("here", +item.dataset.row === row);
   if (!$("curves").hidden) for (const item of document.querySelectorAll(".control")) {

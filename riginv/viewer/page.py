@@ -232,7 +232,7 @@ def _rounded(value: float) -> float:
 
 
 def _note(frames: int, all_frames: int, vertices: int, all_vertices: int, step: float) -> str:
-    parts = [f"positions to {step / 2:.2g} mm"]
+    parts = [f"positions rounded to {step / 2:.2g} mm"]
     if vertices < all_vertices:
         parts.insert(0, f"{vertices:,} of {all_vertices:,} vertices")
     if frames < all_frames:

@@ -66,7 +66,7 @@ def test_the_shapes_are_found_with_their_drivers_and_can_be_added(folders, run, 
     assert facts["mean_error_mm_with_shapes"] < 0.2 * facts["mean_error_mm"]
     errors = [row["mean_error_mm_with_first"] for row in facts["shapes"]]
     assert errors[-1] == pytest.approx(facts["mean_error_mm_with_shapes"], abs=1e-5) and errors[0] > errors[-1]
-    assert facts["sentence"] in outcome.text and "would take away" in outcome.text
+    assert facts["sentence"] in outcome.text and "would remove" in outcome.text
     assert (folders / "out/missing.png").read_bytes()[:4] == b"\x89PNG"
 
     pose, bare = torch.full((1, len(PRIMARIES)), 0.5), ShapesRig(str(folders / "less"), unit_mm=10)
@@ -94,7 +94,7 @@ def test_a_clip_that_the_rig_makes_lacks_nothing(folders, run):
     outcome = run("missing", "rig=shapes", f"rig.folder={folders / 'whole'}", "rig.unit_mm=10", "motion=keep", "max_frames=20",
                   "reading.unit=cm",
                   f"clip={folders / 'take.npz'}", f"curves={folders / 'curves.npz'}", f"out={folders / 'none'}")  # fmt: skip
-    assert outcome.code == 0 and "Nothing in the clip calls for a shape" in outcome.text, outcome.text
+    assert outcome.code == 0 and "The rig lacks no shape for this clip" in outcome.text, outcome.text
     assert not (folders / "none").exists()
 
 
@@ -102,7 +102,7 @@ def test_a_clip_that_the_rig_makes_lacks_nothing(folders, run):
     ("arguments", "says"),
     [
         (["rig=toy", "clip=nowhere.npz"], "nowhere.npz"),
-        (["clip=a.npz"], "give bundle=DIR, a trained inverse, or rig=NAME"),
+        (["clip=a.npz"], "the rig of the clip is not given: add rig=NAME"),
         (["rig=toy", "clip=a.npz", "factors=9"], "factors is 9, expected 1 to 6"),
         (["rig=toy", "clip=a.npz", "shapes=0"], "shapes is 0"),
         (["rig=toy", "clip=a.npz", "method=clip"], "method=clip: expected refined or levenberg_marquardt"),

@@ -132,7 +132,7 @@ def test_the_rigs_own_mesh_is_taken_by_its_vertices(run, tmp_path):
         "look.page=false",
         "look.sheet=false",
     )
-    assert done.code == 0 and "vertices in the rig's own order taken" in done.text
+    assert done.code == 0 and "read as the rig's own mesh, vertex by vertex" in done.text
 
 
 @pytest.mark.parametrize(

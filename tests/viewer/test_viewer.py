@@ -65,7 +65,7 @@ def test_the_file_is_whole(written):
     text = path.read_text()
     assert not re.search(r"""(src|href)=["'](?!data:)|url\(|@import|https?://""", text)
     assert "/*" + "MESHES" not in text and text.count("<script") == 6
-    assert (shown.frames, shown.vertices) == (12, 162) and "positions to" in shown.note
+    assert (shown.frames, shown.vertices) == (12, 162) and "positions rounded to" in shown.note
 
 
 def test_names_cannot_break_out_of_the_page(tmp_path):

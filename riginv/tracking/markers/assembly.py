@@ -12,7 +12,7 @@ from riginv.clips.description import ClipDescription, FrameSpan, describe_points
 from riginv.clips.markers import MarkerClip, open_markers
 from riginv.clips.motion_check import ClipMotion
 from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.units import GUESSED, TO_Y_UP, ClipUnits, SizeLimits, units_from_size
+from riginv.clips.units import GUESSED, TO_Y_UP, UP_ASSUMED, ClipUnits, SizeLimits, units_from_size
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
@@ -151,8 +151,8 @@ def marker_units(clip: MarkerClip, placement: Placement, rig: LinearRig, reading
         return units
     upright = fit_rigid(rest[None], units.mm * seen[None], torch.ones(len(rest)))[0, :3, 1]  # where the rig's y axis points
     up = "xyz"[int(upright.argmax())]
-    notes = [note for note in units.notes if "taken for up" not in note]
-    notes.append(f"{up} taken for up, as the markers stand (reading.up={up} says it)")
+    notes = [note for note in units.notes if not note.startswith(UP_ASSUMED)]
+    notes.append(f"up axis {up} guessed: with it the markers fit the rig's markers at rest (set it with reading.up={up})")
     return units._replace(axes=TO_Y_UP[up], up=up, up_source=GUESSED, notes=notes)
 
 

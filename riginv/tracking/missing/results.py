@@ -46,14 +46,14 @@ def sentence(missing: Missing) -> str:
     count, percent = len(missing.shapes), 100 * (1 - after / max(before, 1e-12))
     shapes = "1 shape" if count == 1 else f"{count} shapes"
     return (
-        f"{shapes} would take away {percent:.0f} % of the error that remains: {before:.3g} mm to {after:.3g} mm, mean over "
+        f"{shapes} would remove {percent:.0f} % of the error that remains: {before:.3g} mm to {after:.3g} mm, mean over "
         f"{len(missing.before_mm)} frames."
     )
 
 
 def table_of(missing: Missing, rows: list[dict[str, Any]]) -> Table:
     """The table for the terminal: each shape with the mean error that it and those above it leave."""
-    table = new_table(("called for by", "largest\nmm", "vertices", "frames", "peak\nframe", "error\nwith it"), "Missing shapes")
+    table = new_table(("driven by", "largest\nmm", "vertices", "frames", "peak\nframe", "error\nwith it"), "Missing shapes")
     for row in rows:
         called = " x ".join(row["drivers"])
         error = f"{row['mean_error_mm_with_first']:.3g}"
@@ -87,7 +87,7 @@ def write_missing(folder: Path, missing: Missing, rows: list[dict[str, Any]]) ->
     before, after = float(missing.before_mm.mean()), float(missing.after_mm.mean())
     facts = {"sentence": sentence(missing), "mean_error_mm": before, "mean_error_mm_with_shapes": after, "shapes": rows}
     write_json(folder / TABLE, {"rig": source.name, "unit_mm": source.unit_mm, **facts})
-    return [TABLE, PICTURE, DELTAS, f"{len(names)} OBJ files"]
+    return [TABLE, PICTURE, DELTAS, f"{len(names)} OBJ file{'s' if len(names) > 1 else ''}"]
 
 
 def _polygons(rig: LinearRig) -> list[list[int]]:

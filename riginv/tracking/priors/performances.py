@@ -42,7 +42,7 @@ def default_prior(rig: RigBackend, draws: int = DRAWS) -> ControlPrior:
     room = np.where(neutral >= 1, -1.0, room)
     units = np.clip(neutral + room * np.where(neutral >= 1, poses, poses * sign), 0, 1)
     lower, span = rig.lower.double().cpu(), (rig.upper - rig.lower).double().cpu()
-    return learn_prior(rig, lower + span * torch.from_numpy(units), "performances that riginv made up", RIDGE)
+    return learn_prior(rig, lower + span * torch.from_numpy(units), "simulated performances", RIDGE)
 
 
 def _actions(rig: RigBackend) -> np.ndarray:
