@@ -129,20 +129,20 @@ def invert_vertices(
     with exclusive_lock(out), InversionProgress(len(clip), notes) as progress:
         free_folder(settings.out)
         arguments = (clip, parts.inverter, parts.evaluator, settings.window, progress.advance)
-        found = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
+        inversion = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
         progress.advance("the optimum", 0)
-        errors = with_optimum(found.errors, clip, found, parts.evaluator)
-        errors = with_accuracy(errors, clip, found, true_rig)
+        errors = with_optimum(inversion.errors, clip, inversion, parts.evaluator)
+        errors = with_accuracy(errors, clip, inversion, true_rig)
         facts, source = made_by(settings, parts.method, actor), Path(settings.clip).name
-        animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
+        animation = Animation(true_rig, inversion.controls, clip.fps, clip.frame_numbers, inversion.motion, source, facts)
         with atomic_write(out) as folder:
             folder.mkdir()
             curves = (describe(clip), settings.formats, settings.after, progress.advance)
             files, remarks = write_curves(folder, animation, errors, *curves)
             shown = replace(animation, rig=posed_actor(true_rig, actor))
-            views, more = write_views(folder, clip, shown, errors, settings.look, progress.advance, actor)
+            views, view_notes = write_views(folder, clip, shown, errors, settings.look, progress.advance, actor)
     warnings = describe(clip).new_warnings(described) if described else []
-    remarks += [*more, *(f"warning: {warning}" for warning in warnings)]
+    remarks += [*view_notes, *(f"warning: {warning}" for warning in warnings)]
     show(animation, errors, true_rig, out, [*files, *views], remarks)
 
 
@@ -163,12 +163,12 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
         with atomic_write(out) as folder:
             folder.mkdir()
             curves = (described, settings.formats, settings.after, progress.advance)
-            files, more = write_curves(folder, animation, errors, *curves)
+            files, curve_notes = write_curves(folder, animation, errors, *curves)
             files += write_scan_table(folder, track, numbers)
             if parts.actor is not None:
                 files += write_actor(folder, parts.actor, rig.faces, settings.look.sheet)
     rows = ("scan's points from the rig", "rig's skin from the scan")
-    show(animation, errors, true_rig, out, files, [*remarks_of(track), *more], "mean surface distances", rows)
+    show(animation, errors, true_rig, out, files, [*remarks_of(track), *curve_notes], "mean surface distances", rows)
 
 
 def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend, out: Path) -> None:
@@ -181,20 +181,20 @@ def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
     with exclusive_lock(out), InversionProgress(len(numbers), parts.notes) as progress:
         free_folder(settings.out)
         noise_mm, is_smooth = settings.noise_of_measurements_mm, settings.method != "levenberg_marquardt"
-        given = (parts.points, numbers, settings.solver, noise_mm, is_smooth, progress.advance)
-        track = track_markers(parts.objective, *given)
+        arguments = (parts.points, numbers, settings.solver, noise_mm, is_smooth, progress.advance)
+        track = track_markers(parts.objective, *arguments)
         facts, source = made_by(settings, "markers"), Path(settings.clip).name
         animation = Animation(true_rig, track.controls, parts.units.fps, numbers, track.motion, source, facts)
         errors = marker_errors(track, true_rig, numbers, settings.flags)
         with atomic_write(out) as folder:
             folder.mkdir()
             curves = (described, settings.formats, settings.after, progress.advance)
-            files, more = write_curves(folder, animation, errors, *curves)
+            files, curve_notes = write_curves(folder, animation, errors, *curves)
             files += write_marker_tables(folder, track, errors, numbers)
             progress.advance("page", 0)
-            views, notes = write_marker_views(folder, track, animation, errors, settings.look, described)
+            views, view_notes = write_marker_views(folder, track, animation, errors, settings.look, described)
     rows = ("mean over the markers", "farthest marker")
-    remarks = [*marker_remarks(errors), *more, *notes]
+    remarks = [*marker_remarks(errors), *curve_notes, *view_notes]
     show(animation, errors, true_rig, out, [*files, *views], remarks, "distances of the markers", rows)
 
 

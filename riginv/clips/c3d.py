@@ -19,7 +19,7 @@ BLOCK = 512  # bytes
 SIGNATURE = 0x50  # second byte of the file
 ORDERS = {84: "<", 86: ">"}  # by processor type; 85, DEC, has floats of its own
 TYPES = {-1: "S1", 1: "u1", 2: "i2", 4: "f4"}  # of parameters
-UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the labels of trajectories that nobody named
+UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the labels of unnamed trajectories
 MOST_FRAMES = 65_535  # in the header; longer takes have their length in parameters
 
 Parameters = dict[str, np.ndarray]  # `POINT:LABELS` and so on; texts as one string each

@@ -98,7 +98,7 @@ def _find_rate(curves: Curves, seconds: np.ndarray | None) -> None:
         measured = common_rate(float((curves.frame_numbers[-1] - curves.frame_numbers[0]) / (seconds[-1] - seconds[0])))
     if stated and measured and abs(stated - measured) > SAME_RATE * stated:
         curves.notes.append(
-            f"{sidecar.name} says {stated:g} frames a second, and its rows lie {measured:g} to a second: {measured:g} was taken"
+            f"{sidecar.name} states {stated:g} frames a second, its rows have {measured:g} a second: {measured:g} was taken"
         )
         stated = None
     if stated:

@@ -13,7 +13,7 @@ from riginv.clips.csv_table import CsvTable, read_csv
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.clips.timecode import timing
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.rig.arkit import ARKIT_NAMES, plain_name
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import WeightedShapes
@@ -107,9 +107,7 @@ def _left_out(table: CsvTable, shapes: dict[str, int]) -> list[str]:
     unknown = [repr(table.header[n]) for n in others if not APP_COLUMNS.fullmatch(plain_name(table.header[n]))]
     notes = ["the rotations of head and eyes were left out: the meshes stay where the rig has them"] if moved else []
     if unknown:
-        notes.append(
-            f"columns that are no weights of shapes were left out: {', '.join(unknown[:6])}{', ...' * (len(unknown) > 6)}"
-        )
+        notes.append(f"columns that are no weights of shapes were left out: {listed(unknown)}")
     return notes
 
 

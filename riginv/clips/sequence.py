@@ -79,7 +79,7 @@ class MeshSequence(ABC):
         if not 1 <= self.vertex_count <= MAX_VERTICES:
             raise InputError(f"{path}: meshes of {self.vertex_count} vertices, expected 1 to {MAX_VERTICES}: export it again")
         if (np.diff(self.frame_numbers) <= 0).any():
-            raise InputError(f"{path}: its frame numbers do not rise: each frame may stand there once; number them anew")
+            raise InputError(f"{path}: its frame numbers do not rise: each frame may occur once; renumber them")
         if faces is not None:
             faces.check(path, self.vertex_count)
 

@@ -3,11 +3,9 @@
 import numpy as np
 
 from riginv.clips.sequence import MeshSequence
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.meshes.polygons import Polygons
 from riginv.rig.interface import RigBackend
-
-LISTED = 12  # meshes in a message
 
 
 class TopologyError(InputError):
@@ -49,13 +47,13 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
     if not faces or not len(rig_faces):
         return ""
     if not clip.faces:
-        return "the clip has no faces to compare: that its vertices stand in the rig's order is taken on trust"
+        return "the clip has no faces to compare: its vertices are assumed to be in the rig's order"
     wrong = foreign_edges(clip.faces, rig_faces, rig_vertices)
     if len(wrong):
         first, second = wrong[0].tolist()
         raise TopologyError(
             f"{clip.path}: {counts}, rig '{rig.name}' has {len(rig_faces)} faces, and {len(wrong)} edges of the clip are none "
-            f"of the rig's, the first from vertex {first} to {second}: the vertices stand in another order, or it is another "
+            f"of the rig's, the first from vertex {first} to {second}: the vertices are in another order, or it is another "
             f"mesh; reading.check_faces=false lets it pass",
             same_count=True,
         )
@@ -66,7 +64,7 @@ def _meshes(clip: MeshSequence) -> str:
     """The meshes read and those left out, where there was a choice."""
     if not clip.facts.other_meshes:
         return ""
-    read, others = (", ".join(names[:LISTED]) for names in (clip.facts.meshes, clip.facts.other_meshes))
+    read, others = (listed(names) for names in (clip.facts.meshes, clip.facts.other_meshes))
     return f"; read were {read}, and not {others} (reading.mesh=[NAME] chooses)"
 
 

@@ -157,7 +157,7 @@ def _up(clip: Source, reading: ReadingOptions, notes: list[str]) -> tuple[str, s
         return reading.up, AS_GIVEN
     if clip.up:
         return clip.up, AS_THE_FILE_SAYS
-    notes.append("the file does not say which axis is up: y is assumed (reading.up=z if the clip lies on its back)")
+    notes.append("the file does not state its up axis: y is assumed (reading.up=z if the clip lies on its back)")
     return "y", GUESSED
 
 
@@ -166,7 +166,7 @@ def _fps(clip: Source, reading: ReadingOptions, notes: list[str]) -> tuple[float
         return float(reading.fps), AS_GIVEN
     if clip.fps is None:
         notes.append(
-            f"the file does not say its frame rate: {DEFAULT_FPS:g} frames a second assumed; give yours, as reading.fps=24"
+            f"the file does not state its frame rate: {DEFAULT_FPS:g} frames a second assumed; give yours, as reading.fps=24"
         )
         return DEFAULT_FPS, GUESSED
     if not 0 < clip.fps <= 1e6:

@@ -1,4 +1,4 @@
-"""From an error to the one sentence that a user needs."""
+"""Error messages: from an exception to one sentence for the user."""
 
 import errno
 import os
@@ -66,7 +66,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _says_full(error: BaseException) -> bool:
-    """Whether an error tells of a full disk; libraries that write by themselves put the system's words into their own."""
+    """Whether an error reports a full disk; libraries that write by themselves put the system's words into their own."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno in FULL
     return any(os.strerror(number) in str(error) for number in FULL)

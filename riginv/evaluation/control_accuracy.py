@@ -1,4 +1,4 @@
-"""Whether the right controls were found, where the true ones are known: not only the right mesh."""
+"""Accuracy of predicted controls against the true ones, where these are known."""
 
 import math
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class ConfusedPair(NamedTuple):
 
 @dataclass(frozen=True)
 class ControlAccuracy:
-    """How near the controls that were found are to the true ones. Controls that the mesh cannot tell apart count as one.
+    """Accuracy of predicted controls against the true ones. Controls that the mesh does not distinguish count as one.
 
     Attributes:
         precision: of the active controls that were found, the fraction that is truly active; NaN: none was found.

@@ -1,4 +1,4 @@
-"""What every command line shares: Hydra composes the config, and a user's mistake ends in one sentence."""
+"""The common part of all commands: Hydra composes the config, and a user's mistake ends in one sentence."""
 
 import functools
 import logging
@@ -59,7 +59,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
 
 
 def answer_help(module: str, config_name: str) -> None:
-    """Answer --help and its kin, and end: to be called before a command imports torch, which takes seconds.
+    """Answer --help and similar options, and exit; called before a command imports torch, which takes seconds.
 
     Args:
         module: `__name__` of the command. Nothing happens where it is not `__main__`, or where a run is asked for.

@@ -1,4 +1,4 @@
-"""The texts of --help: a command's keys as its own YAML explains them."""
+"""The texts of --help: a command's keys with the comments of its YAML."""
 
 from omegaconf import OmegaConf
 
@@ -6,13 +6,13 @@ from riginv.config.messages import CONFIGS
 
 
 def register_help_resolvers() -> None:
-    """Let a help text say `${explained_keys:COMMAND}` and `${group_choices:GROUP}`."""
+    """Register the resolvers `${explained_keys:COMMAND}` and `${group_choices:GROUP}` of help texts."""
     OmegaConf.register_new_resolver("explained_keys", explained_keys, replace=True, use_cache=True)
     OmegaConf.register_new_resolver("group_choices", group_choices, replace=True, use_cache=True)
 
 
 def explained_keys(command: str) -> str:
-    """The keys of `conf/COMMAND.yaml` with their values and comments, as they stand there."""
+    """The keys of `conf/COMMAND.yaml` with their values and comments, verbatim."""
     lines = _lines(f"{command}.yaml")
     head = lines.index("defaults:")
     body = next(number for number, line in enumerate(lines[head + 1 :], head + 1) if not line.startswith(" "))

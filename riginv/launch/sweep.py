@@ -29,7 +29,7 @@ COLOURS = {FINISHED: "green", FAILED: "red"}
 
 
 class SweepTable(Callback):
-    """After a multirun: one row for each job, in the terminal, as `sweep.csv` and as `sweep.md`; exit code 1 if one failed."""
+    """Callback after a multirun: prints a row for each job, writes `sweep.csv` and `sweep.md`; exits with 1 on failure."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         folder = Path(config.hydra.sweep.dir)

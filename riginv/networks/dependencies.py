@@ -73,5 +73,5 @@ def _given(events: Tensor, conditions: Tensor) -> Tensor:
 def _strongest(scores: Tensor, most: int) -> Tensor:
     """The columns of the greatest positive scores of each row, `(row, most)`, padded with -1."""
     values, columns = scores.topk(min(most, scores.shape[1]), dim=1)
-    found = torch.where(values > 0, columns, -1)
-    return torch.nn.functional.pad(found, (0, most - found.shape[1]), value=-1)
+    strongest = torch.where(values > 0, columns, -1)
+    return torch.nn.functional.pad(strongest, (0, most - strongest.shape[1]), value=-1)

@@ -25,7 +25,7 @@ class NetworkBudget:
     """How a network is trained.
 
     Attributes:
-        steps: training steps; None: as the settings say.
+        steps: training steps; None: as in `settings`.
         settings: arguments of `riginv.train`.
     """
 

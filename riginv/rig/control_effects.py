@@ -1,4 +1,4 @@
-"""What each control does to the mesh, from the Jacobian of a rig in several poses, and which controls do the same."""
+"""Displacements of the mesh by each control, from the Jacobian of a rig in several poses, and controls with equal effects."""
 
 from dataclasses import dataclass
 
@@ -13,13 +13,13 @@ from riginv.rig.random_controls import sparse_controls, uniform
 
 POSES, MAX_ACTIVE, SEED = 4, 10, 20221206  # random poses of each kind
 MAX_COEFFICIENTS = 2000  # of a rig whose Jacobian is taken through its basis: more cost more than its vertices
-SAME_COSINE = 0.999  # of the displacements of two controls that the mesh cannot tell apart
+SAME_COSINE = 0.999  # of the displacements of two controls that the mesh does not distinguish
 STILL_MM = 2e-3  # root mean square displacement over the range of a control that moves nothing: above rounding
 
 
 @dataclass(frozen=True)
 class ControlEffects:
-    """The motion of the mesh by each control; controls that the mesh cannot tell apart are merged into one column.
+    """The motion of the mesh by each control; controls that the mesh does not distinguish are merged into one column.
 
     Attributes:
         names: of the columns: those of merged controls are joined by `=`.
@@ -27,7 +27,7 @@ class ControlEffects:
             the control of a column that moves the mesh most.
         gram: `(column, column)`, mm^2: the mean inner product over the vertices of the displacements by two columns over their
             ranges, averaged over poses.
-        same: the names of controls that the mesh cannot tell apart, group by group.
+        same: the names of controls that the mesh does not distinguish, group by group.
         still: the names of controls that move no vertex in any of the poses; they have no column.
         neutral, span: the neutral values and the ranges of the controls, `(control,)`.
     """
@@ -43,7 +43,7 @@ class ControlEffects:
     @classmethod
     @torch.no_grad()
     def of_rig(cls, rig: RigBackend) -> "ControlEffects":
-        """The effects of a rig's controls, by finite differences: any rig will do."""
+        """The effects of a rig's controls, by finite differences, so that it need not be differentiable."""
         grams = _grams(rig)
         sizes = grams.diagonal(dim1=1, dim2=2).sqrt()
         gram, moves = grams.mean(dim=0), sizes > STILL_MM

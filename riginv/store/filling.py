@@ -23,7 +23,7 @@ from riginv.store.store import PoseStore
 from riginv.store.training import SamplingProgress
 from riginv.store.worker import ChunkWorkers
 
-UNITS = {"controls": "as each control says", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}
+UNITS = {"controls": "as of each control", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}
 Facts = dict[str, Any]
 
 

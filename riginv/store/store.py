@@ -77,7 +77,7 @@ class PoseStore:
 
     @classmethod
     def begin(cls, location: StoreLocation, layout: Layout, facts: dict[str, Any], rig: LinearRig) -> "PoseStore":
-        """Create a store without chunks, or open the one that another process has created meanwhile.
+        """Create a store without chunks, or open the one that another process has created since.
 
         Raises:
             InputError: it cannot be written.
@@ -100,7 +100,7 @@ class PoseStore:
                 _make(location.open(read_only=False), layout, facts, values)
             found = found or cls.find(location, read_only=False)
         if found is None:
-            raise InputError(f"{location}: the store is gone")
+            raise InputError(f"{location}: the store no longer exists")
         return found
 
     def read(self, name: str, chunk: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What an inversion is compared with: the lowest error that the rig can reach on a few frames, and the true controls."""
+"""References for an inversion: the lowest error that the rig can reach on a few frames, and the true controls."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def with_accuracy(errors: FrameErrors, clip: Clip, found: Inversion, true_rig: R
 def with_optimum(errors: FrameErrors, clip: Clip, found: Inversion, evaluator: FrameEvaluator) -> FrameErrors:
     """The errors of an inversion, with the lowest that solvers reach on frames spread over the clip (`find_optima`).
 
-    All controls are free, whatever the constraints. Unchanged for a true rig that is no differentiable `LinearRig`.
+    All controls are free, regardless of constraints. Unchanged for a true rig that is no differentiable `LinearRig`.
     """
     rig, known_frames = evaluator.true_rig, (~errors.mean_mm.isnan()).nonzero()[:, 0]
     if not (isinstance(rig, LinearRig) and rig.differentiable and len(known_frames)):

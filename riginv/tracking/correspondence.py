@@ -1,4 +1,4 @@
-"""The choice between the two kinds of inversion: of the rig's own vertices, and of surfaces of any topology."""
+"""The choice between two kinds of inversion: by the rig's own vertices, and by surfaces of any topology."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def by_surface(
     try:
         check_topology(open_sequence(path, rig, reading), rig, reading.check_faces)
     except TopologyError as error:
-        if error.same_count:  # the vertices are in another order, which the user wants to know
+        if error.same_count:  # the vertices are in another order, which the user must correct
             raise InputError(f"{error}, and correspondence=surface fits its surface") from None
         reason = str(error).partition(": ")[2].partition(": ")[0]
         return True, [f"{reason}: fitted by its surface (correspondence=vertices refuses such clips)"]

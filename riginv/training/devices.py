@@ -55,7 +55,7 @@ class TrainerConfig:
 
     @property
     def processes(self) -> int:
-        """Of the whole run."""
+        """The number of processes of the whole run."""
         return self.devices * self.num_nodes
 
 
@@ -66,7 +66,7 @@ class Process:
     Attributes:
         rank: its number; the first, 0, is the one that writes.
         count: of all processes of the run.
-        environment: where Lightning learns of the others; None where there are none, or they are still to be started.
+        environment: Lightning's description of the other processes; None where there are none, or they have not been started.
     """
 
     rank: int = 0
@@ -90,7 +90,7 @@ def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
         batch_size: meshes in a training batch, those of all processes together.
 
     Raises:
-        InputError: the processes that are there are not those that the config asks for, or cannot be started here.
+        InputError: the processes do not match the config, or cannot be started here.
     """
     count = trainer.processes
     if batch_size < count:
@@ -119,7 +119,7 @@ def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
 
 
 def _environment(trainer: TrainerConfig, count: int) -> ClusterEnvironment | None:
-    """What has started the processes of a run, if anything has."""
+    """The environment that has started the processes of a run, if any has."""
     if is_rank_process():
         return LightningEnvironment()
     if TorchElasticEnvironment.detect():
@@ -152,7 +152,7 @@ def _started_from_outside() -> ClusterEnvironment:
 
 
 def _is_swept_over(environment: ClusterEnvironment | None) -> bool:
-    """Whether the processes of a run would have to come of a job of a sweep, or each go through the whole sweep."""
+    """Whether a sweep's job would have to start processes, or each process would run the whole sweep."""
     if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
         return False
     return environment is None or HydraConfig.get().launcher._target_.endswith(".BasicLauncher")

@@ -79,8 +79,8 @@ class RigModule(L.LightningModule, ABC):
         return [self.loss]
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
-        loss, found = self._in_halves(batch) if self.halved else self.loss_and_coordinates(batch)
-        return self.log_step(loss, found, batch["coordinates"])
+        loss, coordinates = self._in_halves(batch) if self.halved else self.loss_and_coordinates(batch)
+        return self.log_step(loss, coordinates, batch["coordinates"])
 
     def _in_halves(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         weights = [weight for weight in self.network.parameters() if weight.requires_grad]
@@ -93,9 +93,9 @@ class RigModule(L.LightningModule, ABC):
         """Whether batches that are worth it are computed in halves."""
         return self.workers is not None and can_be_halved(self.network, self.losses)
 
-    @abstractmethod
     def results(self, batch: PoseBatch) -> Tensor:
-        """The predicted meshes `(batch, vertex, 3)`, mm: for an inverse, the true rig at the predicted controls."""
+        """The predicted meshes `(batch, vertex, 3)`, mm: those of the true rig at an inverse's controls, or a surrogate's."""
+        return self.true_rig(self.network(batch["coordinates"]))
 
     def setup(self, stage: str) -> None:
         if self.trainer.world_size > 1:
@@ -109,11 +109,11 @@ class RigModule(L.LightningModule, ABC):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Raises InputError where the checkpoint's tensors do not match the network's."""
-        expected, found = self.state_dict(), checkpoint["state_dict"]
+        expected, stored = self.state_dict(), checkpoint["state_dict"]
         differing = sorted(
             str(name)
-            for name in expected.keys() | found.keys()
-            if getattr(expected.get(name), "shape", None) != getattr(found.get(name), "shape", None)
+            for name in expected.keys() | stored.keys()
+            if getattr(expected.get(name), "shape", None) != getattr(stored.get(name), "shape", None)
         )
         if differing:
             raise InputError(f"the checkpoint does not fit the network: {differing[0]:.80} differs; remove it to start over")

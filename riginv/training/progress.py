@@ -12,7 +12,7 @@ UPDATE_STEPS = 10  # steps between two updates of the bar
 
 
 class TrainingProgress(L.Callback):
-    """One bar over all steps, with errors in mm; where there is no terminal, a line at each look at the validation sets."""
+    """One bar over all steps, with errors in mm; without a terminal, a line at each validation."""
 
     def __init__(self) -> None:
         self.console = Console()

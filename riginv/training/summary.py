@@ -20,7 +20,7 @@ LISTS: dict[str, Any] = {
 
 
 def show(folder: RunFolder, rig: str) -> None:
-    """Show what a finished run reached, and what to do with it.
+    """Print the results of a finished run and commands that use it.
 
     Args:
         rig: the name of the rig's class.
@@ -43,7 +43,7 @@ def show(folder: RunFolder, rig: str) -> None:
 
 
 def checked(path: Path, metrics: dict[str, Any]) -> dict[str, Any]:
-    """The metrics of a finished run, as they were written.
+    """The metrics of a finished run, checked.
 
     Raises:
         InputError: a figure is missing, or is no number.

@@ -152,7 +152,7 @@ def test_a_rig_that_has_no_arkit_shapes_is_told_what_it_may_take(tmp_path):
         ("0.5000000000", "0,5", "line 2: 64 values, expected 63"),
         ("Timecode", "Time", "none of its columns"),
         ("JawOpen", "jawopen,JawOpen", "are one shape"),
-        ("JawOpen", "TongueOut", "'TongueOut' stands twice"),
+        ("JawOpen", "TongueOut", "'TongueOut' is there twice"),
     ],
 )
 def test_what_cannot_be_meant_is_named(before, after, says, tmp_path):

@@ -62,7 +62,7 @@ def test_its_own_threads_do_not_count_as_others(unlimited):
 
 
 def test_the_number_can_be_asked_for(unlimited, monkeypatch):
-    assert Workers(2).look() == 2 and Workers(2).describe() == "2 threads, as asked for"
+    assert Workers(2).look() == 2 and Workers(2).describe() == "2 threads, as configured"
     assert Workers(3, most=2).look() == 2
     monkeypatch.setenv("RIGINV_THREADS", "2")
     assert Workers().look() == 2

@@ -46,7 +46,9 @@ class GramDescent:
         """Weights `(mesh, side)` after so many visits to every group, from the weights given."""
         weights, target = weights.clone(), coordinates @ self.model.deltas.T
         for _ in range(iterations):
-            misfit = self.model.features(weights) @ self.gram - target  # anew each time, so that rounding does not pile up
+            misfit = (
+                self.model.features(weights) @ self.gram - target
+            )  # computed again each time, so that rounding errors do not accumulate
             for group in self.groups:
                 if len(group) == 1:
                     self._visit(group[0], weights, misfit)

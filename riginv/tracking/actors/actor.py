@@ -57,7 +57,7 @@ class Actor:
 class ActorRig(FixedControlsRig):
     """A rig with an actor's neutral: neutral + scale times the rig's displacements.
 
-    Mesh coordinates are those of the rig, so that whatever was trained on the rig serves the actor.
+    Mesh coordinates are those of the rig, so that networks trained on the rig serve the actor.
     """
 
     def __init__(self, rig: LinearRig, actor: Actor) -> None:

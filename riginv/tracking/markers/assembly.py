@@ -33,7 +33,7 @@ class MarkerParts:
     """The parts of an inversion of markers.
 
     Attributes:
-        clip: the markers that the map has, in the file's unit, and the frames that were asked for.
+        clip: the markers that the map has, in the file's unit, and the requested frames.
         points: these in mm, y up, `(frame, marker, 3)`; NaN in gaps and in excluded frames.
         units: of the clip.
         objective: of the solvers.
@@ -117,7 +117,7 @@ def _check(options: TrackingOptions, constraints: ControlConstraints) -> None:
 
 
 def chosen_frames(clip: MarkerClip, frames: FrameOptions) -> tuple[MarkerClip, Tensor]:
-    """The frames that were asked for, and which of them are excluded, `(frame,)`.
+    """The requested frames, and a mask of those that are excluded, `(frame,)`.
 
     Raises:
         InputError: there are none.
@@ -152,7 +152,7 @@ def marker_units(clip: MarkerClip, placement: Placement, rig: LinearRig, reading
     upright = fit_rigid(rest[None], units.mm * seen[None], torch.ones(len(rest)))[0, :3, 1]  # where the rig's y axis points
     up = "xyz"[int(upright.argmax())]
     notes = [note for note in units.notes if "taken for up" not in note]
-    notes.append(f"{up} taken for up, as the markers stand (reading.up={up} says it)")
+    notes.append(f"{up} taken for up, from the pose of the markers (reading.up={up} sets it)")
     return units._replace(axes=TO_Y_UP[up], up=up, up_source=GUESSED, notes=notes)
 
 

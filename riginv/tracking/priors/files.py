@@ -76,4 +76,4 @@ def prior_or_default(path: str | None, rig: LinearRig) -> tuple[ControlPrior, st
     if path is not None:
         prior = load_prior(Path(path), rig)
         return prior, f"prior of {path}: {prior.source}"
-    return default_prior(rig), "no prior=FILE was given: performances that riginv makes up say which controls go together"
+    return default_prior(rig), "no prior=FILE was given: the prior is from generated performances"

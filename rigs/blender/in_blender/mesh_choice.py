@@ -37,7 +37,7 @@ def unclear(meshes: list[Any], moving: list[Any]) -> str:
 
 
 def listing(names: list[str]) -> str:
-    """Names for a message, the first of many."""
+    """As `riginv.errors.listed`, which Blender's Python cannot import."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more if names else "none"
 
