@@ -18,8 +18,9 @@ from riginv.animation.formats import check_formats
 from riginv.clips.clip import Clip
 from riginv.clips.description import describe
 from riginv.clips.description_text import line, show_clip
-from riginv.clips.open import open_clip
+from riginv.clips.open import open_clip, open_sequence
 from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.topology import TopologyError, check_topology
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import Bound, NonNegativeInt
@@ -37,7 +38,6 @@ from riginv.tracking.actors.files import write_actor
 from riginv.tracking.actors.finding import find_actor
 from riginv.tracking.assembly import build_parts
 from riginv.tracking.clip_optimum import with_accuracy, with_optimum
-from riginv.tracking.correspondence import by_surface
 from riginv.tracking.markers.assembly import build_marker_parts
 from riginv.tracking.markers.results import marker_errors, marker_remarks, write_marker_tables
 from riginv.tracking.markers.tracking import track_markers
@@ -49,6 +49,7 @@ from riginv.tracking.rigs import build_rig, build_true_rig
 from riginv.tracking.run import invert_clip, invert_smoothly
 from riginv.tracking.surfaces.assembly import build_scan_parts
 from riginv.tracking.surfaces.results import frame_errors, remarks_of, write_scan_table
+from riginv.tracking.surfaces.scan_files import is_ragged
 from riginv.tracking.surfaces.tracking import track_scans
 
 Formats = Annotated[Sequence[str], Bound("a list: formats=[csv,glb]", lambda value: True)]
@@ -109,6 +110,28 @@ def build_rigs(settings: InvertConfig) -> tuple[Inverse | None, LinearRig, RigBa
         rig = build_rig(settings.rig, settings.mesh_space)
     true_rig = build_true_rig(settings.true_rig, named or rig)
     return inverse, rig, rig if true_rig.held_out is not None else true_rig
+
+
+def by_surface(
+    path: str, options: TrackingOptions, rig: RigBackend, reading: ReadingOptions, has_network: bool
+) -> tuple[bool, list[str]]:
+    """Whether a clip is inverted by its surface, and notes for the user.
+
+    Raises:
+        InputError: the file cannot be read, or has the rig's vertices in another order.
+    """
+    if options.correspondence != "auto" or has_network or reading.vertices is not None or Path(path).suffix == ".csv":
+        return options.correspondence == "surface", []
+    if is_ragged(path):
+        return True, ["scans of their own topology: fitted by their surface (correspondence=surface)"]
+    try:
+        check_topology(open_sequence(path, rig, reading), rig, reading.check_faces)
+    except TopologyError as error:
+        if error.same_count:  # the vertices are in another order, which the user must correct
+            raise InputError(f"{error}, and correspondence=surface fits its surface") from None
+        reason = str(error).partition(": ")[2].partition(": ")[0]
+        return True, [f"{reason}: fitted by its surface (correspondence=vertices refuses such clips)"]
+    return False, ["vertices in the rig's own order taken (correspondence=surface fits any mesh by its surface)"]
 
 
 def invert_vertices(

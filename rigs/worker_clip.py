@@ -105,4 +105,4 @@ class WorkerClip(MeshSequence):
 
     @abstractmethod
     def _failure(self, error: Exception) -> InputError:
-        """The sentence for a worker that refuses the file, or that is lost."""
+        """The message for a worker that refuses the file, or that is lost."""

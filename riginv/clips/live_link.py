@@ -112,7 +112,7 @@ def _left_out(table: CsvTable, shapes: dict[str, int]) -> list[str]:
 
 
 def _beyond(path: Path, names: list[str], weights: np.ndarray) -> list[str]:
-    """A note on weights outside [0, 1]; raises InputError where they are no weights."""
+    """A note on weights outside [0, 1]; raises InputError where the values are implausible as weights."""
     away = np.maximum(weights - 1, -weights)
     row, column = np.unravel_index(int(away.argmax()), away.shape)
     most = f"{names[column]} is {weights[row, column]:.4g} in row {row + 1}"

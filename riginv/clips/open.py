@@ -1,4 +1,4 @@
-"""Opening a clip: the reader for its suffix, compared with the rig, in millimetres."""
+"""Opening of clips with the reader for their suffix, comparison with the rig, and conversion to millimetres."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -17,7 +17,7 @@ MAX_VERTICES = 50_000_000  # of one mesh; more means a damaged file
 
 @dataclass(frozen=True)
 class SourceFacts:
-    """What a reader took from a file and what it skipped, to be shown to the user.
+    """Facts for the user about a file: what its reader has read and skipped.
 
     Attributes:
         format: name of the format: `USD`, `glTF`, `Live Link Face CSV`.

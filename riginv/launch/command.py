@@ -13,7 +13,7 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.markup import escape
 
@@ -21,7 +21,6 @@ from riginv.config.building import OURS
 from riginv.config.folders import check_config_folders
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.path_values import quoted, with_quoted_paths
-from riginv.launch.help import register_help_resolvers
 from riginv.launch.job_process import exit_with_parent
 from riginv.launch.rank_process import exit_with_launcher, is_rank_process, report
 from riginv.launch.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
@@ -62,7 +61,7 @@ def answer_help(module: str, config_name: str) -> None:
     """Answer --help and similar options, and exit; called before a command imports torch, which takes seconds.
 
     Args:
-        module: `__name__` of the command. Nothing happens where it is not `__main__`, or where a run is asked for.
+        module: `__name__` of the command. Nothing happens where it is not `__main__`, or without such an option.
     """
     if module == "__main__" and any(argument in ANSWERED_BY_HYDRA for argument in sys.argv[1:]):
         command(config_name)(lambda config: None)()
@@ -186,3 +185,27 @@ def _stop(error: Exception, config_name: str) -> None:
         raise error
     Console(stderr=True).print("[bold red]error:[/]", escape(message), highlight=False, soft_wrap=True)
     sys.exit(1)
+
+
+def register_help_resolvers() -> None:
+    """Register the resolvers `${explained_keys:COMMAND}` and `${group_choices:GROUP}` of help texts."""
+    OmegaConf.register_new_resolver("explained_keys", explained_keys, replace=True, use_cache=True)
+    OmegaConf.register_new_resolver("group_choices", group_choices, replace=True, use_cache=True)
+
+
+def explained_keys(command: str) -> str:
+    """The keys of `conf/COMMAND.yaml` with their values and comments, verbatim."""
+    lines = _lines(f"{command}.yaml")
+    head = lines.index("defaults:")
+    body = next(number for number, line in enumerate(lines[head + 1 :], head + 1) if not line.startswith(" "))
+    shared = [line for line in _lines("run/sweep.yaml") if line.startswith("verbose:")]  # keys of every command
+    return "\n".join(f"  {line}".rstrip() for line in [*lines[body:], *shared]).strip("\n")
+
+
+def group_choices(group: str) -> str:
+    """The choices of a group, by name."""
+    return ", ".join(sorted(path.stem for path in (CONFIGS / group).glob("*.yaml")))
+
+
+def _lines(name: str) -> list[str]:
+    return (CONFIGS / name).read_text(encoding="utf-8").splitlines()

@@ -1,4 +1,4 @@
-"""Which controls and shapes the coefficients of a blendshape rig depend on, found by posing it.
+"""Dependencies of the coefficients of a blendshape rig on controls and shapes, found by posing it.
 
 A primary shape depends on a few controls, a corrective on the shapes that it corrects.
 """
@@ -19,7 +19,7 @@ CERTAIN = 0.995  # fraction of the poses with an active corrective in which a sh
 
 
 class Dependencies(NamedTuple):
-    """What each coefficient depends on; rows are padded with -1.
+    """The controls and shapes that each coefficient depends on; rows are padded with -1.
 
     Attributes:
         drivers: controls of each primary shape, `(primary, slot)`.
@@ -32,7 +32,7 @@ class Dependencies(NamedTuple):
 
 @torch.no_grad()
 def find_dependencies(rig: LinearRig, drivers: int, parents: int) -> Dependencies:
-    """Find what the coefficients of a blendshape rig depend on, the strongest dependency first.
+    """The dependencies of a blendshape rig's coefficients, the strongest first.
 
     Args:
         drivers, parents: the greatest number of each.

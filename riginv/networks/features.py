@@ -52,7 +52,7 @@ class RigFeatures(nn.Module):
 
     @staticmethod
     def offered_by(rig: RigInMeshSpace) -> bool:
-        """Whether the rig has features (`LinearRig.features`)."""
+        """Whether a rig has features (`LinearRig.features`)."""
         return rig.source.features(rig.neutral_coefficients) is not None
 
     @classmethod

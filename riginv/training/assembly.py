@@ -27,13 +27,12 @@ from riginv.sampling.noise import CaptureNoise
 from riginv.store.training import reading_store
 from riginv.training.checkpoints import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.training.config import ModelConfig, TrainConfig, TrainerConfig
-from riginv.training.dashboard import Dashboard
+from riginv.training.dashboard import Dashboard, PosePictures
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import this_process
 from riginv.training.halves import HALVES
 from riginv.training.module import RigModule
-from riginv.training.pictures import PosePictures
-from riginv.training.progress import TrainingProgress
+from riginv.training.summary import TrainingProgress
 
 CALIBRATION_MESHES = 1024
 BFLOAT16 = "bf16-mixed"

@@ -43,7 +43,7 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
 
 
 def sheet_rows(animation: Animation, errors: FrameErrors) -> dict[int, str]:
-    """The rows that are drawn, and why: the worst with some distance between them, then evenly spread ones."""
+    """The rows that are drawn, each with its reason: the worst with some distance between them, then evenly spread ones."""
     rows, distance = evaluated_rows(animation, errors), max(1, len(animation) // 20)
     chosen: dict[int, str] = {}
     for index in errors.worst(len(rows)):

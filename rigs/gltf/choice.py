@@ -120,7 +120,7 @@ def _requested(file: GltfFile, meshes: PosedMeshes, names: list[str], requested:
 
 
 def _parts_elsewhere(file: GltfFile, meshes: PosedMeshes, chosen: Chosen, others: Iterable[int]) -> list[int]:
-    """Other animations that move only what the chosen one does not, as exporters write that make one of each action."""
+    """Other animations that move only what the chosen one does not, as some exporters write one for each action."""
     if not chosen.moves:
         return []
     taken, found = {(one.node, one.path) for one in chosen.channels if meshes.follows(one)}, []

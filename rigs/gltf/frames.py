@@ -123,7 +123,7 @@ def _rest_transforms(avatar: Avatar, nodes: list[int]) -> Tensor:
         rest = scene.rigid[node] if parent < 0 else compose(scene.world[parent], scene.rigid[node])
         if abs(float(torch.linalg.det(rest[:, :3]))) < 1e-12:
             raise InputError(
-                f"{avatar.file.path}: joint '{scene.names[node]}' stands in a space that is scaled to nothing: leave it out of "
+                f"{avatar.file.path}: joint '{scene.names[node]}' is in a space that is scaled to nothing: leave it out of "
                 f"rig.joint_include, or export it with another scale"
             )
         found.append(torch.cat([rest[:, :3], rest[:, 3:] * avatar.mm], dim=1))

@@ -1,4 +1,4 @@
-"""Controls of joints: which there are, their order of rotation and their ranges, from what the file's animations do."""
+"""Controls of joints, with their orders of rotation and ranges, from the motion in the file's animations."""
 
 from collections.abc import Callable
 from typing import Literal, NamedTuple
@@ -26,7 +26,7 @@ UNIFORM = 1e-3  # difference of scales along the three axes that counts as none
 
 
 class Drives(NamedTuple):
-    """What the controls of joints do, in the order of the controls: angles of all frames, then translations, then scales.
+    """The effects of joint controls, in the order of the controls: angles of all frames, then translations, then scales.
 
     Attributes:
         controls: with their ranges.

@@ -1,4 +1,4 @@
-"""Bytes of a glTF file: chunks of a .glb, files beside a .gltf, and data URIs. Nothing else is opened."""
+"""Bytes of a glTF file: chunks of a .glb, files beside a .gltf, and data URIs; nothing else is opened."""
 
 import base64
 import binascii
@@ -30,7 +30,7 @@ def chunks(path: Path, data: np.ndarray) -> tuple[bytes, np.ndarray | None]:
         raise InputError(f"{path}: a .glb of version {version}, expected {VERSION}: export it again as glTF 2.0")
     if length > len(data):
         raise InputError(
-            f"{path}: {len(data)} bytes, expected {length} as its header says: the file is truncated; copy or export it again"
+            f"{path}: {len(data)} bytes, expected {length} by its header: the file is truncated; copy or export it again"
         )
     found: dict[int, np.ndarray] = {}
     start = HEADER

@@ -93,7 +93,7 @@ def _one_for_each(file: GltfFile, mesh: int, found: list[str], count: int) -> li
         what = f"'{_numbered(len(found))}' and so on name the others" if len(found) < count else f"'{found[count]}' is left out"
         file.note(
             f"{mesh_label(file, mesh)} has {count} morph targets and names {len(found)} in extras.targetNames: the names were "
-            f"given in their order, and {what}; names may stand at the wrong targets."
+            f"given in their order, and {what}; names may be at the wrong targets."
         )
     return [(found[number] if number < len(found) else "") or _numbered(number) for number in range(count)]
 

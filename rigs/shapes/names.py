@@ -2,7 +2,7 @@
 
 `a50` is the in-between of `a` at half its weight. `a_b`, `a_b_c` ... are combinations: `a` and `b` (and `c`) at weight 1.
 The parts of a combination may be in-betweens (`a50_b`), and a combination may have in-betweens of its own
-(`a_b50`, where there is no shape `b50`: both at half). Every other name is a primary shape, whatever it contains (`brow_up_L`).
+(`a_b50`, where there is no shape `b50`: both at half). Every other name is a primary shape, underscores included (`brow_up_L`).
 """
 
 import difflib

@@ -22,7 +22,7 @@ METRES = 0.001  # per mm
 
 
 def main(folder: str, wanted: str) -> None:
-    """Read, find each curve its place, key it, and set the scene's frames."""
+    """Read the curves, key each on its control, and set the scene's frames."""
     with open(os.path.join(folder, "curves.json"), encoding="utf-8") as file:
         facts = json.load(file)
     with open(os.path.join(folder, "curves.csv"), encoding="utf-8", newline="") as file:

@@ -1,4 +1,4 @@
-"""Labels of markers that were exchanged, and stray markers: found by a robust fit, and mended or left out."""
+"""Labels of markers that were exchanged, and stray markers: found by a robust fit, and corrected or left out."""
 
 from typing import NamedTuple
 

@@ -23,7 +23,7 @@ class SceneMesh:
         self.vertex_count = len(self.world_points())
 
     def world_points(self) -> np.ndarray:
-        """The vertices `(vertex, 3)` in the world at the frame that the scene is at, y up, in Blender's units."""
+        """The vertices `(vertex, 3)` in the world at the present frame, y up, in Blender's units."""
         evaluated = self.thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
         mesh = evaluated.to_mesh()
         vertices = np.empty(len(mesh.vertices) * 3, np.float32)

@@ -11,7 +11,7 @@ def draft_of_shapes(rig: ShapesRig) -> Draft:
     """A draft of a folder of shapes: in-betweens are hat functions, combinations products of weights and hats.
 
     Raises:
-        InputError: the format cannot represent the rig; the message says why.
+        InputError: the format cannot represent the rig; the message has the reason.
     """
     shapes = rig.shapes
     if shapes.combinations and rig.logic.combine.__name__ != "combination_weights":
