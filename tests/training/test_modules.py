@@ -104,7 +104,7 @@ def test_only_the_network_learns(toy):
 
 def test_a_rig_without_gradients_is_refused_with_the_way_out(toy):
     class NoGradients:
-        rig = BlackBox()
+        source = BlackBox()
 
         def requires_grad_(self, _):
             return self
