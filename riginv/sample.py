@@ -61,13 +61,13 @@ def verify(path: str) -> None:
         raise InputError(f"verify={path}: there is no store of poses")
     with SamplingProgress() as progress:
         progress.begin("verifying", store.layout.samples)
-        found = examine(store, advance=progress.advance)
+        condition = examine(store, advance=progress.advance)
     rows: dict[str, str] = {}
-    if found.absent:
-        rows["absent"] = f"{len(found.absent)} chunks: {listed(found.absent)}"
-    for number, fault in enumerate(list(found.damaged.values())[:NAMED]):
-        rows[f"damaged ({number + 1} of {len(found.damaged)})"] = fault
-    if found.complete:
+    if condition.absent:
+        rows["absent"] = f"{len(condition.absent)} chunks: {listed(condition.absent)}"
+    for number, fault in enumerate(list(condition.damaged.values())[:NAMED]):
+        rows[f"damaged ({number + 1} of {len(condition.damaged)})"] = fault
+    if condition.complete:
         show(store, {**findings(store), "state": "finished, and every chunk matches its checksum"})
         return
     show(store, {**rows, "state": "run the sampling command again: it makes these chunks"})

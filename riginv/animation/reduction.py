@@ -71,9 +71,9 @@ def reduced(animation: Animation, tolerance_mm: float, advance: Callable[[str], 
         if number + 1 >= MAX_PASSES:
             factor[too_far] = 0
         factor[too_far] *= np.minimum(TIGHTER, tolerance_mm / distance[too_far])
-    kept = tuple(torch.tensor(rows) for rows in keys)
+    key_rows = tuple(torch.tensor(rows) for rows in keys)
     worst = float(distance.max())
-    return Reduction(replace(animation, controls=made, keys=kept), sum(map(len, keys)), frames * count, worst)
+    return Reduction(replace(animation, controls=made, keys=key_rows), sum(map(len, keys)), frames * count, worst)
 
 
 def straight_line_keys(seconds: np.ndarray, values: np.ndarray, tolerance: np.ndarray) -> list[int]:

@@ -124,12 +124,12 @@ class Workers:
                     self._working.nested = False
 
             learning = torch.is_grad_enabled()
-            others = [self._threads().submit(contextvars.copy_context().run, _alone, work, learning) for _ in range(count - 1)]
+            futures = [self._threads().submit(contextvars.copy_context().run, _alone, work, learning) for _ in range(count - 1)]
             try:
                 work()
             finally:
-                for other in others:
-                    other.result()
+                for future in futures:
+                    future.result()
             return [results[number] for number in range(len(tasks))]
 
     def describe(self) -> str:

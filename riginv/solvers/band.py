@@ -105,11 +105,11 @@ def solve_band(
         factors.append(factor)
         halves.append(half)
         forward.append(value)
-    found = right.new_zeros(frames + 2, controls)
+    unknowns = right.new_zeros(frames + 2, controls)
     for frame in reversed(range(frames)):
-        rest = forward[frame] - halves[frame][:, :-1] @ found[frame + 1 : frame + 3].flatten()
-        found[frame] = torch.linalg.solve_triangular(factors[frame].T, rest[:, None], upper=True)[:, 0]
-    return found[:frames]
+        rest = forward[frame] - halves[frame][:, :-1] @ unknowns[frame + 1 : frame + 3].flatten()
+        unknowns[frame] = torch.linalg.solve_triangular(factors[frame].T, rest[:, None], upper=True)[:, 0]
+    return unknowns[:frames]
 
 
 RunTasks = Callable[[list[Callable[[], int]]], list[int]]  # runs tasks, perhaps in parallel, and returns their results

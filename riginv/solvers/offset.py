@@ -75,20 +75,20 @@ class OffsetSolver:
             neutral: to start from, or the given one.
             steps: at most.
         """
-        known = torch.isfinite(vertices).all(dim=2, keepdim=True)
-        filled = torch.where(known, vertices, neutral)
+        is_known = torch.isfinite(vertices).all(dim=2, keepdim=True)
+        filled = torch.where(is_known, vertices, neutral)
         start = start_by_derivative(self.objective, self._coordinates(filled, neutral))
         at = OffsetSolution(neutral, start, filled)
-        at = self._settled(at, known)
+        at = self._settled(at, is_known)
         damping, idle = START_DAMPING, 0
         while at.steps < steps and idle < IDLE and damping < MOST_DAMPING:
             near = self._linearise(at)
             before = at.cost
             while damping < MOST_DAMPING:
                 step = near.step(at.units, damping)
-                found = at if step is None else self._settled(self._moved(at, *step), known)
-                if found.cost < before:
-                    damping, at = max(damping / 5, LEAST_DAMPING), found
+                solution = at if step is None else self._settled(self._moved(at, *step), is_known)
+                if solution.cost < before:
+                    damping, at = max(damping / 5, LEAST_DAMPING), solution
                     break
                 damping *= 4
             at.steps += 1

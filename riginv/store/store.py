@@ -86,8 +86,8 @@ class PoseStore:
         constants = {NEUTRAL: rig.neutral_coefficients()[0]} | ({BASIS: rig.basis} if layout.fitted else {})
         values = {name: value.detach().cpu().float().numpy() for name, value in constants.items()}
         with location.writing(), location.exclusive_lock("begin"):
-            found = cls.find(location, read_only=False)
-            if found is None and location.path is not None:
+            store = cls.find(location, read_only=False)
+            if store is None and location.path is not None:
                 for remains in location.path.parent.glob(f".{location.path.name}.*.part"):
                     discard(remains)
                 partial = location.path.with_name(f".{location.path.name}.{os.getpid()}.part")
@@ -96,12 +96,12 @@ class PoseStore:
                     partial.replace(location.path)
                 finally:
                     discard(partial)
-            elif found is None:
+            elif store is None:
                 _make(location.open(read_only=False), layout, facts, values)
-            found = found or cls.find(location, read_only=False)
-        if found is None:
+            store = store or cls.find(location, read_only=False)
+        if store is None:
             raise InputError(f"{location}: the store no longer exists")
-        return found
+        return store
 
     def read(self, name: str, chunk: int) -> np.ndarray:
         """Rows of an array for a chunk, as stored.

@@ -51,12 +51,12 @@ def in_halves(
 
     tasks = [partial(half, part, size / count) for part, size in zip(halves, sizes)]
     (loss, coordinates, gradients), (second_loss, second_coordinates, second_gradients) = workers.run(tasks)
-    pairs = [(one, other) for one, other in zip(gradients, second_gradients) if one is not None and other is not None]
+    pairs = [(first, second) for first, second in zip(gradients, second_gradients) if first is not None and second is not None]
 
     def add(numbers: list[int]) -> None:
         torch._foreach_add_([pairs[number][0] for number in numbers], [pairs[number][1] for number in numbers])
 
-    runs = _evenly([one.numel() for one, _ in pairs], list(range(len(pairs))))
+    runs = _evenly([first.numel() for first, _ in pairs], list(range(len(pairs))))
     workers.run([partial(add, numbers) for numbers in runs])
     total = _WithGradients.apply(loss + second_loss, list(gradients), *weights)
     return total, torch.cat([coordinates, second_coordinates])

@@ -24,13 +24,13 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
     """
     rows = sheet_rows(animation, errors)
     recovered = animation.rig(animation.controls[list(rows)])
-    wanted = targets(list(rows)).to(recovered)
-    wanted = torch.where(wanted.isnan(), recovered, wanted)
-    distances = (wanted - recovered).norm(dim=2)
+    target_meshes = targets(list(rows)).to(recovered)
+    target_meshes = torch.where(target_meshes.isnan(), recovered, target_meshes)
+    distances = (target_meshes - recovered).norm(dim=2)
     top = float(distances.max().clamp_min(0.01))
     camera, faces, colors = Camera(animation.rig.rest_vertices), animation.rig.faces, animation.rig.vertex_colors()
     pictures, labels = [], []
-    for (row, name), target, mesh, distance in zip(rows.items(), wanted, recovered, distances):
+    for (row, name), target, mesh, distance in zip(rows.items(), target_meshes, recovered, distances):
         view = camera.following(target, mesh)
         pictures += [view.picture(target, faces, colors), view.picture(mesh, faces, colors)]
         pictures.append(view.picture(mesh, faces, heat_colors(distance, top)))

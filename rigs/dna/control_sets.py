@@ -61,9 +61,9 @@ def control_set(file: DnaFile, logic: Logic, kind: Kind | None) -> ControlSet:
     shown = listed(name[:60] for name in unused)
     notes = [f"GUI controls that the table does not use are left out ({len(unused)}): {shown}"] if unused else []
     groups = logic.quaternions
-    taken = {control.name for control in controls}
+    used_names = {control.name for control in controls}
     for control in _quaternion_controls(definition, groups):
-        if control.name in taken:
+        if control.name in used_names:
             raise InputError(f"{file.path}: a GUI and a raw control are both named '{control.name[:80]}': rename one of them")
         controls.append(control)
     if len(groups):

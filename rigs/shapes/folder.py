@@ -42,16 +42,16 @@ def find_shapes(
         raise InputError(f"{folder}: no such folder; rig.folder= takes the folder with the neutral and one file for each shape")
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     meshes = [path for path in files if path.suffix.lower() in MESH_READERS]
-    known = ", ".join((*MESH_READERS, *DELTA_READERS))
+    suffixes = ", ".join((*MESH_READERS, *DELTA_READERS))
     if not meshes:
         content = f"its {len(files)} files are {listed([path.name for path in files])}" if files else "it is empty"
-        raise InputError(f"{folder}: no meshes there: {content}; expected a neutral and one file for each shape ({known})")
+        raise InputError(f"{folder}: no meshes there: {content}; expected a neutral and one file for each shape ({suffixes})")
     neutral_path = _neutral(folder, neutral, meshes)
     readable = [path for path in files if path.suffix.lower() in (*MESH_READERS, *DELTA_READERS)]
     named = [(name, path) for path in readable if path != neutral_path for name in names_in(path)]
     if not named:
         raise InputError(
-            f"{folder}: {neutral_path.name} is the only shape there; expected one more file for each shape ({known})"
+            f"{folder}: {neutral_path.name} is the only shape there; expected one more file for each shape ({suffixes})"
         )
     _check_globs("include", include, named, folder)
     shapes: dict[str, Path] = {}

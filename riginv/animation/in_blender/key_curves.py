@@ -49,12 +49,12 @@ def own_name(column: str) -> str:
     return column[1:] if column[:1] == "'" and column[1:2] in ("=", "+", "-", "@") else column
 
 
-def places_of(facts: dict, wanted: str) -> dict:
+def places_of(facts: dict, target_name: str) -> dict:
     """For each control the datablock and the path that it is keyed on."""
-    name = wanted or f"{facts['rig']} controls"
+    name = target_name or f"{facts['rig']} controls"
     target = bpy.data.objects.get(name)
-    if wanted and target is None:
-        raise SystemExit(f"there is no object named '{wanted}'")
+    if target_name and target is None:
+        raise SystemExit(f"there is no object named '{target_name}'")
     meshes = [item for item in bpy.data.objects if item.type == "MESH" and item.data.shape_keys]
     meshes.sort(key=lambda item: item is not target)
     places = {}

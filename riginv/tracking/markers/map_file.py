@@ -132,9 +132,9 @@ def matched(
         notes.append(f"markers that the map lacks were left out: {listed(map(repr, new))}")
     if missing:
         notes.append(f"markers of the map that the clip lacks: {listed(map(repr, missing))}")
-    kept = [row for row, name in enumerate(placement.names) if name in names]
-    if len(kept) < FEWEST:
-        raise InputError(f"{clip.path}: {len(kept)} of its markers are in the map {path}, expected {FEWEST} at least")
-    shared = placement.subset(kept)
+    rows = [row for row, name in enumerate(placement.names) if name in names]
+    if len(rows) < FEWEST:
+        raise InputError(f"{clip.path}: {len(rows)} of its markers are in the map {path}, expected {FEWEST} at least")
+    shared = placement.subset(rows)
     columns = [names.index(name) for name in shared.names]
     return clip.select(shared.names, clip.points[:, columns], clip.frame_numbers), shared, notes

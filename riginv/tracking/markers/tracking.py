@@ -79,8 +79,8 @@ def track_markers(
     packed, solution.units = pack(labelled.points, labelled.weights), labelled.units
     if bool(objective.placement.calibrated.any()):
         objective = objective.at_offsets(calibrate(objective, packed, solution.units, noise_mm))
-        refined = refine_meshes(objective, packed, solution.units, REFINE_STEPS)
-        labelled = mend_labels(objective, points, torch.where(known[:, None], refined.units, solution.units), noise_mm, numbers)
+        refits = refine_meshes(objective, packed, solution.units, REFINE_STEPS)
+        labelled = mend_labels(objective, points, torch.where(known[:, None], refits.units, solution.units), noise_mm, numbers)
         packed, solution.units = pack(labelled.points, labelled.weights), labelled.units
     solution.skipped = ~torch.isfinite(packed).all(dim=1)
     units = smoothed(solution, options.blur if is_smooth else 0.0, numbers)

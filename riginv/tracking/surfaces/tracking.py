@@ -73,11 +73,11 @@ def track_scans(
 
     solutions: list[SolvedScan | None] = []
     for row in range(len(frames)):
-        target, before = load(row), next((each for each in reversed(solutions[-3:]) if each is not None), None)
+        target, before = load(row), next((solution for solution in reversed(solutions[-3:]) if solution is not None), None)
         solutions.append(None if target is None else solver.solve(target, before))
         advance("each frame", 1)
-    has_scan = [each is not None for each in solutions]
-    _check(scans, [each for each in solutions if each is not None], solver)
+    has_scan = [solution is not None for solution in solutions]
+    _check(scans, [solution for solution in solutions if solution is not None], solver)
     if smoothness is not None and len(solutions) > 2:
         solved = smooth_scans(solver, load, solutions, smoothness, lambda done: advance("the whole clip", done))
     else:
