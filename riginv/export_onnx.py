@@ -110,7 +110,7 @@ def write_onnx(path: Path, inverse: Inverse, poses: int = 64) -> Parity:
     with atomic_write(path) as beside:
         named = beside.with_name(f"{beside.name}.onnx")
         try:
-            with _quietly():
+            with _without_output():
                 program.save(named, external_data=False)
             parity = compare(named, inverse, meshes[:poses])
             _check_parity(path, parity, inverse)
@@ -192,9 +192,9 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
 
     coordinates = inverse.network.rig.space.encode(meshes)
     try:
-        with fixed_iterations(), torch.enable_grad(), _quietly():
+        with fixed_iterations(), torch.enable_grad(), _without_output():
             traced = make_fx(_Plain(inverse), tracing_mode="symbolic", _allow_non_fake_inputs=True)(coordinates)
-            _settle(traced.graph)
+            _replace_unsupported(traced.graph)
             traced.graph.eliminate_dead_code()
             traced.recompile()
             dynamic = ({0: torch.export.Dim("mesh", min=1)},)
@@ -216,7 +216,7 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
         ) from error
 
 
-def _settle(graph: Any) -> None:
+def _replace_unsupported(graph: Any) -> None:
     """Replace operations that the exporter does not support: a clamp between 0 and 0.5, and `hypot`."""
     aten = torch.ops.aten
     for node in list(graph.nodes):
@@ -243,7 +243,7 @@ def _timed(work: Any, count: int) -> tuple[Any, float]:
 
 
 @contextlib.contextmanager
-def _quietly() -> Any:
+def _without_output() -> Any:
     """A context without the exporters' output and warnings."""
     loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
     levels = [logger.level for logger in loggers]

@@ -234,7 +234,7 @@ def free_folder(out: str) -> Path:
 
 
 def made_by(settings: InvertConfig, method: str, actor: Actor | None = None) -> dict[str, Any]:
-    """How the curves were made, for curves.json."""
+    """The version, method, bundle and actor of an inversion, for curves.json."""
     facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": settings.refine}
     if settings.bundle:
         facts["bundle"] = sha256(read_bundle(settings.bundle).folder / SUMS)

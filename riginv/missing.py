@@ -84,7 +84,7 @@ def run(config: DictConfig) -> None:
     true_curves = true_controls(settings, clip, rig)
     show_clip(clip)
     with exclusive_lock(out), InversionProgress(min(len(clip), settings.max_frames), notes) as progress:
-        meshes, controls, rows = invert_some(settings, clip, rig, inverse, true_curves, progress)
+        meshes, controls, rows = invert_spread_frames(settings, clip, rig, inverse, true_curves, progress)
         numbers = clip.frame_numbers[rows]
         progress.advance("missing shapes", 0)
         missing = find_missing(rig, meshes, controls, settings.shapes, settings.factors, true_curves is not None)
@@ -138,7 +138,7 @@ def build_solved_rig(settings: MissingConfig) -> tuple[Inverse | None, LinearRig
     return inverse, rig
 
 
-def invert_some(
+def invert_spread_frames(
     settings: MissingConfig,
     clip: Clip,
     rig: LinearRig,

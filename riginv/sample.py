@@ -44,8 +44,8 @@ def sample(config: DictConfig) -> None:
 def summary_rows(filled: FillResult, seconds: float) -> dict[str, str]:
     """What a run made and repaired, as table rows."""
     rows = {}
-    if filled.found.damaged:
-        rows["repaired"] = "; ".join(list(filled.found.damaged.values())[:NAMED])
+    if filled.condition.damaged:
+        rows["repaired"] = "; ".join(list(filled.condition.damaged.values())[:NAMED])
     if filled.made:
         rows["made now"] = f"{filled.made:,} poses in {seconds:.0f} s: {filled.made / seconds:,.0f} a second"
     if filled.absent:

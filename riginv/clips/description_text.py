@@ -129,7 +129,7 @@ def _rate(clip: ClipDescription, detail: int) -> str:
 
 
 def _source(source: str, detail: int) -> str:
-    """Where a unit or an axis comes from, in parentheses; omitted as `detail` demands."""
+    """The source of a unit or an axis, in parentheses; omitted at low `detail`."""
     shown = detail == FULL or (detail < NO_SOURCES and source != AS_THE_FILE_SAYS)
     return f" ({source})" if shown else ""
 

@@ -16,7 +16,7 @@ KNOWN = 0.5  # fraction of known vertices that a frame needs to be measured
 
 
 class ClipMotion(NamedTuple):
-    """How a clip moves, over the frames read so far.
+    """The motion of a clip over the frames read so far.
 
     Attributes:
         frames, all_frames: number of frames read, and of all.

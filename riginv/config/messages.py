@@ -92,7 +92,7 @@ def _unknown_choice(error: MissingConfigException) -> str:
 
 
 def _in_quotes(argument: str | None) -> str:
-    """How to type an argument whose value is text that Hydra reads something else into."""
+    """A hint on quotes for an argument whose text Hydra parses as something else."""
     key, equals, value = (argument or "").partition("=")
     return f"; a value with brackets, quotes or the like: {shlex.quote(f'{key}={quoted(value)}')}" if equals and value else ""
 

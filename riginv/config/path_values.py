@@ -55,7 +55,7 @@ def _with_quoted_path(argument: str, sweeps: bool) -> str:
 
 
 def _parsed(argument: str) -> Override | None:
-    """What Hydra makes of an argument; None where it cannot read it."""
+    """The value that Hydra parses from an argument; None where it cannot parse it."""
     try:
         return OverridesParser.create().parse_override(argument)
     except HydraException:

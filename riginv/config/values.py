@@ -91,7 +91,7 @@ def _is_sequence(value: Any) -> bool:
 
 
 def in_words(hint: Any) -> str:
-    """What an annotation expects, for a message."""
+    """The values that an annotation allows, in words, for a message."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return next((bound.words for bound in inner[1:] if isinstance(bound, Bound)), in_words(inner[0]))

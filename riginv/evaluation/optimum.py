@@ -43,7 +43,7 @@ class Optimum:
         return float(self.errors_mm.double().mean())
 
     def ratio(self, result: EvaluationResult) -> float:
-        """How many times the optimum a result's mean error is, on the same meshes."""
+        """The ratio of a result's mean error to the optimum, on the same meshes."""
         return float(result.errors_mm[self.rows].double().mean()) / max(self.mean_mm, MIN_OPTIMUM_MM)
 
     def metrics(self, result: EvaluationResult) -> dict[str, float]:

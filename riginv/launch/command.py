@@ -69,7 +69,7 @@ def answer_help(module: str, config_name: str) -> None:
 
 
 def _run(job: "_Job", config_name: str) -> None:
-    """Let Hydra compose the config of a command line, and run its job."""
+    """Compose the config of a command line with Hydra, and run its job."""
     try:
         options, values = split_options(sys.argv[1:])
         values = path_as_value(values, POSITIONAL.get(config_name))
@@ -112,7 +112,7 @@ def path_as_value(values: list[str], key: str | None) -> list[str]:
 
 
 def true_rig_choice(argument: str) -> str:
-    """Let `true_rig=NAME` choose from the group of rigs, as `rig=NAME` does."""
+    """Convert `true_rig=NAME` to a choice from the group of rigs, as `rig=NAME` is."""
     return f"rig@{argument}" if argument.startswith("true_rig=") else argument
 
 

@@ -80,9 +80,9 @@ def with_sweep_folder(arguments: list[str], command: str) -> list[str]:
     typed = [text for text in arguments if re.search("=|^~", text) and not text.startswith(NOT_OF_THE_TASK)]
     options = [text for text in arguments if text not in typed]
     if not folders:
-        same = [path for path in sorted(SWEEPS.glob("*")) if _same(_begun(path, command), typed)] if resume else []
+        same = [path for path in sorted(SWEEPS.glob("*")) if _same(_typed_for_job(path, command), typed)] if resume else []
         return [*options, *(typed_before(same[-1]) or []), f"{FOLDER}{same[-1]}"] if same else arguments
-    before = _begun(folders[-1])
+    before = _typed_for_job(folders[-1])
     if before is None:
         return arguments
     if not resume:
@@ -98,8 +98,8 @@ def with_sweep_folder(arguments: list[str], command: str) -> list[str]:
     return [*options, *before]
 
 
-def _begun(folder: Path, command: str | None = None) -> list[str] | None:
-    """The same, where a job was started: Hydra writes its file even if it refuses what was typed."""
+def _typed_for_job(folder: Path, command: str | None = None) -> list[str] | None:
+    """As `typed_before`, where a job was started: Hydra writes its file even if it refuses the arguments."""
     return typed_before(folder, command) if (folder / JOBS).is_dir() else None
 
 

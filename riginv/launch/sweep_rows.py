@@ -85,7 +85,7 @@ def text_columns(rows: Sequence[Row]) -> list[int]:
 
 
 def caption(rows: Sequence[Row]) -> str:
-    """What the columns hold, and how they are sorted; empty without errors."""
+    """The caption of the table: the meaning of its columns, and the order of its rows; empty without errors."""
     by = {ranked_by([row for row in rows if row.get("rig") == rig]): None for rig in (row.get("rig") for row in rows)}
     names = [key.removesuffix(ERROR).replace("_", " ") for key in by if key]
     sorting = f"; sorted by that on {' or '.join(names)}" if names else ""

@@ -38,7 +38,7 @@ class Method(ABC):
 
     @classmethod
     def unsuited(cls, rig: LinearRig) -> str:
-        """Why the method cannot invert a rig, such as "it has no blendshapes"; empty where it can."""
+        """The reason why the method cannot invert a rig, such as "it has no blendshapes"; empty where it can."""
         return ""
 
     def prepare(self, seed: int) -> None:

@@ -151,7 +151,7 @@ def _plot(rows: Rows) -> Figure:
 
 
 def _linear_below(rows: Rows, key: str) -> dict[str, float]:
-    """Where a logarithmic axis that must show 0 too turns linear."""
+    """The value below which a logarithmic axis that must show 0 is linear."""
     positive = [row[key] for row in rows if row[key] > 0]
     return {"linthresh": min(positive, default=1.0)} if len(positive) < len(rows) else {}
 

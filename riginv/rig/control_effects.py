@@ -27,16 +27,16 @@ class ControlEffects:
             the control of a column that moves the mesh most.
         gram: `(column, column)`, mm^2: the mean inner product over the vertices of the displacements by two columns over their
             ranges, averaged over poses.
-        same: the names of controls that the mesh does not distinguish, group by group.
-        still: the names of controls that move no vertex in any of the poses; they have no column.
+        merged: the names of controls that the mesh does not distinguish, group by group.
+        without_effect: the names of controls that move no vertex in any of the poses; they have no column.
         neutral, span: the neutral values and the ranges of the controls, `(control,)`.
     """
 
     names: tuple[str, ...]
     merge: Tensor
     gram: Tensor
-    same: tuple[tuple[str, ...], ...]
-    still: tuple[str, ...]
+    merged: tuple[tuple[str, ...], ...]
+    without_effect: tuple[str, ...]
     neutral: Tensor
     span: Tensor
 
@@ -60,8 +60,8 @@ class ControlEffects:
             names=tuple(" = ".join(names[control] for control in group) for group in groups),
             merge=merge,
             gram=gram[kept][:, kept],
-            same=tuple(tuple(names[control] for control in group) for group in groups if len(group) > 1),
-            still=tuple(name for name, moved in zip(names, moves.any(dim=0).tolist()) if not moved),
+            merged=tuple(tuple(names[control] for control in group) for group in groups if len(group) > 1),
+            without_effect=tuple(name for name, moved in zip(names, moves.any(dim=0).tolist()) if not moved),
             neutral=rig.neutral_controls.cpu().double(),
             span=(rig.upper - rig.lower).cpu().double(),
         )

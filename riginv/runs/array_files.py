@@ -72,7 +72,7 @@ def whole_numbers(text: str) -> list[int]:
 
 
 def check_npz(path: Path) -> None:
-    """That no member of an .npz is larger than a file of its size could mean; Python objects are for NumPy to refuse.
+    """Raises InputError where a member of an .npz is implausibly large for the file's size; NumPy refuses Python objects.
 
     Raises:
         InputError: it is no zip, or a member is damaged, encrypted, or promises far more than there is.
@@ -97,7 +97,7 @@ def check_npz(path: Path) -> None:
 
 
 def check_zarr(path: Path, arrays: Mapping[str, Any]) -> None:
-    """That zarr arrays of a local folder hold plain values, by codecs that only compute, and no more than could be meant.
+    """Raises InputError where zarr arrays of a local folder hold objects, use unsafe codecs, or are implausibly large.
 
     Nothing of their chunks has been read so far.
 

@@ -81,7 +81,7 @@ class Workers:
         self._pool: ThreadPoolExecutor | None = None
         self._working = threading.local()
 
-    def look(self) -> int:
+    def update_count(self) -> int:
         """Count the free cores, every few seconds at most; returns the number of threads to use."""
         now = time.monotonic()
         if self.chosen is None and not 0 <= now - self._looked < SECONDS:
@@ -98,7 +98,7 @@ class Workers:
         """The results of tasks, in their order. Tasks within a task are computed by the same thread."""
         if getattr(self._working, "nested", False):
             return [task() for task in tasks]
-        count = min(self.look(), len(tasks))
+        count = min(self.update_count(), len(tasks))
         with single_threaded():
             if count <= 1:
                 return [task() for task in tasks]
@@ -147,7 +147,7 @@ class Workers:
 
 @functools.cache
 def workers() -> Workers:
-    """Those that solvers use."""
+    """The threads that solvers use."""
     return Workers()
 
 

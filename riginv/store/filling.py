@@ -78,14 +78,14 @@ class FillResult:
     """Result of `fill`.
 
     Attributes:
-        found: condition of the shard's chunks before.
+        condition: the state of the shard's chunks before.
         made: number of poses made.
-        absent: number of chunks of the store that are still to be made, by other shards.
+        absent: number of chunks of the store that other shards have not made yet.
     """
 
     store: PoseStore
     shard: Shard
-    found: StoreCondition
+    condition: StoreCondition
     made: int
     absent: int
 
@@ -108,7 +108,7 @@ def fill(settings: SampleConfig) -> FillResult:
             workers = stack.enter_context(ChunkWorkers(out, settings.rig, settings.sampler, jobs))
         store, rig = open_or_begin(settings, location, shard, store, rig)
         chunks = shard.chunks(store.layout)
-        progress.begin("looking through", sum(map(store.layout.count, chunks)))
+        progress.begin("verifying", sum(map(store.layout.count, chunks)))
         condition = examine(store, chunks, settings.recheck, progress.advance)
         made = 0
         if condition.incomplete:

@@ -28,7 +28,7 @@ from riginv.launch.rank_process import is_rank_process
 
 @dataclass(frozen=True)
 class TrainerConfig:
-    """Where a network is trained, and how long.
+    """The devices and the duration of a training.
 
     Attributes:
         accelerator: of Lightning: cpu, gpu, auto.
@@ -84,7 +84,7 @@ class Process:
 
 
 def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
-    """Which process of a run this one is, from its config and from what has started it.
+    """This process as one of a run, from the config and the environment that started it.
 
     Args:
         batch_size: meshes in a training batch, those of all processes together.

@@ -103,7 +103,7 @@ class RigModule(L.LightningModule, ABC):
 
     def on_train_start(self) -> None:
         if self.workers is not None and self.halved and self.device.type == "cpu" and self.trainer.is_global_zero:
-            self.workers.look()
+            self.workers.update_count()
             missing = why_not()
             print(f"training on {self.workers.describe()}{f'; no compiled kernels: {missing}' if missing else ''}", flush=True)
 

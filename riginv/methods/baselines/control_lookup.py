@@ -69,7 +69,7 @@ class ControlLookup:
 
 
 def _where(curve: Tensor, values: Tensor) -> Tensor:
-    """Where a curve over [0, 1] that never falls first reaches each value; 1 where it never does."""
+    """The first position in [0, 1] at which a curve that never falls reaches each value; 1 where it never does."""
     place = torch.searchsorted(curve, values).clamp(1, len(curve) - 1)
     before, after = curve[place - 1], curve[place]
     fraction = ((values - before) / (after - before).clamp_min(torch.finfo(values.dtype).eps)).clamp(0, 1)

@@ -77,7 +77,7 @@ def _plain(name: str) -> str:
 
 
 def _strengths(rng: np.random.Generator, draws: int, actions: int, together: float) -> np.ndarray:
-    """How strong each action is, `(draw, action)` in [0, 1]: mostly 0."""
+    """Random strengths of actions, `(draw, action)` in [0, 1]: mostly 0."""
     active = rng.random((draws, actions)) < together / max(actions, 1)
     return active * rng.beta(1.2, 1.2, (draws, actions))
 

@@ -59,7 +59,7 @@ class SceneMeshes:
         return [mesh for mesh in self.all if mesh.path in names]
 
     def moving(self, names: list[str], frames: np.ndarray) -> list[SceneMesh]:
-        """Those of the named meshes, or of all, that differ between some frames of Blender's."""
+        """The named meshes, or without names all, that differ between some of Blender's frames."""
         candidates = self.named(names) if names else self.all
         first: dict[str, np.ndarray] = {}
         moving: set[str] = set()
