@@ -48,7 +48,7 @@ class CompareConfig:
 def compare(config: DictConfig) -> None:
     """Run every method on every set; print a table, and write `compare.csv`, `compare.md` and `compare.png`.
 
-    Each finished method is kept in the folder at once: a comparison that was stopped, or is given further methods, goes on
+    Each finished method is kept in the folder at once: an interrupted comparison, or one with further methods, continues
     from there with `resume=true`.
     """
     settings = to_typed(config, CompareConfig)

@@ -68,7 +68,7 @@ def run(config: DictConfig) -> None:
     comments: dict[str, str] = {}
     if settings.count is not None:
         placement = suggest_layout(rig, default_prior(rig), settings.count, NOISE_MM, None)
-        lines = [f"  {len(placement)} places on rig '{rig.name}', the most telling first"]
+        lines = [f"  {len(placement)} places on rig '{rig.name}', the most informative first"]
     else:
         placement, distance, lines = _proposed(settings, rig)
         comments = {name: f"{mm:.1f} mm from the surface" for name, mm in zip(placement.names, distance.tolist())}
@@ -76,9 +76,7 @@ def run(config: DictConfig) -> None:
     picture = out.with_suffix(".png")
     with atomic_write(picture) as file:
         draw(rig, placement).save(file, format="PNG", optimize=True)
-    show_lines(
-        [*lines, f"  {out}, {picture}: look whether each marker is where it should be, then riginv.invert markers={out}"]
-    )
+    show_lines([*lines, f"  {out}, {picture}: check the position of each marker, then riginv.invert markers={out}"])
 
 
 def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.ndarray, list[str]]:

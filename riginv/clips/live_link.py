@@ -119,7 +119,7 @@ def _beyond(path: Path, names: list[str], weights: np.ndarray) -> list[str]:
     if away[row, column] > PER_CENT:
         raise InputError(f"{path}: {most}, expected weights from 0 to 1: if they are per cent, divide them by 100")
     beyond = np.count_nonzero(away > UNUSUAL)
-    return [f"{beyond:,} weights lie beyond 0 to 1 and were taken as they are; {most}"] if beyond else []
+    return [f"{beyond:,} weights are beyond 0 to 1 and were read unchanged; {most}"] if beyond else []
 
 
 def live_link_clip(path: str | Path, rig: RigBackend, name: str = "capture") -> WeightedShapes:

@@ -54,7 +54,7 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
         raise TopologyError(
             f"{clip.path}: {counts}, rig '{rig.name}' has {len(rig_faces)} faces, and {len(wrong)} edges of the clip are none "
             f"of the rig's, the first from vertex {first} to {second}: the vertices are in another order, or it is another "
-            f"mesh; reading.check_faces=false lets it pass",
+            f"mesh; reading.check_faces=false accepts it",
             same_count=True,
         )
     return ""

@@ -32,7 +32,6 @@ class Bound:
 NonNegativeInt = Annotated[int, Bound("a whole number of at least 0", lambda value: value >= 0)]
 PositiveInt = Annotated[int, Bound("a whole number of at least 1", lambda value: value >= 1)]
 AtLeast2 = Annotated[int, Bound("a whole number of at least 2", lambda value: value >= 2)]
-AtLeast3 = Annotated[int, Bound("a whole number of at least 3", lambda value: value >= 3)]
 NonNegativeFloat = Annotated[float, Bound("a finite number of at least 0", lambda value: value >= 0)]
 PositiveFloat = Annotated[float, Bound("a finite number above 0", lambda value: value > 0)]
 Fraction = Annotated[float, Bound("a number from 0 to 1", lambda value: 0 <= value <= 1)]

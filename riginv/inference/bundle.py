@@ -53,7 +53,7 @@ class Bundle:
     """A bundle that has been read and checked.
 
     Attributes:
-        folder: where it lies.
+        folder: of the bundle.
         description: the content of bundle.yaml: `kind`, `network`, `rig`, `training`.
         weights: the network's.
         space: `rest_vertices`, `frame`, `faces`, `linear_map`.

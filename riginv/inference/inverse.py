@@ -134,6 +134,6 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
 
 
 def bundle_rig(bundle: Bundle) -> RigBackend:
-    """The rig that a bundle describes: one of ours, or the surrogate that lies within the bundle."""
+    """The rig that a bundle describes: one of riginv, or the surrogate in the bundle."""
     own = {"bundle": str(bundle.folder / RIG)} if bundle.holds_surrogate else {}
     return build({**bundle.description["rig"]["config"], **own}, kind=RigBackend, only=OURS)

@@ -81,7 +81,7 @@ def _say_what_failed(missing: Sequence[Row], count: int, folder: Path, module: s
     console = Console(stderr=True)
     for row in missing:
         console.print(f"  {escape(row['folder'])}: {escape(row['why'] or row['state'])}", soft_wrap=True, highlight=False)
-    where = f"each says why in {FAILURE} in its folder, and what it printed in {JOBS}/"
+    where = f"the reasons are in {FAILURE} in their folders, their output is in {JOBS}/"
     again = f"python -m {module} -m resume=true hydra.sweep.dir='{folder}'"
     console.print(
         f"[bold red]error:[/] {len(missing)} of {count} jobs failed; {where}. To run these again: {escape(again)}",

@@ -15,7 +15,7 @@ BATCH_SIZE = 512
 
 
 class Network(Method):
-    """The network of a bundle, trained beforehand by `python -m riginv.train`; its training time is the bundle's.
+    """The network of a bundle, trained by `python -m riginv.train`; its training time is the bundle's.
 
     Args:
         bundle: the bundle of an inverse, or the run that holds it.

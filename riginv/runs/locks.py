@@ -43,7 +43,7 @@ def unlock_folder(folder: Path) -> None:
     if lock is None:
         return
     if folder.is_dir() and set(folder.iterdir()) == {folder / LOCK}:
-        discard(folder / LOCK)  # nothing came of the run
+        discard(folder / LOCK)  # the run wrote nothing
     lock.release()
 
 

@@ -42,7 +42,7 @@ class RunFolder:
     """The folder of one run.
 
     Attributes:
-        path: where it lies.
+        path: of the folder.
         config: the plain config.
         resumed: whether the folder holds an earlier start of the same run, which continues.
         is_writer: whether this process writes the folder: rank 0.

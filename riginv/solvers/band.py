@@ -9,7 +9,6 @@ from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, kernels_for
 
-TO_NEXT, TO_SECOND = -4.0, 1.0  # couplings of a frame to the next and second next, away from the ends of a clip
 LONGEST_GAP = 12.0  # of frames, as a multiple of the usual step: curves are not smoothed across longer ones
 
 

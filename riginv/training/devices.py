@@ -110,7 +110,7 @@ def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
     if environment.world_size() != count and not is_rank_process():
         raise InputError(
             f"{environment.world_size()} processes were started, trainer.devices={trainer.devices} x "
-            f"trainer.num_nodes={trainer.num_nodes} asks for {count}: give both as they were started"
+            f"trainer.num_nodes={trainer.num_nodes} is {count}: set both to match the processes"
         )
     rank = int(os.environ["RANK"]) if is_rank_process() else environment.global_rank()
     if count > 1 and not is_rank_process() and not _folder_is_named():

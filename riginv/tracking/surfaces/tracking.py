@@ -96,7 +96,7 @@ def _check(scans: ScanSequence, solutions: list[SolvedScan], solver: ScanSolver)
         distance = min(solution.quality.explained for solution in solutions)
         raise InputError(
             f"{scans.path}: none of its {len(solutions)} scans can be brought onto rig '{solver.rig.name}' (at most "
-            f"{distance:.0%} of a scan's points come near it): is it a scan of this rig's actor, in the unit that was taken, "
+            f"{distance:.0%} of a scan's points come near it): is it a scan of this rig's actor, in the unit that was read, "
             f"with normals that point outwards? set reading.unit and reading.up"
         )
 

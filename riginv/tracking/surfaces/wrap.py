@@ -132,7 +132,7 @@ def _similarity(
     if start.distance_mm > TOO_FAR_MM:
         raise InputError(
             f"the scan cannot be brought onto the mesh: its points stay {start.distance_mm:.1f} mm away and more: is it the "
-            f"same part of a person, in the unit that was taken, with normals that point outwards?"
+            f"same part of a person, in the unit that was read, with normals that point outwards?"
         )
     scale, motion, target = 1.0, start.motion, Target.of(scan, SAMPLES)
     for _ in range(settings.similarity_rounds):

@@ -66,7 +66,9 @@ def fbx_frames(file: str, take: Take | None, requested: float | None) -> Frames:
     elif not _is_on(keys, rate):
         finer = 1 / float(np.median(np.diff(keys)))
         if _is_on(keys, finer) and SLOWEST <= finer <= FASTEST:
-            notes.append(f"The FBX says {rate:g} frames a second, and its keys stand at {finer:.6g} a second: these were read.")
+            notes.append(
+                f"The FBX states {rate:g} frames a second, and its keys stand at {finer:.6g} a second: these were read."
+            )
             rate, source = finer, "the spacing of its keys"
         else:
             notes.append(f"Keys stand between the FBX's {rate:g} frames a second (reading.fps=... reads at another rate).")

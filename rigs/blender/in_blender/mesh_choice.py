@@ -31,7 +31,7 @@ def unclear(meshes: list[Any], moving: list[Any]) -> str:
     """The message for a selection that is not clear, with the names to choose from."""
     which = "those that move" if len(moving) > 1 else "its meshes"
     return (
-        f"expected one mesh, say which with reading.mesh=NAME or reading.mesh=[NAME,NAME]; {which} are: "
+        f"expected one mesh, choose with reading.mesh=NAME or reading.mesh=[NAME,NAME]; {which} are: "
         f"{listing([f'{mesh.path} ({mesh.vertex_count} vertices)' for mesh in (moving if len(moving) > 1 else meshes)])}"
     )
 

@@ -102,7 +102,7 @@ def choose_mesh(file: str, name: str | None) -> bpy.types.Object:
     if name is not None and name not in meshes:
         raise RefusedError(f"{file}: there is no mesh '{name}'; it has {listed}")
     if name is None and len(meshes) > 1:
-        raise RefusedError(f"{file}: it holds {len(meshes)} meshes; say which with rig.mesh=NAME: {listed}")
+        raise RefusedError(f"{file}: it holds {len(meshes)} meshes; choose one with rig.mesh=NAME: {listed}")
     return meshes[name] if name is not None else next(iter(meshes.values()))
 
 
