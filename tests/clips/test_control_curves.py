@@ -151,7 +151,7 @@ def test_a_file_beside_the_curves_that_contradicts_them_is_said(rig, controls, t
     )
     for content, said in (
         ('{"fps": 25.0}', ""),
-        ('{"fps": 60}', "60 frames a second, and its rows lie 25"),
+        ('{"fps": 60}', "60 frames a second, its rows have 25"),
         ("[", "ignored"),
     ):
         (tmp_path / "take.json").write_text(content)
