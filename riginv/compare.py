@@ -46,9 +46,9 @@ class CompareConfig:
 
 
 def compare(config: DictConfig) -> None:
-    """Run every method on every set, and leave a table, `compare.csv`, `compare.md` and `compare.png` behind.
+    """Run every method on every set; print a table, and write `compare.csv`, `compare.md` and `compare.png`.
 
-    Each finished method is kept in the folder at once: a comparison that was stopped, or is given further methods, goes on
+    Each finished method is kept in the folder at once: an interrupted comparison, or one with further methods, continues
     from there with `resume=true`.
     """
     settings = to_typed(config, CompareConfig)
@@ -85,7 +85,7 @@ def compare(config: DictConfig) -> None:
 
 
 def prepare(method: Method, seed: int) -> float:
-    """Let a method train, fit or tabulate what it needs; the seconds that all its training took."""
+    """Prepare a method, which trains, fits or tabulates what it needs; returns the seconds that all its training took."""
     torch.manual_seed(seed)
     began = time.perf_counter()
     method.prepare(seed)

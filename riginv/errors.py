@@ -1,6 +1,7 @@
 """Exceptions with messages for users."""
 
 import unicodedata
+from collections.abc import Iterable
 
 CONTROL_CATEGORIES = ("Cc", "Cs", "Zl", "Zp")  # Unicode categories of control characters, surrogates and line separators
 
@@ -14,6 +15,13 @@ class InputError(ValueError):
 
 class NonFiniteLossError(RuntimeError):
     """The training loss became NaN or infinite; the message names the step."""
+
+
+def listed(names: Iterable[object], most: int | None = 8) -> str:
+    """Names separated by commas, at most `most` of them (None: all), and how many more there are; `none` without any."""
+    texts = list(map(str, names))
+    more = f" and {len(texts) - most:,} more" if most is not None and len(texts) > most else ""
+    return ", ".join(texts[:most]) + more if texts else "none"
 
 
 def in_short(error: BaseException, most: int = 150) -> str:

@@ -42,7 +42,7 @@ class EvaluateConfig:
 
 
 def evaluate(config: DictConfig) -> None:
-    """Evaluate a bundle by the true rig, or, where none is named, one rig by another; leave metrics and a table behind."""
+    """Evaluate a bundle on the true rig, or without a bundle one rig against another; write metrics and print a table."""
     settings = to_typed(config, EvaluateConfig)
     folder = find_run_folder(run_directory(), plain_config(config), settings.resume, upgrade=upgraded)
     title, true_rig, results = evaluate_bundle(settings, settings.bundle) if settings.bundle else compare_rigs(settings)

@@ -50,7 +50,7 @@ class ExportConfig:
 
 @dataclass(frozen=True)
 class Parity:
-    """How far the file's answers are from the inverse's own, on random poses of the rig.
+    """The differences between the file's controls and the inverse's, on random poses of the rig.
 
     Attributes:
         control_fraction: the largest difference of any control, as a share of its range.
@@ -65,7 +65,7 @@ class Parity:
 
 
 def export_onnx(config: DictConfig) -> None:
-    """Write `config.out` from `config.bundle`, and show how it compares."""
+    """Write `config.out` from `config.bundle`, and print the comparison."""
     settings = to_typed(config, ExportConfig)
     out = Path(settings.out)
     if out.suffix.lower() != ".onnx":
@@ -89,7 +89,7 @@ def export_onnx(config: DictConfig) -> None:
 
 
 def check_packages() -> None:
-    """Raises InputError where a package that this takes is missing."""
+    """Raises InputError where a required package is missing."""
     missing = [name for name in ("onnx", "onnxscript", "onnxruntime") if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(f"ONNX takes the packages {', '.join(missing)}: pip install 'riginv[onnx]'")
@@ -110,7 +110,7 @@ def write_onnx(path: Path, inverse: Inverse, poses: int = 64) -> Parity:
     with atomic_write(path) as beside:
         named = beside.with_name(f"{beside.name}.onnx")
         try:
-            with _quietly():
+            with _without_output():
                 program.save(named, external_data=False)
             parity = compare(named, inverse, meshes[:poses])
             _check_parity(path, parity, inverse)
@@ -159,7 +159,7 @@ def compare(path: Path, inverse: Inverse, meshes: Tensor) -> Parity:
 
 
 class _Plain(nn.Module):
-    """Meshes to controls, and nothing else."""
+    """The inverse as a module from meshes to controls alone."""
 
     def __init__(self, inverse: Inverse) -> None:
         super().__init__()
@@ -170,7 +170,7 @@ class _Plain(nn.Module):
 
 
 class _Whole(nn.Module):
-    """The encoding of meshes, then a traced network."""
+    """The encoding of meshes, followed by a traced network."""
 
     rest: Tensor
     frame: Tensor
@@ -192,9 +192,9 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
 
     coordinates = inverse.network.rig.space.encode(meshes)
     try:
-        with fixed_iterations(), torch.enable_grad(), _quietly():
+        with fixed_iterations(), torch.enable_grad(), _without_output():
             traced = make_fx(_Plain(inverse), tracing_mode="symbolic", _allow_non_fake_inputs=True)(coordinates)
-            _settle(traced.graph)
+            _replace_unsupported(traced.graph)
             traced.graph.eliminate_dead_code()
             traced.recompile()
             dynamic = ({0: torch.export.Dim("mesh", min=1)},)
@@ -216,8 +216,8 @@ def _program(inverse: Inverse, meshes: Tensor) -> Any:
         ) from error
 
 
-def _settle(graph: Any) -> None:
-    """Say in other words what the exporter stumbles over: a clamp between 0 and 0.5, the length of two sides."""
+def _replace_unsupported(graph: Any) -> None:
+    """Replace operations that the exporter does not support: a clamp between 0 and 0.5, and `hypot`."""
     aten = torch.ops.aten
     for node in list(graph.nodes):
         if node.target is aten.clamp.default and any(isinstance(limit, float) for limit in node.args[1:]):
@@ -243,8 +243,8 @@ def _timed(work: Any, count: int) -> tuple[Any, float]:
 
 
 @contextlib.contextmanager
-def _quietly() -> Any:
-    """Without the exporters' chatter."""
+def _without_output() -> Any:
+    """A context without the exporters' output and warnings."""
     loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:

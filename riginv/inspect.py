@@ -14,7 +14,7 @@ from rich.text import Text
 
 from riginv.clips.clip import Clip
 from riginv.clips.description import describe
-from riginv.clips.description_text import NAMES, listed, rows
+from riginv.clips.description_text import NAMES, cell_of, rows
 from riginv.clips.live_link import Recording, read_live_link
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
@@ -121,8 +121,8 @@ def recording_rows(recording: Recording, names: int | None) -> list[Row]:
         ("columns", f"{len(recording.names):,} shapes"),
         ("rate", f"{recording.fps:g} frames a second"),
         ("length", f"{(count - 1) / recording.fps:.4g} s"),
-        ("shapes that move", f"{len(moving):,}: {listed(moving, names)}" if moving else "none: it never moves"),
-        ("shapes that do not", f"{len(still):,}: {listed(still, names)}" if still else "none"),
+        ("shapes that move", f"{len(moving):,}: {cell_of(moving, names)}" if moving else "none: it never moves"),
+        ("shapes that do not", f"{len(still):,}: {cell_of(still, names)}" if still else "none"),
     ]
 
 
@@ -135,7 +135,7 @@ def bundle_rows(path: Path, names: int | None) -> list[Row]:
     return [
         ("bundle", kind),
         ("rig", f"{rig['name']}, {len(bundle.space['rest_vertices']):,} vertices ({rig['config'].get('_target_', '')})"),
-        ("controls", f"{len(controls):,}: {listed(controls, names)}"),
+        ("controls", f"{len(controls):,}: {cell_of(controls, names)}"),
         ("network", str(bundle.description["network"].get("_target_", ""))),
         ("mesh space", f"{len(bundle.space['frame']):,} coordinates"),
         ("training", ", ".join(f"{key} {value}" for key, value in training.items())),

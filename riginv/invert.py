@@ -18,8 +18,9 @@ from riginv.animation.formats import check_formats
 from riginv.clips.clip import Clip
 from riginv.clips.description import describe
 from riginv.clips.description_text import line, show_clip
-from riginv.clips.open import open_clip
+from riginv.clips.open import open_clip, open_sequence
 from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.topology import TopologyError, check_topology
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import Bound, NonNegativeInt
@@ -38,7 +39,6 @@ from riginv.tracking.actors.files import write_actor
 from riginv.tracking.actors.finding import find_actor
 from riginv.tracking.assembly import build_parts
 from riginv.tracking.clip_optimum import with_accuracy, with_optimum
-from riginv.tracking.correspondence import by_surface
 from riginv.tracking.markers.assembly import build_marker_parts
 from riginv.tracking.markers.results import marker_errors, marker_remarks, write_marker_tables
 from riginv.tracking.markers.tracking import track_markers
@@ -50,6 +50,7 @@ from riginv.tracking.rigs import build_rig, build_true_rig
 from riginv.tracking.run import invert_clip, invert_smoothly
 from riginv.tracking.surfaces.assembly import build_scan_parts
 from riginv.tracking.surfaces.results import frame_errors, remarks_of, write_scan_table
+from riginv.tracking.surfaces.scan_files import is_ragged
 from riginv.tracking.surfaces.tracking import track_scans
 
 Formats = Annotated[Sequence[str], Bound("a list: formats=[csv,glb]", lambda value: True)]
@@ -112,6 +113,28 @@ def build_rigs(settings: InvertConfig) -> tuple[Inverse | None, LinearRig, RigBa
     return inverse, rig, rig if true_rig.held_out is not None else true_rig
 
 
+def by_surface(
+    path: str, options: TrackingOptions, rig: RigBackend, reading: ReadingOptions, has_network: bool
+) -> tuple[bool, list[str]]:
+    """Whether a clip is inverted by its surface, and notes for the user.
+
+    Raises:
+        InputError: the file cannot be read, or has the rig's vertices in another order.
+    """
+    if options.correspondence != "auto" or has_network or reading.vertices is not None or Path(path).suffix == ".csv":
+        return options.correspondence == "surface", []
+    if is_ragged(path):
+        return True, ["scans: fitted by their surface (correspondence=surface)"]
+    try:
+        check_topology(open_sequence(path, rig, reading), rig, reading.check_faces)
+    except TopologyError as error:
+        if error.same_count:  # the vertices are in another order, which the user must correct
+            raise InputError(f"{error}, and correspondence=surface fits its surface") from None
+        reason = str(error).partition(": ")[2].partition(": ")[0]
+        return True, [f"{reason}: fitted by its surface (correspondence=vertices refuses such clips)"]
+    return False, ["the clip is read as the rig's own mesh, vertex by vertex (correspondence=surface: as a scan)"]
+
+
 def invert_vertices(
     settings: InvertConfig,
     clip: Clip,
@@ -130,20 +153,20 @@ def invert_vertices(
     with exclusive_lock(out), single_threaded(), InversionProgress(len(clip), notes) as progress:
         free_folder(settings.out)
         arguments = (clip, parts.inverter, parts.evaluator, settings.window, progress.advance)
-        found = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
+        inversion = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
         progress.advance("the optimum", 0)
-        errors = with_optimum(found.errors, clip, found, parts.evaluator)
-        errors = with_accuracy(errors, clip, found, true_rig)
+        errors = with_optimum(inversion.errors, clip, inversion, parts.evaluator)
+        errors = with_accuracy(errors, clip, inversion, true_rig)
         facts, source = made_by(settings, parts.method, actor), Path(settings.clip).name
-        animation = Animation(true_rig, found.controls, clip.fps, clip.frame_numbers, found.motion, source, facts)
+        animation = Animation(true_rig, inversion.controls, clip.fps, clip.frame_numbers, inversion.motion, source, facts)
         with atomic_write(out) as folder:
             folder.mkdir()
             curves = (describe(clip), settings.formats, settings.after, progress.advance)
             files, remarks = write_curves(folder, animation, errors, *curves)
             shown = replace(animation, rig=posed_actor(true_rig, actor))
-            views, more = write_views(folder, clip, shown, errors, settings.look, progress.advance, actor)
+            views, view_notes = write_views(folder, clip, shown, errors, settings.look, progress.advance, actor)
     warnings = describe(clip).new_warnings(described) if described else []
-    remarks += [*more, *(f"warning: {warning}" for warning in warnings)]
+    remarks += [*view_notes, *(f"warning: {warning}" for warning in warnings)]
     show(animation, errors, true_rig, out, [*files, *views], remarks)
 
 
@@ -164,12 +187,12 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
         with atomic_write(out) as folder:
             folder.mkdir()
             curves = (described, settings.formats, settings.after, progress.advance)
-            files, more = write_curves(folder, animation, errors, *curves)
+            files, curve_notes = write_curves(folder, animation, errors, *curves)
             files += write_scan_table(folder, track, numbers)
             if parts.actor is not None:
                 files += write_actor(folder, parts.actor, rig.faces, settings.look.sheet)
     rows = ("scan's points from the rig", "rig's skin from the scan")
-    show(animation, errors, true_rig, out, files, [*remarks_of(track), *more], "mean surface distances", rows)
+    show(animation, errors, true_rig, out, files, [*remarks_of(track), *curve_notes], "mean surface distances", rows)
 
 
 def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend, out: Path) -> None:
@@ -182,20 +205,20 @@ def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
     with exclusive_lock(out), InversionProgress(len(numbers), parts.notes) as progress:
         free_folder(settings.out)
         noise_mm, is_smooth = settings.noise_of_measurements_mm, settings.method != "levenberg_marquardt"
-        given = (parts.points, numbers, settings.solver, noise_mm, is_smooth, progress.advance)
-        track = track_markers(parts.objective, *given)
+        arguments = (parts.points, numbers, settings.solver, noise_mm, is_smooth, progress.advance)
+        track = track_markers(parts.objective, *arguments)
         facts, source = made_by(settings, "markers"), Path(settings.clip).name
         animation = Animation(true_rig, track.controls, parts.units.fps, numbers, track.motion, source, facts)
         errors = marker_errors(track, true_rig, numbers, settings.flags)
         with atomic_write(out) as folder:
             folder.mkdir()
             curves = (described, settings.formats, settings.after, progress.advance)
-            files, more = write_curves(folder, animation, errors, *curves)
+            files, curve_notes = write_curves(folder, animation, errors, *curves)
             files += write_marker_tables(folder, track, errors, numbers)
             progress.advance("page", 0)
-            views, notes = write_marker_views(folder, track, animation, errors, settings.look, described)
+            views, view_notes = write_marker_views(folder, track, animation, errors, settings.look, described)
     rows = ("mean over the markers", "farthest marker")
-    remarks = [*marker_remarks(errors), *more, *notes]
+    remarks = [*marker_remarks(errors), *curve_notes, *view_notes]
     show(animation, errors, true_rig, out, [*files, *views], remarks, "distances of the markers", rows)
 
 
@@ -212,7 +235,7 @@ def free_folder(out: str) -> Path:
 
 
 def made_by(settings: InvertConfig, method: str, actor: Actor | None = None) -> dict[str, Any]:
-    """How the curves were made, for curves.json."""
+    """The version, method, bundle and actor of an inversion, for curves.json."""
     facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": settings.refine}
     if settings.bundle:
         facts["bundle"] = sha256(read_bundle(settings.bundle).folder / SUMS)

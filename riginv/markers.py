@@ -16,7 +16,7 @@ from riginv.clips.options import ReadingOptions
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.meshes.rendering import Camera, grid
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
@@ -33,7 +33,6 @@ from riginv.tracking.rigs import build_rig
 NOISE_MM = 0.3  # of a marker
 TURNS = (-60.0, 0.0, 60.0)  # degrees of the cameras
 FAR = 3.0  # times the median distance, from which a marker is named
-LISTED = 6
 
 
 @dataclass(frozen=True)
@@ -88,20 +87,20 @@ def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.nd
     assert settings.clip is not None
     clip = open_markers(settings.clip)
     row, anchors = _row(clip, settings.frame), None
-    known = np.isfinite(clip.points[row]).all(axis=1)
-    names = tuple(name for name, there in zip(clip.names, known) if there)
+    is_known = np.isfinite(clip.points[row]).all(axis=1)
+    names = tuple(name for name, there in zip(clip.names, is_known) if there)
     if len(names) < 4:
         raise InputError(f"{clip.path}: frame {clip.frame_numbers[row]} has {len(names)} markers, expected 4 at least: frame=N")
-    frame = clip.select(names, clip.points[row : row + 1, known], clip.frame_numbers[row : row + 1])
+    frame = clip.select(names, clip.points[row : row + 1, is_known], clip.frame_numbers[row : row + 1])
     if settings.anchors is not None:
         anchors = _anchors(settings.anchors, names, rig)
     units = frame_units(frame, anchors, rig, settings.reading)
     points = in_millimetres(frame.points, units)[0].double().numpy()
-    found = propose(rig, names, points, anchors, settings.pose, settings.calibrate)
-    far = found.distance_mm > FAR * np.median(found.distance_mm) + 1
+    proposal = propose(rig, names, points, anchors, settings.pose, settings.calibrate)
+    far = proposal.distance_mm > FAR * np.median(proposal.distance_mm) + 1
     lines = [
-        f"  {len(names)} markers of frame {frame.frame_numbers[0]}, {found.distance_mm.mean():.2g} mm from rig '{rig.name}' on "
-        f"average, {found.distance_mm.max():.2g} mm at most"
+        f"  {len(names)} markers of frame {frame.frame_numbers[0]}, {proposal.distance_mm.mean():.2g} mm from rig "
+        f"'{rig.name}' on average, {proposal.distance_mm.max():.2g} mm at most"
     ]
     lines += [f"  note: {note}" for note in units.notes if "frames a second" not in note]
     if len(names) < len(clip.names):
@@ -109,10 +108,10 @@ def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.nd
             f"  note: {len(clip.names) - len(names)} markers are in a gap there: add them by hand, or take another frame=N"
         )
     if far.any():
-        lines.append(f"  far from the rig, check their labels: {', '.join(np.array(names)[far][:LISTED])}")
-    if found.rivals:
+        lines.append(f"  far from the rig, check their labels: {listed(np.array(names)[far])}")
+    if proposal.rivals:
         lines.append("  warning: the rig fits nearly as well in another rotation: give three markers in anchors=FILE.yaml")
-    return found.placement, found.distance_mm, lines
+    return proposal.placement, proposal.distance_mm, lines
 
 
 def _row(clip: MarkerClip, frame: int | None) -> int:

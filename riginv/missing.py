@@ -1,4 +1,4 @@
-"""python -m riginv.missing: the shapes that a rig lacks for a clip, and the products of controls that call for them."""
+"""python -m riginv.missing: the shapes that a rig lacks for a clip, and the products of controls that drive them."""
 
 from riginv.launch.command import answer_help, command
 
@@ -81,26 +81,26 @@ def run(config: DictConfig) -> None:
     clip, notes = open_clip(settings.clip, rig, settings.reading, settings.frames)
     if clip.controls is not None:
         raise InputError(f"{settings.clip}: curves of the rig's controls: the rig makes them exactly; give meshes of the clip")
-    known = true_controls(settings, clip, rig)
+    true_curves = true_controls(settings, clip, rig)
     show_clip(clip)
     with exclusive_lock(out), InversionProgress(min(len(clip), settings.max_frames), notes) as progress:
-        meshes, controls, rows = invert_some(settings, clip, rig, inverse, known, progress)
+        meshes, controls, rows = invert_spread_frames(settings, clip, rig, inverse, true_curves, progress)
         numbers = clip.frame_numbers[rows]
         progress.advance("missing shapes", 0)
-        found = find_missing(rig, meshes, controls, settings.shapes, settings.factors, known is not None)
-        facts = rows_of(found, numbers) if found else []
-        if found:
+        missing = find_missing(rig, meshes, controls, settings.shapes, settings.factors, true_curves is not None)
+        facts = rows_of(missing, numbers) if missing else []
+        if missing:
             with atomic_write(out) as folder:
                 folder.mkdir()
-                files = write_missing(folder, found, facts)
+                files = write_missing(folder, missing, facts)
     console = Console()
-    if not found:
+    if not missing:
         show_lines(["  The rig lacks no shape for this clip: nothing was written."], console=console)
         return
-    console.print(table_of(found, facts))
+    console.print(table_of(missing, facts))
     show_lines(
         [
-            f"  {sentence(found)}",
+            f"  {sentence(missing)}",
             f"  {out}: {', '.join(files)}; with rig=shapes, copy an OBJ file into the rig's folder to add its shape",
         ],
         console=console,
@@ -139,12 +139,12 @@ def build_solved_rig(settings: MissingConfig) -> tuple[Inverse | None, LinearRig
         inverse, rig = None, build_rig(settings.rig, settings.mesh_space)
     if rig.is_surrogate or rig.true_rig().held_out is not None:
         raise InputError(
-            f"rig '{rig.name}' is known by a surrogate or by recorded poses alone: what it lacks cannot be told apart"
+            f"rig '{rig.name}' is known by a surrogate or by recorded poses alone: its missing shapes cannot be determined"
         )
     return inverse, rig
 
 
-def invert_some(
+def invert_spread_frames(
     settings: MissingConfig,
     clip: Clip,
     rig: LinearRig,

@@ -1,4 +1,4 @@
-"""python -m riginv.sample: poses of a rig, by the million, in a store that any process may go on with."""
+"""python -m riginv.sample: millions of poses of a rig in a store, which several processes may fill."""
 
 from riginv.launch.command import answer_help, command
 
@@ -12,7 +12,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from riginv.config.typed import to_typed
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.store.checking import examine
 from riginv.store.filling import FillResult, SampleConfig, fill
 from riginv.store.location import StoreLocation
@@ -20,11 +20,11 @@ from riginv.store.store import PoseStore
 from riginv.store.summary import findings, finish, show
 from riginv.store.training import SamplingProgress
 
-NAMED = 8  # chunks by name, at most, where many are missing
+NAMED = 8  # damaged chunks in the table, at most
 
 
 def sample(config: DictConfig) -> None:
-    """Fill the holes of a shard of `config.out`, or look a store through."""
+    """Make the missing chunks of a shard of `config.out`, or verify a store."""
     settings = to_typed(config, SampleConfig)
     if settings.verify:
         verify(settings.verify)
@@ -38,14 +38,14 @@ def sample(config: DictConfig) -> None:
         raise InputError(f"stopped; the same command goes on with {settings.out} where this one was") from None
     if not filled.absent:
         finish(filled.store)
-    show(filled.store, said(filled, time.perf_counter() - began))
+    show(filled.store, summary_rows(filled, time.perf_counter() - began))
 
 
-def said(filled: FillResult, seconds: float) -> dict[str, str]:
-    """What a run did, for the table."""
+def summary_rows(filled: FillResult, seconds: float) -> dict[str, str]:
+    """What a run made and repaired, as table rows."""
     rows = {}
-    if filled.found.damaged:
-        rows["repaired"] = "; ".join(list(filled.found.damaged.values())[:NAMED])
+    if filled.condition.damaged:
+        rows["repaired"] = "; ".join(list(filled.condition.damaged.values())[:NAMED])
     if filled.made:
         rows["made now"] = f"{filled.made:,} poses in {seconds:.0f} s: {filled.made / seconds:,.0f} a second"
     if filled.absent:
@@ -61,26 +61,22 @@ def verify(path: str) -> None:
     if store is None:
         raise InputError(f"verify={path}: there is no store of poses")
     with SamplingProgress() as progress:
-        progress.begin("looking through", store.layout.samples)
-        found = examine(store, advance=progress.advance)
+        progress.begin("verifying", store.layout.samples)
+        condition = examine(store, advance=progress.advance)
     rows: dict[str, str] = {}
-    if found.absent:
-        rows["absent"] = f"{len(found.absent)} chunks: {_some(found.absent)}"
-    for number, fault in enumerate(list(found.damaged.values())[:NAMED]):
-        rows[f"damaged ({number + 1} of {len(found.damaged)})"] = fault
-    if found.complete:
-        show(store, {**findings(store), "state": "finished, and every chunk is what was written"})
+    if condition.absent:
+        rows["absent"] = f"{len(condition.absent)} chunks: {listed(condition.absent)}"
+    for number, fault in enumerate(list(condition.damaged.values())[:NAMED]):
+        rows[f"damaged ({number + 1} of {len(condition.damaged)})"] = fault
+    if condition.complete:
+        show(store, {**findings(store), "state": "finished, and every chunk matches its checksum"})
         return
-    show(store, {**rows, "state": "give the command that sampled it once more: it makes these chunks anew"})
+    show(store, {**rows, "state": "run the sampling command again: it makes these chunks"})
     sys.exit(1)
 
 
-def _some(chunks: list[int]) -> str:
-    return ", ".join(map(str, chunks[:NAMED])) + (", ..." if len(chunks) > NAMED else "")
-
-
 class ShardsEnd(Callback):
-    """After a multirun: how the store stands that its jobs have filled."""
+    """After a multirun: prints the state of the store that its jobs have filled."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         store = PoseStore.find(StoreLocation(str(config.out))) if config.out else None

@@ -55,7 +55,7 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
     """Train one model in a run's folder, write its bundle, and evaluate it.
 
     Args:
-        last: whether this is the last model that these processes train; then their process group is destroyed.
+        last: whether no further model is trained by these processes; then their process group is destroyed.
     """
     is_inverse = settings.model.module.target_class.kind == "inverse"
     clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig) if is_inverse else None

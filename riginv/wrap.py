@@ -1,4 +1,4 @@
-"""python -m riginv.wrap: the mesh of a rig fitted to a scan of somebody's neutral face."""
+"""python -m riginv.wrap: the mesh of a rig fitted to a scan of a neutral face."""
 
 from riginv.launch.command import answer_help, command
 

@@ -15,7 +15,7 @@ from rigs.blender.pool import PoseLostError, WorkerPool
 
 
 class Source(NamedTuple):
-    """What reads a file.
+    """The worker process that reads a file.
 
     Attributes:
         command: of the worker.
@@ -97,7 +97,7 @@ class WorkerClip(MeshSequence):
 
     @abstractmethod
     def _source(self, path: str, options: ReadingOptions) -> Source:
-        """What reads a file.
+        """The worker process that reads a file.
 
         Raises:
             InputError: the file or the program is missing, or the file is of another format.
@@ -105,4 +105,4 @@ class WorkerClip(MeshSequence):
 
     @abstractmethod
     def _failure(self, error: Exception) -> InputError:
-        """The sentence for a worker that refuses the file, or that is lost."""
+        """The message for a worker that refuses the file, or that is lost."""

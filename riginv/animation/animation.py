@@ -62,9 +62,7 @@ class Animation:
         if not 0 < self.fps < float("inf"):
             raise InputError(f"fps is {self.fps}, expected a number above 0")
         if frames > 1 and int(self.frame_numbers.diff().min()) < 1:
-            raise InputError(
-                f"{self.source or 'the animation'}: the frame numbers do not rise; each frame may stand there once"
-            )
+            raise InputError(f"{self.source or 'the animation'}: the frame numbers do not rise; each frame may occur once")
         if self.motion is not None and self.motion.shape != (frames, 4, 4):
             raise InputError(f"motion of shape {tuple(self.motion.shape)} was given, expected {(frames, 4, 4)}")
 

@@ -1,4 +1,4 @@
-"""Key reduction: curves keep as few keys as keep the rig's mesh within a tolerance."""
+"""Key reduction: as few keys as possible with the rig's mesh within a tolerance."""
 
 import itertools
 from collections.abc import Callable
@@ -39,7 +39,7 @@ class Reduction:
 
 
 def reduced(animation: Animation, tolerance_mm: float, advance: Callable[[str], None] | None = None) -> Reduction:
-    """Keep as few keys as keep every vertex of every frame within a tolerance; curves are linear between keys.
+    """Remove as many keys as possible with every vertex of every frame within a tolerance; curves are linear between keys.
 
     The tolerance of a control follows from how far it moves the mesh. Each line of a curve extends as far as it is within the
     tolerance; then the rig makes the meshes, and the tolerance of frames that are too far off is reduced until all hold. Keys
@@ -71,9 +71,9 @@ def reduced(animation: Animation, tolerance_mm: float, advance: Callable[[str], 
         if number + 1 >= MAX_PASSES:
             factor[too_far] = 0
         factor[too_far] *= np.minimum(TIGHTER, tolerance_mm / distance[too_far])
-    kept = tuple(torch.tensor(rows) for rows in keys)
+    key_rows = tuple(torch.tensor(rows) for rows in keys)
     worst = float(distance.max())
-    return Reduction(replace(animation, controls=made, keys=kept), sum(map(len, keys)), frames * count, worst)
+    return Reduction(replace(animation, controls=made, keys=key_rows), sum(map(len, keys)), frames * count, worst)
 
 
 def straight_line_keys(seconds: np.ndarray, values: np.ndarray, tolerance: np.ndarray) -> list[int]:

@@ -39,7 +39,7 @@ def fill_gaps(animation: Animation) -> Animation:
     if last - first + 1 == len(animation):
         return animation
     if last - first >= MAX_FRAMES:
-        raise InputError(f"frames {first} to {last}: more than {MAX_FRAMES} would be needed to fill the gaps; number them anew")
+        raise InputError(f"frames {first} to {last}: more than {MAX_FRAMES} would be needed to fill the gaps; renumber them")
     numbers = torch.arange(first, last + 1)
     return _at(animation, (numbers - first).double().numpy() / animation.fps, numbers, animation.fps)
 

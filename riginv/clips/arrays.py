@@ -16,7 +16,7 @@ import numpy as np
 from riginv.clips.array_facts import METADATA, faces_of, frame_times, read_numbers
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, SourceFacts
-from riginv.errors import InputError, in_short
+from riginv.errors import InputError, in_short, listed
 from riginv.runs.array_files import DAMAGED_ZIP, Header, check_shape, read_header
 from riginv.runs.files import opened
 
@@ -132,7 +132,7 @@ class ArrayClip(MeshSequence):
             file.seek(member.header_offset)
             signature, name, extra = LOCAL_HEADER.unpack(file.read(LOCAL_HEADER.size).ljust(LOCAL_HEADER.size, b"\0"))
         if signature != b"PK\3\4":
-            raise InputError(f"{self.file}: {member.filename} is not where the archive says: damaged; copy it again")
+            raise InputError(f"{self.file}: {member.filename} is not at its position in the archive: damaged; copy it again")
         return member.header_offset + LOCAL_HEADER.size + name + extra
 
     def _check_size(self) -> None:
@@ -170,9 +170,7 @@ def _vertices_member(
     found = {Path(member).stem: member for member in layouts}
     if requested:
         if len(requested) > 1 or requested[0] not in found:
-            raise InputError(
-                f"{path}: reading.mesh names {', '.join(requested)}, expected one of its arrays: {', '.join(list(found)[:12])}"
-            )
+            raise InputError(f"{path}: reading.mesh names {', '.join(requested)}, expected one of its arrays: {listed(found)}")
         return archive.getinfo(found[requested[0]])
     named = [name for name in VERTICES if name in found]
     candidates = [
@@ -184,10 +182,9 @@ def _vertices_member(
         return archive.getinfo(found[candidates[0]])
     if named:
         return archive.getinfo(found[named[0]])
-    listed = ", ".join((candidates or list(found))[:8]) or "none"
     raise InputError(
-        f"{path}: no array of vertices: expected one named {' or '.join(VERTICES)}, found {listed}"
-        + (f", and any of these {len(candidates)} could be it: reading.mesh=NAME says which" if candidates else "")
+        f"{path}: no array of vertices: expected one named {' or '.join(VERTICES)}, found {listed(candidates or found)}"
+        + (f", and any of these {len(candidates)} could be it: choose one with reading.mesh=NAME" if candidates else "")
     )
 
 

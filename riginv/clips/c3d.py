@@ -19,7 +19,7 @@ BLOCK = 512  # bytes
 SIGNATURE = 0x50  # second byte of the file
 ORDERS = {84: "<", 86: ">"}  # by processor type; 85, DEC, has floats of its own
 TYPES = {-1: "S1", 1: "u1", 2: "i2", 4: "f4"}  # of parameters
-UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the labels of trajectories that nobody named
+UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the labels of unnamed trajectories
 MOST_FRAMES = 65_535  # in the header; longer takes have their length in parameters
 
 Parameters = dict[str, np.ndarray]  # `POINT:LABELS` and so on; texts as one string each
@@ -54,23 +54,26 @@ def read_c3d(path: Path) -> MarkerClip:
         InputError: the file is damaged or holds no markers.
     """
     data = read_bytes(path)
-    header, found = _header(path, data)
+    header, values = _header(path, data)
     if not header.points:
         raise InputError(f"{path}: a C3D file without points (it may hold analogue channels alone): export the markers, too")
-    labels = [label for key in ("LABELS", *(f"LABELS{n}" for n in range(2, 10))) for label in _texts(found, f"POINT:{key}")]
+    labels = [label for key in ("LABELS", *(f"LABELS{n}" for n in range(2, 10))) for label in _texts(values, f"POINT:{key}")]
     labels = [*labels[: header.points], *(f"*{number}" for number in range(len(labels), header.points))]
-    kept = [number for number, label in enumerate(labels) if label and not label.lower().startswith(UNNAMED)]
-    if not kept:
+    columns = [number for number, label in enumerate(labels) if label and not label.lower().startswith(UNNAMED)]
+    if not columns:
         raise InputError(f"{path}: none of its {header.points} points has a name: label them, and export the take again")
-    first, points, notes = _frames(path, data, header, found)
-    points, more = without_gaps_at_zero(points[:, kept])
-    if len(kept) < header.points:
-        more = (*more, f"{header.points - len(kept)} of {header.points} points have no name and were left out.")
-    unit, unit_notes = unit_in_mm(path, "".join(_texts(found, "POINT:UNITS")[:1]))
-    facts = SourceFacts("C3D markers", rate_source="its header", notes=(*notes, *more, *unit_notes))
-    names = tuple(printable(labels[number]) for number in kept)
+    first, points, notes = _frames(path, data, header, values)
+    points, frame_notes = without_gaps_at_zero(points[:, columns])
+    if len(columns) < header.points:
+        frame_notes = (
+            *frame_notes,
+            f"{header.points - len(columns)} of {header.points} points have no name and were left out.",
+        )
+    unit, unit_notes = unit_in_mm(path, "".join(_texts(values, "POINT:UNITS")[:1]))
+    facts = SourceFacts("C3D markers", rate_source="its header", notes=(*notes, *frame_notes, *unit_notes))
+    names = tuple(printable(labels[number]) for number in columns)
     rate = header.rate if 0 < header.rate <= 1e6 else None
-    up = "".join(_texts(found, "POINT:Y_SCREEN")[:1]).lstrip("+").lower()  # the axis that is up on a screen
+    up = "".join(_texts(values, "POINT:Y_SCREEN")[:1]).lstrip("+").lower()  # the axis that is up on a screen
     up_axis = up if up in ("x", "y", "z") else None
     return MarkerClip(str(path), names, points, first + np.arange(len(points)), facts, rate, unit, up_axis)
 

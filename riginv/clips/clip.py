@@ -86,7 +86,7 @@ def frames_between(path: str, numbers: np.ndarray, first: int | None, last: int 
     inside = (numbers >= first) & (numbers <= last)
     if not inside.any():
         raise InputError(
-            f"{path}: frames {first} to {last} were asked for, and it has {numbers[0]} to {numbers[-1]}: none left"
+            f"{path}: frames {first} to {last} were requested, and it has {numbers[0]} to {numbers[-1]}: none left"
         )
     return inside
 

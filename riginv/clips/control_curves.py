@@ -98,7 +98,7 @@ def _find_rate(curves: Curves, seconds: np.ndarray | None) -> None:
         measured = common_rate(float((curves.frame_numbers[-1] - curves.frame_numbers[0]) / (seconds[-1] - seconds[0])))
     if stated and measured and abs(stated - measured) > SAME_RATE * stated:
         curves.notes.append(
-            f"{sidecar.name} says {stated:g} frames a second, and its rows lie {measured:g} to a second: {measured:g} was taken"
+            f"{sidecar.name} states {stated:g} frames a second, its rows have {measured:g} a second: {measured:g} was taken"
         )
         stated = None
     if stated:
@@ -127,23 +127,23 @@ def npz_curves(path: Path) -> Curves:
     try:
         check_npz(path)
         with np.load(path, allow_pickle=False) as file:
-            found = {name: file[name] for name in (CONTROLS, *NAMES, FPS, NUMBERS) if name in file}
+            arrays = {name: file[name] for name in (CONTROLS, *NAMES, FPS, NUMBERS) if name in file}
     except InputError:
         raise
     except (*DAMAGED_ZIP, *BROKEN, OSError) as error:
         raise InputError(
             f"{path}: cannot be read ({in_short(error)}): save plain numbers and texts, names=np.array(names, dtype=str)"
         ) from None
-    if CONTROLS not in found:
+    if CONTROLS not in arrays:
         raise InputError(f"{path}: no array '{CONTROLS}': damaged; save it again with np.savez")
-    values, numbers, fps = found[CONTROLS], found.get(NUMBERS), found.get(FPS)
+    values, numbers, fps = arrays[CONTROLS], arrays.get(NUMBERS), arrays.get(FPS)
     if values.ndim != 2 or values.dtype.kind not in "fiu":
         raise InputError(f"{path}: controls are {values.dtype} of shape {values.shape}, expected numbers (frame, control)")
     if numbers is not None and (numbers.shape != values.shape[:1] or numbers.dtype.kind not in "iu"):
         raise InputError(f"{path}: frame_numbers are {numbers.dtype} of shape {numbers.shape}, expected a whole number a frame")
     if fps is not None and (fps.size != 1 or fps.dtype.kind not in "iuf"):
         raise InputError(f"{path}: fps is {fps.dtype} of shape {fps.shape}, expected one number")
-    names = next((found[name] for name in NAMES if name in found), None)
+    names = next((arrays[name] for name in NAMES if name in arrays), None)
     if names is not None and (names.shape != values.shape[1:] or names.dtype.kind not in "US"):
         raise InputError(
             f"{path}: names are {names.dtype} of shape {names.shape}, expected a text for each of {values.shape[1]} controls"

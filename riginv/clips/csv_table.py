@@ -21,7 +21,10 @@ CLOCK = re.compile(r"\d+[:;]\d\d?[:;]\d\d?")
 REASONS = (  # why a text is no number, and the remedy
     (re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+"), "a Fortran exponent: write E in place of D"),
     (re.compile(r"[+-]?\d{1,3}([ ',_\u00a0\u202f]\d{3})+([.,]\d*)?"), "thousands separators: leave them out"),
-    (re.compile(r"[+-]?(nan|inf|1\.#).*", re.IGNORECASE), "not a finite number: leave the row out, its neighbours stand in"),
+    (
+        re.compile(r"[+-]?(nan|inf|1\.#).*", re.IGNORECASE),
+        "not a finite number: leave the row out: it is interpolated from its neighbours",
+    ),
     (re.compile(r"[+-]?\d*([.,]\d+)?\s*%"), "per cent: divide by 100"),
     (re.compile(r""), "an empty cell: fill it, or leave the row out"),
 )
@@ -96,7 +99,7 @@ def read_csv(path: Path, text_column: str = "") -> CsvTable:
     named = [name for name in header if name]
     if len(set(named)) != len(named):
         twice = sorted({name for name in named if named.count(name) > 1})
-        raise InputError(f"{path}: column {', '.join(map(repr, twice))} stands twice; each column must be there once")
+        raise InputError(f"{path}: column {', '.join(map(repr, twice))} is there twice; each column must be there once")
     text_at = next((number for number, name in enumerate(header) if name.lower() == text_column), -1)
     values, commas = array.array("d"), 0
     faults: dict[int, Fault] = {}

@@ -1,4 +1,4 @@
-"""What was read of a clip, for the user to check; `riginv.clips.description_text` puts it in words."""
+"""The description of what was read of a clip, for the user to check; `riginv.clips.description_text` formats it."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -29,7 +29,7 @@ class FrameSpan:
 
 @dataclass(frozen=True)
 class ClipDescription:
-    """What was read of a clip.
+    """The description of a clip: the properties that were read, stated or guessed.
 
     Attributes:
         file: its name.
@@ -74,7 +74,7 @@ class ClipDescription:
         return self.motion.warnings
 
     def new_warnings(self, before: "ClipDescription") -> list[str]:
-        """Warnings that `before` did not have, because less of the clip had been read."""
+        """Warnings that `before`, made when less of the clip had been read, did not have."""
         known = {warning.partition(":")[0] for warning in before.warnings}
         return [warning for warning in self.warnings if warning.partition(":")[0] not in known]
 

@@ -6,7 +6,7 @@ from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.options import UNITS
 from riginv.clips.units import AS_THE_FILE_SAYS
-from riginv.errors import printable
+from riginv.errors import listed, printable
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.size import extent
 from riginv.runs.console import show_lines
@@ -54,10 +54,10 @@ def rows(clip: ClipDescription, names: int | None = NAMES) -> list[tuple[str, st
     facts = clip.facts
     found = [
         ("format", facts.format),
-        ("meshes", listed(facts.meshes, names)),
-        ("meshes left out", listed(facts.other_meshes, names)),
+        ("meshes", cell_of(facts.meshes, names)),
+        ("meshes left out", cell_of(facts.other_meshes, names)),
         ("animation", facts.animation),
-        ("animations ignored", listed(facts.other_animations, names)),
+        ("animations ignored", cell_of(facts.other_animations, names)),
         ("vertices", f"{clip.vertices:,}" + (f", {clip.faces:,} faces" if clip.faces else "")),
         ("frames", _frames(clip)),
         ("rate", f"{clip.fps:g} frames a second ({clip.rate_source})"),
@@ -70,10 +70,10 @@ def rows(clip: ClipDescription, names: int | None = NAMES) -> list[tuple[str, st
     return [(name, printable(text)) for name, text in found if text]
 
 
-def listed(names: Sequence[str], most: int | None = NAMES) -> str:
-    """Names separated by commas, at most `most` of them (None: all), and how many more there are."""
-    more = 0 if most is None else len(names) - most
-    return ", ".join(names[:most]) + (f" and {more:,} more (verbose=true names all)" if more > 0 else "")
+def cell_of(names: Sequence[str], most: int | None = NAMES) -> str:
+    """Names in a table cell, as `listed`, with a hint where some are left out; empty without names."""
+    hint = " (verbose=true names all)" if most is not None and len(names) > most else ""
+    return listed(names, most) + hint if names else ""
 
 
 def _contents(clip: ClipDescription, detail: int) -> list[str]:
@@ -129,7 +129,7 @@ def _rate(clip: ClipDescription, detail: int) -> str:
 
 
 def _source(source: str, detail: int) -> str:
-    """Where a unit or an axis comes from, in parentheses; omitted as `detail` demands."""
+    """The source of a unit or an axis, in parentheses; omitted at low `detail`."""
     shown = detail == FULL or (detail < NO_SOURCES and source != AS_THE_FILE_SAYS)
     return f" ({source})" if shown else ""
 

@@ -7,7 +7,7 @@ import numpy as np
 from riginv.clips.numbered import find_frames
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, SourceFacts
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.meshes.mesh_file import MeshFile, note_on_objects
 from riginv.meshes.reading import read_mesh
 
@@ -80,7 +80,7 @@ def _vertices_of(mesh: MeshFile, names: list[str]) -> np.ndarray:
         if name not in mesh.objects or not len(mesh.vertices_of(name)):
             what = "has no vertices of its own" if name in mesh.objects else "is no object"
             raise InputError(
-                f"{mesh.path}: reading.mesh names {name!r}, which {what} there; its objects: {', '.join(mesh.objects[:12])}"
+                f"{mesh.path}: reading.mesh names {name!r}, which {what} there; its objects: {listed(mesh.objects)}"
             )
     return np.unique(np.concatenate([mesh.vertices_of(name) for name in names]))
 

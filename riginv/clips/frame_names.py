@@ -6,10 +6,10 @@ from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 
 NUMBER = re.compile(r"(?:(?<=[._-])-|^-)?\d+")  # a minus follows another separator: f.-3, f_-3, f--3; in f-3 it is none
-LISTED = 4  # patterns or files in a message
+LISTED = 4  # patterns in a message
 
 
 class FileName(NamedTuple):
@@ -154,9 +154,9 @@ def sequence_of(path: str, files: Sequence[Path]) -> tuple[NumberedFiles | None,
     found = NumberedFiles(main, frame_position(path, main))
     _check_dash(path, found)
     if len(others) >= len(main):
-        listed = ", ".join(file.name for file in others[:LISTED]) + (", ..." if len(others) > LISTED else "")
         raise InputError(
-            f"{path}: {len(main)} files as {found.pattern} and {len(others)} others ({listed}): which are the frames? give "
+            f"{path}: {len(main)} files as {found.pattern} and {len(others)} others "
+            f"({listed(file.name for file in others)}): which are the frames? give "
             f"{_one_of([found.pattern])}, or one with * for what varies beside the frame's number"
         )
     return found, others
@@ -166,7 +166,7 @@ def _check_dash(path: str, found: NumberedFiles) -> None:
     """Raise InputError where the dash after a space may be a minus or part of the name."""
     if found.files[0].texts[found.position].endswith(" -") and len(found.files) > 1:
         raise InputError(
-            f"{path}: a dash stands before the number of every frame ({found.files[0].path.name}, ...): give {found.pattern} "
+            f"{path}: a dash precedes the number of every frame ({found.files[0].path.name}, ...): give {found.pattern} "
             f"where it is part of the name, or {found.signed_pattern} where it is a minus"
         )
 

@@ -13,7 +13,7 @@ from riginv.clips.csv_table import CsvTable, read_csv
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.clips.timecode import timing
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.rig.arkit import ARKIT_NAMES, plain_name
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_sets import WeightedShapes
@@ -107,21 +107,19 @@ def _left_out(table: CsvTable, shapes: dict[str, int]) -> list[str]:
     unknown = [repr(table.header[n]) for n in others if not APP_COLUMNS.fullmatch(plain_name(table.header[n]))]
     notes = ["the rotations of head and eyes were left out: the meshes stay where the rig has them"] if moved else []
     if unknown:
-        notes.append(
-            f"columns that are no weights of shapes were left out: {', '.join(unknown[:6])}{', ...' * (len(unknown) > 6)}"
-        )
+        notes.append(f"columns that are no weights of shapes were left out: {listed(unknown)}")
     return notes
 
 
 def _beyond(path: Path, names: list[str], weights: np.ndarray) -> list[str]:
-    """A note on weights outside [0, 1]; raises InputError where they are no weights."""
+    """A note on weights outside [0, 1]; raises InputError where the values are implausible as weights."""
     away = np.maximum(weights - 1, -weights)
     row, column = np.unravel_index(int(away.argmax()), away.shape)
     most = f"{names[column]} is {weights[row, column]:.4g} in row {row + 1}"
     if away[row, column] > PER_CENT:
         raise InputError(f"{path}: {most}, expected weights from 0 to 1: if they are per cent, divide them by 100")
     beyond = np.count_nonzero(away > UNUSUAL)
-    return [f"{beyond:,} weights lie beyond 0 to 1 and were taken as they are; {most}"] if beyond else []
+    return [f"{beyond:,} weights are beyond 0 to 1 and were read unchanged; {most}"] if beyond else []
 
 
 def live_link_clip(path: str | Path, rig: RigBackend, name: str = "capture") -> WeightedShapes:

@@ -63,7 +63,7 @@ class MarkerClip:
         if twice:
             raise InputError(f"{self.path}: marker {printable(twice[0])!r} is there twice: each name once; rename one of them")
         if (np.diff(self.frame_numbers) <= 0).any():
-            raise InputError(f"{self.path}: its frame numbers do not rise: each frame may stand there once; number them anew")
+            raise InputError(f"{self.path}: its frame numbers do not rise: each frame may occur once; renumber them")
 
     def select(self, names: Sequence[str], points: np.ndarray, frame_numbers: np.ndarray) -> "MarkerClip":
         """The same clip with other markers or frames."""
@@ -104,8 +104,8 @@ def unit_in_mm(path: Path, text: str) -> tuple[float | None, tuple[str, ...]]:
     """Millimetres per unit of a unit's name in a file; None, and a note, where it is not known."""
     word = UNIT_WORDS.get(text.strip().lower())
     if word is None:
-        found = f"its unit {printable(text.strip())[:20]!r} is not known" if text.strip() else "it does not name its unit"
-        return None, (f"{path.name}: {found}: guessed from the rig's size (reading.unit=mm says it).",)
+        found = f"its unit {printable(text.strip())[:20]!r} is not known" if text.strip() else "it has no unit"
+        return None, (f"{path.name}: {found}: guessed from the rig's size (reading.unit=mm sets it).",)
     return UNITS[word], ()
 
 
@@ -122,7 +122,7 @@ def read_trc(path: Path) -> MarkerClip:
     labels = [cell.strip() for cell in lines[3]]
     columns = [(column, name) for column, name in enumerate(labels) if column >= 2 and name]
     if any(later - column != 3 for (column, _), (later, _) in itertools.pairwise(columns)) or (columns and columns[0][0] != 2):
-        raise InputError(f"{path}, line 4: markers' names must stand three columns apart, from the third: export it again")
+        raise InputError(f"{path}, line 4: markers' names must be three columns apart, from the third: export it again")
     rows = [(number, cells) for number, cells in enumerate(lines[4:], start=5) if any(cell.strip() for cell in cells)]
     if rows and not rows[0][1][0].strip():  # the line of X1, Y1, Z1
         rows = rows[1:]
@@ -166,7 +166,7 @@ def read_marker_csv(path: Path) -> MarkerClip:
     columns = [found[axis] for found in axes.values() for axis in "xyz"]
     for column in columns:
         if column in table.faults and table.faults[column].text.strip().lower() not in ("", "nan"):
-            table.column(column)  # says where, and what is wrong
+            table.column(column)  # names the row and the fault
     points, notes = without_gaps_at_zero(table.numbers[:, columns].reshape(len(table), len(axes), 3))
     named = {title.lower(): column for column, title in enumerate(table.header)}
     frame = next((named[name] for name in FRAMES if name in named), None)
@@ -201,7 +201,7 @@ def _number(path: Path, line: int, cell: str) -> float:
 
 def _whole(path: Path, values: np.ndarray) -> np.ndarray:
     if not np.isfinite(values).all() or (values != np.round(values)).any() or (np.abs(values) > 2**53).any():
-        raise InputError(f"{path}: its frame numbers are no whole numbers: number them anew")
+        raise InputError(f"{path}: its frame numbers are no whole numbers: renumber them")
     return values.astype(np.int64)
 
 

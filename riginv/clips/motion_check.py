@@ -1,4 +1,4 @@
-"""Plausibility of a clip's motion: whether it never moves, repeats frames, or moves faster than people do."""
+"""Plausibility of a clip's motion: warnings of no motion, repeated frames, and implausible speed."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ KNOWN = 0.5  # fraction of known vertices that a frame needs to be measured
 
 
 class ClipMotion(NamedTuple):
-    """How a clip moves, over the frames read so far.
+    """The motion of a clip over the frames read so far.
 
     Attributes:
         frames, all_frames: number of frames read, and of all.
@@ -122,7 +122,7 @@ class MotionCheck:
         return float(speeds[row]), row + 1
 
     def _too_fast(self, speed: float, row: int) -> str:
-        """The warning that it moves faster than people do, or an empty text."""
+        """The warning of a speed that is implausible for people, or an empty text."""
         if speed <= FASTEST_M_S:
             return ""
         before, after = self.frame_numbers[row - 1 : row + 1].tolist()

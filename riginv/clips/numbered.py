@@ -1,22 +1,21 @@
 """Sequences with one file per frame: the files that a path names, and the frame number of each."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from riginv.clips.frame_names import LISTED, frame_position, group, pattern_of, sequence_of
-from riginv.errors import InputError
+from riginv.clips.frame_names import frame_position, group, pattern_of, sequence_of
+from riginv.errors import InputError, listed
 
 # Placeholders of the frame number in a pattern; the first kind that occurs in a name is the one meant.
 PLACEHOLDERS = tuple(
     re.compile(placeholder, re.IGNORECASE)
     for placeholder in (r"%0?\d*d", r"\$F\d*", r"<f(?:rame)?\d*>|\{f(?:rame)?(?::0?\d*d?)?\}", r"(?<!\d)#+(?!\d)")
 )
-LISTED_SPANS = 6  # missing frames, or spans of them, in a message
 LONGEST_GAP = 100_000  # frames
 LARGEST_NUMBER = 2**53  # of a frame
 
@@ -66,24 +65,24 @@ def find_frames(path: str, suffix: str, bridge: bool = False) -> FrameFiles:
     Raises:
         InputError: there are none, several sequences, two files of the same number, or some are missing between others.
     """
-    given = Path(path)
-    if given.is_file():
-        return _one_file(given)
-    if given.is_dir():
-        found = [file for file in visible_files(given) if file.suffix.lower() == suffix]
-        if not found:
+    location = Path(path)
+    if location.is_file():
+        return _one_file(location)
+    if location.is_dir():
+        files = [file for file in visible_files(location) if file.suffix.lower() == suffix]
+        if not files:
             raise InputError(f"{path}: no frames: expected files ending in {suffix}, found none")
-        return _in_order(path, found, bridge)
-    kind = next((kind for kind in PLACEHOLDERS if kind.search(given.name)), None)
+        return _in_order(path, files, bridge)
+    kind = next((kind for kind in PLACEHOLDERS if kind.search(location.name)), None)
     if kind is not None:
-        return _of_pattern(path, given, kind, bridge)
-    names = [file.name for file in _of_same_kind(given)]
-    for glob in (given.name, given.name.replace("[", "[[]")):  # brackets may be part of the name
-        found = [given.parent / name for name in names if fnmatchcase(name, glob)]
-        if found:
-            return _in_order(path, found, bridge)
-    expected = "files of that pattern" if is_pattern(path) or "[" in given.name else "a file of that name"
-    raise InputError(f"{path}: no frames: expected {expected}, found none{_folder_missing(given)}")
+        return _of_pattern(path, location, kind, bridge)
+    names = [file.name for file in _of_same_kind(location)]
+    for glob in (location.name, location.name.replace("[", "[[]")):  # brackets may be part of the name
+        files = [location.parent / name for name in names if fnmatchcase(name, glob)]
+        if files:
+            return _in_order(path, files, bridge)
+    expected = "files of that pattern" if is_pattern(path) or "[" in location.name else "a file of that name"
+    raise InputError(f"{path}: no frames: expected {expected}, found none{_folder_missing(location)}")
 
 
 def _one_file(given: Path) -> FrameFiles:
@@ -142,7 +141,7 @@ def _folder_missing(given: Path) -> str:
     if not given.parent.is_dir():
         return f": there is no folder {given.parent}"
     others = [file.name for file in _of_same_kind(given) if file.suffix.lower() == given.suffix.lower()]
-    return f"; there are {_listed(others)}" if others else ""
+    return f"; there are {listed(others)}" if others else ""
 
 
 def _files(folder: Path) -> list[Path]:
@@ -160,18 +159,13 @@ def _in_order(path: str, found: Sequence[Path], bridge: bool) -> FrameFiles:
         return FrameFiles(np.arange(len(found)), list(found), (note,) if len(found) > 1 else ())
     notes: tuple[str, ...] = ()
     if others:
-        notes = (f"Left out: {_listed(file.name for file in others)}, not of the sequence {sequence.pattern}.",)
+        notes = (f"Left out: {listed(file.name for file in others)}, not of the sequence {sequence.pattern}.",)
     if sequence.signed_pattern and len(sequence.files) > 1:
         notes += (
             f"The dash before the numbers was taken for a part of the name, not a minus ({sequence.signed_pattern}: a minus).",
         )
     numbered = [(name.number(sequence.position), name.path) for name in sequence.files]
     return _numbered(path, numbered, bridge, notes)
-
-
-def _listed(names: Iterable[str]) -> str:
-    names = list(names)
-    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 
 
 def _numbered(path: str, found: list[tuple[int, Path]], bridge: bool, notes: tuple[str, ...]) -> FrameFiles:
@@ -213,4 +207,4 @@ def _spans(numbers: np.ndarray, step: int) -> str:
     """Numbers for a message, consecutive ones as `first to last`."""
     runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != step) + 1)
     spans = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
-    return ", ".join(spans[:LISTED_SPANS]) + (", ..." if len(spans) > LISTED_SPANS else "")
+    return listed(spans)

@@ -1,4 +1,4 @@
-"""Opening a clip: the reader for its suffix, compared with the rig, in millimetres."""
+"""Opening of clips with the reader for their suffix, comparison with the rig, and conversion to millimetres."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -63,25 +63,25 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) ->
     Raises:
         InputError: there is no reader for the suffix, the file is missing or damaged, or it needs a rig.
     """
-    given = Path(path)
-    suffix = given.suffix.lower()
-    if _is_folder(given):
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if _is_folder(file):
         return _open_folder(path, options)
     if suffix in SEQUENCES:
         return SEQUENCES[suffix](path, options)
-    if is_pattern(path) and not given.exists():
+    if is_pattern(path) and not file.exists():
         raise InputError(f"{path}: patterns are for OBJ and PLY files, one for each frame: expected one ending in .obj or .ply")
-    if suffix == TABLE or (suffix == ".npz" and holds_curves(given)):
-        return _open_curves(given, rig, options)
+    if suffix == TABLE or (suffix == ".npz" and holds_curves(file)):
+        return _open_curves(file, rig, options)
     if suffix in READERS:
         return READERS[suffix](path, options)
     if suffix.removeprefix(".") in options.readers:
-        found: type[MeshSequence] = class_of(options.readers[suffix.removeprefix(".")], kind=MeshSequence)
-        reader: Reader = found
-        return reader(path, options) if rig is None else found.for_rig(path, options, rig)
-    known = (*READERS, *(f".{name}" for name in options.readers), TABLE)
+        reader_class: type[MeshSequence] = class_of(options.readers[suffix.removeprefix(".")], kind=MeshSequence)
+        reader: Reader = reader_class
+        return reader(path, options) if rig is None else reader_class.for_rig(path, options, rig)
+    suffixes = (*READERS, *(f".{name}" for name in options.readers), TABLE)
     raise InputError(
-        f"{path}: clips end in {', '.join(known)}; export the mesh from its program in one of these "
+        f"{path}: clips end in {', '.join(suffixes)}; export the mesh from its program in one of these "
         "(a .blend is a rig: rig=blender rig.file=...)"
     )
 

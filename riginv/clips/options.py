@@ -1,4 +1,4 @@
-"""How a clip is read: the config groups `reading` and `frames`."""
+"""Options of reading a clip: the config groups `reading` and `frames`."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ UNKNOWN_NAMES = ("error", "ignore_missing", "ignore_new", "ignore_both")
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """How a clip's file is read.
+    """Options of reading a clip's file.
 
     Attributes:
         unit: `auto`, a name in `UNITS`, or millimetres per unit; `auto`: as the file says, or guessed from the rig's size.
@@ -92,7 +92,7 @@ class ReadingOptions:
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """Which frames of a clip are taken, by the frame numbers of its source.
+    """The selection of a clip's frames, by the frame numbers of its source.
 
     Attributes:
         first, last: both included; None: from the start, to the end.

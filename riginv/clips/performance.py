@@ -1,4 +1,4 @@
-"""A simulated performance, for those who have no captured one at hand: strokes of blendshapes, added linearly."""
+"""A simulated performance, for use without a captured one: strokes of blendshapes, added linearly."""
 
 import torch
 from torch import Tensor
@@ -17,7 +17,7 @@ SHORTEST_S, LONGEST_S = 0.5, 3.0  # of a stroke
 ACTIVE = 6.8  # shapes within a stroke at a time, so that about 6 are above 0.02
 MOST_ACTIVE = 0.3  # of the shapes of a rig that has few
 RISE = 0.35  # of a stroke, and as much for its fall
-SAMPLE = 60  # frames that tell the size of a performance
+SAMPLE = 60  # frames from which the size of a performance is measured
 
 
 def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simulated_performance") -> WeightedShapes | None:
@@ -27,10 +27,10 @@ def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simul
         the clip, or None for a rig without shapes to add: it is evaluated on random poses alone.
 
     Raises:
-        InputError: fewer than one frame is asked for.
+        InputError: fewer than one frame is requested.
     """
     if frames < 1:
-        raise InputError(f"a performance of {frames} frames was asked for, expected at least 1")
+        raise InputError(f"a performance of {frames} frames was requested, expected at least 1")
     shapes = rig.arkit_deltas()
     if 2 * len(shapes) >= len(ARKIT_NAMES):
         curves = _arkit_strokes(list(shapes), frames)
@@ -57,7 +57,7 @@ def _size(clip: WeightedShapes) -> str:
 
 
 def strokes(names: list[str], frames: int) -> Tensor:
-    """Curves `(frame, shape)` in [0, 1], as large and as sparse as performances are, however many shapes there are.
+    """Curves `(frame, shape)` in [0, 1], as large and as sparse as in captured performances, for any number of shapes.
 
     Against 2,800 frames of a production's animation of 72 shapes, on the same shapes: 6.4 of them above 0.02 at a time (there
     5.9), 3.9 above 0.3 (3.0), their sum 2.9 (2.4), the mean vertex 1.5 mm from neutral (1.6).

@@ -78,7 +78,7 @@ class PointCache(MeshSequence):
             more = (found - layout.needed) // (12 * layout.vertices)
             notes = (
                 *notes,
-                f"The file goes on for {found - layout.needed:,} bytes behind the {layout.frames:,} frames of its header"
+                f"The file has {found - layout.needed:,} bytes after the {layout.frames:,} frames of its header"
                 + (f", enough for {more:,} frames more, which were not read." if more else ", which were not read."),
             )
         facts = SourceFacts(layout.kind, rate_source=times.rate_source, notes=(*notes, *times.notes))

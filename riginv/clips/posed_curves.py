@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from riginv.clips.control_curves import Curves
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.rig.interface import RigBackend
 
 SLACK = 1e-5  # of a control's range: values beyond the limits by rounding
@@ -63,7 +63,7 @@ def _controls(curves: Curves, rig: RigBackend, options: ReadingOptions, notes: l
         names = list(rig.control_names)
     if len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{curves.path}: control '{twice}' stands twice; each may be there once")
+        raise InputError(f"{curves.path}: control '{twice}' is there twice; each may be there once")
     column = {name: number for number, name in enumerate(names)}
     _check_names(curves, column, rig, options, notes)
     values = rig.neutral_controls.cpu().double().repeat(len(curves.values), 1)
@@ -78,8 +78,8 @@ def _check_names(curves: Curves, column: dict[str, int], rig: RigBackend, option
     missing = [name for name in rig.control_names if name not in column]
     if len(missing) == len(rig.controls):
         raise InputError(
-            f"{curves.path}: none of its columns ({', '.join(list(column)[:4])}, ...) is a control of rig '{rig.name}' "
-            f"({', '.join(rig.control_names[:4])}, ...), and it has no timecodes as a Live Link Face recording has"
+            f"{curves.path}: none of its columns ({listed(column, 4)}) is a control of rig '{rig.name}' "
+            f"({listed(rig.control_names, 4)}), and it has no timecodes as a Live Link Face recording has"
         )
     if missing and not options.accepts_missing:
         raise InputError(
@@ -87,7 +87,7 @@ def _check_names(curves: Curves, column: dict[str, int], rig: RigBackend, option
             f"{', '.join(missing[:4])}; reading.unknown=ignore_missing leaves them at neutral"
         )
     if missing:
-        notes.append(f"controls that it does not name stay at neutral: {_listed(missing)}")
+        notes.append(f"controls that it does not name stay at neutral: {listed(missing)}")
     known = set(rig.control_names)
     new = [name for name in column if name not in known]
     moving = [name for name in new if _moves(curves, column[name])]
@@ -98,7 +98,7 @@ def _check_names(curves: Curves, column: dict[str, int], rig: RigBackend, option
             f"leaves it out"
         )
     if new:
-        notes.append(f"columns that are no controls of the rig were left out: {_listed(new)}")
+        notes.append(f"columns that are no controls of the rig were left out: {listed(new)}")
 
 
 def _moves(curves: Curves, column: int) -> bool:
@@ -119,7 +119,3 @@ def _within_limits(controls: torch.Tensor, frames: np.ndarray, rig: RigBackend, 
             f"({float(lower[column]):g} to {float(upper[column]):g})"
         )
     return controls.clamp(lower, upper)
-
-
-def _listed(names: list[str]) -> str:
-    return f"{', '.join(names[:6])}{f' and {len(names) - 6} more' if len(names) > 6 else ''}"

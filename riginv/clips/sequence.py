@@ -17,7 +17,7 @@ MAX_VERTICES = 50_000_000  # of one mesh; more means a damaged file
 
 @dataclass(frozen=True)
 class SourceFacts:
-    """What a reader took from a file and what it skipped, to be shown to the user.
+    """Facts for the user about a file: what its reader has read and skipped.
 
     Attributes:
         format: name of the format: `USD`, `glTF`, `Live Link Face CSV`.
@@ -79,7 +79,7 @@ class MeshSequence(ABC):
         if not 1 <= self.vertex_count <= MAX_VERTICES:
             raise InputError(f"{path}: meshes of {self.vertex_count} vertices, expected 1 to {MAX_VERTICES}: export it again")
         if (np.diff(self.frame_numbers) <= 0).any():
-            raise InputError(f"{path}: its frame numbers do not rise: each frame may stand there once; number them anew")
+            raise InputError(f"{path}: its frame numbers do not rise: each frame may occur once; renumber them")
         if faces is not None:
             faces.check(path, self.vertex_count)
 

@@ -1,6 +1,6 @@
 """Timecodes of a recording: the frame number of each row, and the frame rate.
 
-A timecode `HH:MM:SS:FF.fff` does not say how many frames it counts per second; rows may be any number of these apart, and rows
+A timecode `HH:MM:SS:FF.fff` does not contain the number of frames per second; rows may be any number of these apart, and rows
 may be missing. Both rates are estimated from all rows: the count from FF at the end of a second, the frame rate from the usual
 step between two rows.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from riginv.clips.frame_rate import COUNTS, frames_per_second
 from riginv.errors import InputError
 
-APP_COUNT = 60  # frames per second in timecodes of the Live Link Face app, whatever it records at
+APP_COUNT = 60  # frames per second in timecodes of the Live Link Face app, at any recording rate
 FRAMES = re.compile(r"(\d+)[:;](\d\d?)[:;](\d\d?)([:;])(\d+(?:[.,]\d+)?)")
 SECONDS = re.compile(r"(\d+):(\d\d?):(\d\d?(?:[.,]\d+)?)")
 DAY_S = 24 * 3600

@@ -73,13 +73,13 @@ def frames_from_times(times: np.ndarray, source: str) -> FrameTimes:
     with np.errstate(invalid="ignore", over="ignore"):
         steps = np.diff(times)
     if not np.isfinite(resolution) or not (steps > 0).all():
-        what = "are not all numbers" if not np.isfinite(resolution) else "do not rise from frame to frame"
-        return in_order._replace(notes=(f"Its {source} {what}: the frames were taken one after the other.",))
+        fault = "are not all numbers" if not np.isfinite(resolution) else "do not rise from frame to frame"
+        return in_order._replace(notes=(f"Its {source} {fault}: the frames were taken one after the other.",))
     step = float(np.median(steps))
     if step >= MAX_FRAME_STEP and (times == np.round(times)).all():
         resolution = max(resolution, 0.5)  # whole milliseconds
     bases = (step, float(steps.min()))
-    multiples = next((each for base in bases if (each := _multiples(steps, base, resolution)) is not None), None)
+    multiples = next((found for base in bases if (found := _multiples(steps, base, resolution)) is not None), None)
     if multiples is None:
         return _uneven(times, steps, source)
     step = float((times[-1] - times[0]) / multiples.sum())
@@ -90,9 +90,9 @@ def frames_from_times(times: np.ndarray, source: str) -> FrameTimes:
     if step < MAX_FRAME_STEP or not unit:
         return _in_seconds(times, step, skipped, resolution, source)
     size = SMALLER_UNITS[unit]
-    found = _in_seconds(times * size, step * size, skipped, resolution * size, source)
+    frame_times = _in_seconds(times * size, step * size, skipped, resolution * size, source)
     note = f"Its {source} are in {unit}: seconds would be {1 / step:.3g} frames a second (reading.fps=...)."
-    return found._replace(notes=(note, *found.notes))
+    return frame_times._replace(notes=(note, *frame_times.notes))
 
 
 def _multiples(steps: np.ndarray, base: float, resolution: float) -> np.ndarray | None:

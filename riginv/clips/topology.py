@@ -3,11 +3,9 @@
 import numpy as np
 
 from riginv.clips.sequence import MeshSequence
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.meshes.polygons import Polygons
 from riginv.rig.interface import RigBackend
-
-LISTED = 12  # meshes in a message
 
 
 class TopologyError(InputError):
@@ -55,8 +53,8 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
         first, second = wrong[0].tolist()
         raise TopologyError(
             f"{clip.path}: {counts}, rig '{rig.name}' has {len(rig_faces)} faces, and {len(wrong)} edges of the clip are none "
-            f"of the rig's, the first from vertex {first} to {second}: the vertices stand in another order, or it is another "
-            f"mesh; reading.check_faces=false lets it pass",
+            f"of the rig's, the first from vertex {first} to {second}: the vertices are in another order, or it is another "
+            f"mesh; reading.check_faces=false accepts it",
             same_count=True,
         )
     return ""
@@ -66,7 +64,7 @@ def _meshes(clip: MeshSequence) -> str:
     """The meshes read and those left out, where there was a choice."""
     if not clip.facts.other_meshes:
         return ""
-    read, others = (", ".join(names[:LISTED]) for names in (clip.facts.meshes, clip.facts.other_meshes))
+    read, others = (listed(names) for names in (clip.facts.meshes, clip.facts.other_meshes))
     return f"; read were {read}, and not {others} (reading.mesh=[NAME] chooses)"
 
 

@@ -25,7 +25,7 @@ TO_Y_UP = {
 
 
 class Source(Protocol):
-    """What units are resolved for: a sequence of meshes or of scans, see `MeshSequence`."""
+    """The interface of clips whose units are resolved: sequences of meshes or of scans, see `MeshSequence`."""
 
     path: str
     facts: SourceFacts
@@ -36,7 +36,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class SizeLimits:
-    """How a clip's size is compared with the rig's.
+    """Limits for the comparison of a clip's size with the rig's.
 
     Attributes:
         guessed: units to guess from; the first of two that fit equally is taken.

@@ -1,1 +1,1 @@
-"""From configs to objects, and from mistakes in them to sentences."""
+"""Configs: conversion to typed objects, and error messages."""

@@ -1,9 +1,9 @@
 """Builds objects from configs, from allowed classes only.
 
-A config names a class (`_target_`) and gives its arguments. What is built must be of the kind that is asked for: a rig, a
+A config names a class (`_target_`) and gives its arguments. What is built must be of the requested kind: a rig, a
 network. Configs that a user names may name any such class, and within it classes of its own package, of riginv, rigs and
 torch. Configs that came with a bundle are untrusted: they may only name classes of riginv and rigs, their arguments are
-plain values, and what a class keeps to users (`command_line_only`, such as the path of a program to run) is ignored.
+plain values, and what only users may set (`command_line_only`, such as the path of a program to run) is ignored.
 """
 
 import importlib
@@ -19,7 +19,7 @@ from riginv.errors import InputError, in_short
 
 T = TypeVar("T")
 OURS = ("riginv", "rigs")
-KNOWN = (*OURS, "torch")  # what the classes that a user names may be given, beside those of their own package
+KNOWN = (*OURS, "torch")  # packages of classes within the arguments of a class that a user names, beside its own
 DOES_NOT_FIT = (TypeError, ValueError, AttributeError, LookupError, RuntimeError, OverflowError)
 
 
@@ -31,7 +31,7 @@ class ClassSpec(Generic[T]):
 
     Attributes:
         target_class: the class itself.
-        config: as the config says it: `_target_` and the arguments, plain values.
+        config: as in the config: `_target_` and the arguments, plain values.
         key: its key in the config, for messages: `model.network`.
     """
 
@@ -54,7 +54,7 @@ class ClassSpec(Generic[T]):
 
     @property
     def target(self) -> str:
-        """The name of the class, as the config says it."""
+        """The name of the class, as in the config."""
         return str(self.config.get("_target_"))
 
     @property
@@ -72,7 +72,7 @@ class ClassSpec(Generic[T]):
         return build({**self.config, **more}, *given)
 
     def factory(self) -> "partial[T]":
-        """The class with its arguments, still to be called with what it acts on: an optimiser, a schedule."""
+        """The class with its arguments, to be called with what it acts on, such as an optimiser with parameters."""
         return partial(self.target_class, **_arguments(self.config, (), _may_name(self.target_class)))
 
     def check(self, **hints: Any) -> None:
@@ -101,20 +101,22 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
     if not isinstance(config, Mapping):
         raise InputError(f"a config must name a class as _target_: package.module.Class, found {config!r:.80}")
     target = config.get("_target_")
-    found = class_of(target, only, kind)
-    arguments = _arguments(config, given, None if only else _may_name(found))
+    target_class = class_of(target, only, kind)
+    may_name = None if only else _may_name(target_class)
+    arguments = _arguments(config, given, may_name)
     if only is not None:
-        arguments = {key: value for key, value in arguments.items() if key not in getattr(found, "command_line_only", ())}
+        for key in getattr(target_class, "command_line_only", ()):
+            arguments.pop(key, None)
     try:
-        inspect.signature(found).bind(*given, **arguments)
+        inspect.signature(target_class).bind(*given, **arguments)
     except TypeError as error:
-        raise InputError(f"{target}: {error}; its arguments are {inspect.signature(found)}") from None
+        raise InputError(f"{target}: {error}; its arguments are {inspect.signature(target_class)}") from None
     try:
-        return found(*given, **arguments)
+        return target_class(*given, **arguments)
     except InputError:
         raise
     except DOES_NOT_FIT as error:
-        check_arguments(found, config, f"{target}: ", None if only else _may_name(found))  # the reason, where it is one
+        check_arguments(target_class, config, f"{target}: ", may_name)  # the reason, where it is one
         if only is None:
             raise
         raise InputError(
@@ -122,9 +124,9 @@ def build(config: Any, *given: Any, kind: type | None = None, only: tuple[str, .
         ) from error
 
 
-def _may_name(found: type) -> tuple[str, ...]:
+def _may_name(target_class: type) -> tuple[str, ...]:
     """The packages whose classes may be named within the arguments of a class that a user names."""
-    return (*KNOWN, found.__module__.partition(".")[0])
+    return (*KNOWN, target_class.__module__.partition(".")[0])
 
 
 def _arguments(config: Mapping[str, Any], given: tuple, may_name: tuple[str, ...] | None) -> dict[str, Any]:
@@ -164,31 +166,31 @@ def class_of(target: Any, only: tuple[str, ...] | None = None, kind: type | None
         )
     module_name, _, name = target.rpartition(".")
     try:
-        found = getattr(importlib.import_module(module_name), name)
+        named = getattr(importlib.import_module(module_name), name)
     except (ImportError, AttributeError) as error:
         raise InputError(f"cannot find the class {target}: {error}; is its package installed?") from error
-    if not inspect.isclass(found):
+    if not inspect.isclass(named):
         raise InputError(f"{target} is not a class")
-    if only is not None and found.__module__.partition(".")[0] not in only:
-        raise InputError(f"{target} is defined in {found.__module__}, which is not allowed here")
-    if kind is not None and not issubclass(found, kind):
+    if only is not None and named.__module__.partition(".")[0] not in only:
+        raise InputError(f"{target} is defined in {named.__module__}, which is not allowed here")
+    if kind is not None and not issubclass(named, kind):
         raise InputError(
-            f"{target} is not allowed here: it names {found.__name__}, which is no {kind.__module__}.{kind.__name__}"
+            f"{target} is not allowed here: it names {named.__name__}, which is no {kind.__module__}.{kind.__name__}"
         )
-    return found
+    return named
 
 
-def check_arguments(found: type, config: Mapping[str, Any], prefix: str, may_name: tuple[str, ...] | None) -> None:
+def check_arguments(target_class: type, config: Mapping[str, Any], prefix: str, may_name: tuple[str, ...] | None) -> None:
     """Compare the arguments that a config gives a class with the names and annotations of its constructor.
 
     Args:
-        prefix: what stands before an argument's name in messages.
+        prefix: text before an argument's name in messages.
         may_name: as in `_arguments`; the arguments of classes named within are compared, too.
 
     Raises:
         InputError: there is no such argument, or it is of another type or out of its range.
     """
-    hints, names, target = _hints(found), _names(found), config.get("_target_")
+    hints, names, target = _hints(target_class), _names(target_class), config.get("_target_")
     for name, value in config.items():
         if name == "_target_":
             continue
@@ -220,10 +222,10 @@ def _is_network(hint: Any) -> bool:
     return inspect.isclass(hint) and issubclass(hint, nn.Module)
 
 
-def _names(found: type) -> set[str] | None:
-    """The arguments that a class takes by name; None where it takes any, or does not tell."""
+def _names(target_class: type) -> set[str] | None:
+    """The arguments that a class takes by name; None where it takes any, or its signature is unknown."""
     names: set[str] = set()
-    for ancestor in found.__mro__:
+    for ancestor in target_class.__mro__:
         if "__init__" not in vars(ancestor):
             continue
         try:
@@ -236,10 +238,10 @@ def _names(found: type) -> set[str] | None:
     return None
 
 
-def _hints(found: type) -> dict[str, Any]:
-    """The annotations of a constructor's arguments, those that it passes on to the classes above it included."""
+def _hints(target_class: type) -> dict[str, Any]:
+    """The annotations of a constructor's arguments, including those that it passes on to its base classes."""
     hints: dict[str, Any] = {}
-    for ancestor in reversed(found.__mro__):
+    for ancestor in reversed(target_class.__mro__):
         if "__init__" in vars(ancestor):
             try:
                 hints |= get_type_hints(vars(ancestor)["__init__"], include_extras=True)

@@ -1,6 +1,6 @@
 """Checks of config folders given on the command line: their files must not make Hydra instantiate objects.
 
-Hydra makes objects of what stands under `hydra` before riginv sees a config: callbacks, launchers, log handlers; and it sets
+Hydra makes objects of what is under `hydra` before riginv sees a config: callbacks, launchers, log handlers; and it sets
 environment variables. A file of such a folder may choose among launchers and sweepers that are installed, and no more.
 """
 
@@ -27,7 +27,7 @@ MOST_FILES = 5000
 
 
 def check_config_folders(arguments: Sequence[str]) -> None:
-    """Look through the YAML files of all folders that options of a command line add.
+    """Check the YAML files of all folders that options of a command line add.
 
     Raises:
         InputError: a file would have Hydra make objects or set variables, or names a program to run; or an option unpickles.
@@ -53,7 +53,7 @@ def check_config_folders(arguments: Sequence[str]) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Look through the YAML files of a folder; those that cannot be read are left to Hydra, which says so if one is chosen.
+    """Check the YAML files of a folder; Hydra reports those that cannot be read, if one is chosen.
 
     Raises:
         InputError: as `check_config_folders`.
@@ -94,11 +94,11 @@ def _check_file(path: Path, group: str, package: str, content: Mapping[str, Any]
             if key in INSTANTIATING_KEYS and not (key == "_target_" and str(value).startswith(PLUGINS)):
                 raise InputError(f"{what}, expected a plug-in of Hydra that is installed: nothing else is run for a config")
             if isinstance(value, str) and re.fullmatch(r"\s*\$\{.*\}\s*", value, re.DOTALL):
-                raise InputError(f"{what}, which may stand for anything: write the value out")
+                raise InputError(f"{what}, which may resolve to anything: write the value out")
 
 
 def _pairs(value: Any) -> Iterator[tuple[str, Any]]:
-    """All keys with their values, however deep; what stands in a list has the list's key."""
+    """All keys with their values, however deep; values in a list have the list's key."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             yield str(key), inner

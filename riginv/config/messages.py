@@ -1,4 +1,4 @@
-"""From an error to the one sentence that a user needs."""
+"""Error messages: from an exception to one sentence for the user."""
 
 import errno
 import os
@@ -66,7 +66,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _says_full(error: BaseException) -> bool:
-    """Whether an error tells of a full disk; libraries that write by themselves put the system's words into their own."""
+    """Whether an error reports a full disk; libraries that write by themselves put the system's words into their own."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno in FULL
     return any(os.strerror(number) in str(error) for number in FULL)
@@ -92,7 +92,7 @@ def _unknown_choice(error: MissingConfigException) -> str:
 
 
 def _in_quotes(argument: str | None) -> str:
-    """How to type an argument whose value is text that Hydra reads something else into."""
+    """A hint on quotes for an argument whose text Hydra parses as something else."""
     key, equals, value = (argument or "").partition("=")
     if any(value.count(left) != value.count(right) for left, right in ("[]", "{}")):
         return "; a bracket in it does not close: put the whole argument in single quotes, such as 'formats=[csv, anim]'"

@@ -1,8 +1,8 @@
-"""Paths on a command line, taken as they are typed: Hydra's grammar gives brackets, commas, `=`, quotes and numbers a meaning.
+"""Paths on a command line, taken literally, although Hydra's grammar gives brackets, commas, `=`, quotes and numbers a meaning.
 
 `clip=take (1).obj` is no text to Hydra, `out=2024_05` the number 202405, `clip=a,b.obj` a sweep. So the values of keys that are
 paths are put into quotes before Hydra sees them. Left as they are: null, what is quoted already, interpolations (`${...}`),
-and in a sweep what stands for several values, unless a file has that very name.
+and in a sweep what means several values, unless a file has that very name.
 """
 
 import os
@@ -21,7 +21,7 @@ SWEEPS = {"-m", "--multirun", "hydra.mode=MULTIRUN"}
 
 
 def with_quoted_paths(arguments: Sequence[str]) -> list[str]:
-    """The arguments of a command, those that are paths in quotes where Hydra would read something else into them.
+    """The arguments of a command; paths that Hydra would parse as something else are put in quotes.
 
     Example:
         >>> with_quoted_paths(["clip=take (1).obj", "seed=1"])
@@ -32,7 +32,7 @@ def with_quoted_paths(arguments: Sequence[str]) -> list[str]:
 
 
 def quoted(text: str) -> str:
-    """A text in quotes, as Hydra reads it back: whatever is in it."""
+    """A text in quotes, from which Hydra reads back exactly the text."""
     return QuotedString(text, Quote.double).with_quotes()
 
 
@@ -55,7 +55,7 @@ def _with_quoted_path(argument: str, sweeps: bool) -> str:
 
 
 def _parsed(argument: str) -> Override | None:
-    """What Hydra makes of an argument; None where it cannot read it."""
+    """The value that Hydra parses from an argument; None where it cannot parse it."""
     try:
         return OverridesParser.create().parse_override(argument)
     except HydraException:

@@ -1,4 +1,4 @@
-"""Typed configs: a command turns what Hydra composed into dataclasses, once, and hands these on.
+"""Typed configs: a command converts the config that Hydra composed to dataclasses once, and passes these on.
 
     @dataclass(frozen=True)
     class SampleConfig:
@@ -80,18 +80,18 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, ClassSpec):
         return to_plain(value.config)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for field in dataclasses.fields(value):
             plain = to_plain(getattr(value, field.name))
-            found |= (plain or {}) if field.metadata.get("rest") else {field.name: plain}
-        return found
+            values |= (plain or {}) if field.metadata.get("rest") else {field.name: plain}
+        return values
     if isinstance(value, Mapping):
-        return {name: to_plain(one) for name, one in value.items()}
-    return [to_plain(one) for one in value] if isinstance(value, list | tuple) else value
+        return {name: to_plain(item) for name, item in value.items()}
+    return [to_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def convert(value: Any, hint: Any, key: str) -> Any:
-    """A plain value as what an annotation says.
+    """A plain value converted to the type of an annotation.
 
     Args:
         key: of the value, for messages.
@@ -107,10 +107,10 @@ def convert(value: Any, hint: Any, key: str) -> Any:
     if origin in (Union, types.UnionType):
         return _one_of(value, hint, key)
     if origin in (dict, Mapping) and isinstance(value, Mapping):
-        return {name: convert(one, inner[1], _joined(key, name)) for name, one in value.items()}
+        return {name: convert(item, inner[1], _joined(key, name)) for name, item in value.items()}
     if origin in (list, tuple, Sequence) and isinstance(value, list | tuple) and (origin is not tuple or inner[-1] is Ellipsis):
-        found = [convert(one, inner[0], f"{key}[{number}]") for number, one in enumerate(value)]
-        return tuple(found) if origin is tuple else found
+        items = [convert(item, inner[0], f"{key}[{number}]") for number, item in enumerate(value)]
+        return tuple(items) if origin is tuple else items
     if type(value) is int and not fits(value, hint) and fits(str(value), hint):
         value = str(value)  # a name or a path that consists of digits
     check_value(value, hint, key)

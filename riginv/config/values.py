@@ -1,6 +1,6 @@
-"""Plain values compared with type annotations, ranges included, and the sentences for those that do not fit.
+"""Comparison of plain values with type annotations, ranges included, and messages for those that do not fit.
 
-A range is part of the annotation: `steps: PositiveInt` of a dataclass field or of a constructor's argument says what a config
+A range is part of the annotation: `steps: PositiveInt` of a dataclass field or of a constructor's argument limits what a config
 may hold there.
 """
 
@@ -18,11 +18,11 @@ PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: "
 
 @dataclass(frozen=True)
 class Bound:
-    """What a value must be beyond its type: `Annotated[int, Bound("an even number", lambda value: value % 2 == 0)]`.
+    """A condition on a value beyond its type: `Annotated[int, Bound("an even number", lambda value: value % 2 == 0)]`.
 
     Attributes:
         words: what is expected, for a message.
-        holds: tells it of a value that is of the type.
+        holds: whether a value of the type is within the bound.
     """
 
     words: str
@@ -32,7 +32,6 @@ class Bound:
 NonNegativeInt = Annotated[int, Bound("a whole number of at least 0", lambda value: value >= 0)]
 PositiveInt = Annotated[int, Bound("a whole number of at least 1", lambda value: value >= 1)]
 AtLeast2 = Annotated[int, Bound("a whole number of at least 2", lambda value: value >= 2)]
-AtLeast3 = Annotated[int, Bound("a whole number of at least 3", lambda value: value >= 3)]
 NonNegativeFloat = Annotated[float, Bound("a finite number of at least 0", lambda value: value >= 0)]
 PositiveFloat = Annotated[float, Bound("a finite number above 0", lambda value: value > 0)]
 Fraction = Annotated[float, Bound("a number from 0 to 1", lambda value: 0 <= value <= 1)]
@@ -43,13 +42,13 @@ NonEmpty = Annotated[str, Bound("a path or a URL", lambda value: value != "")]
 
 
 def check_value(value: Any, hint: Any, key: str) -> None:
-    """Raises InputError where a value is not what an annotation says; the message names the key, the value and the expected."""
+    """Raises InputError where a value does not fit an annotation; the message names the key, the value and what is expected."""
     if not fits(value, hint):
         raise InputError(f"{key} is {value!r:.80}, expected {in_words(hint)}")
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Whether a plain value is what an annotation says; any value is, where the annotation is no plain type.
+    """Whether a plain value fits an annotation; any value does, where the annotation is no plain type.
 
     Whole numbers are numbers, true and false are none, and NaN and infinite values are none either.
     """
@@ -91,7 +90,7 @@ def _is_sequence(value: Any) -> bool:
 
 
 def in_words(hint: Any) -> str:
-    """What an annotation expects, for a message."""
+    """The values that an annotation allows, in words, for a message."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return next((bound.words for bound in inner[1:] if isinstance(bound, Bound)), in_words(inner[0]))
@@ -111,6 +110,6 @@ def in_words(hint: Any) -> str:
 
 
 def did_you_mean(word: str, words: Collection[str]) -> str:
-    """The end of a sentence about an unknown word: the nearest of those that are known, if any is near."""
+    """The end of a message about an unknown word: the nearest of the known `words`, if any is near."""
     near = difflib.get_close_matches(word, sorted(words), n=3, cutoff=0.5)
     return f"; did you mean {' or '.join(near)}?" if near else "."

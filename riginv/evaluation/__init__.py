@@ -1,1 +1,1 @@
-"""Evaluation by the true rig."""
+"""Evaluation on the true rig: evaluation sets, results, the optimum."""

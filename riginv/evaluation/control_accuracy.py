@@ -1,4 +1,4 @@
-"""Whether the right controls were found, where the true ones are known: not only the right mesh."""
+"""Accuracy of predicted controls against the true ones, where these are known."""
 
 import math
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class ConfusedPair(NamedTuple):
 
 @dataclass(frozen=True)
 class ControlAccuracy:
-    """How near the controls that were found are to the true ones. Controls that the mesh cannot tell apart count as one.
+    """Accuracy of predicted controls against the true ones. Controls that the mesh does not distinguish count as one.
 
     Attributes:
         precision: of the active controls that were found, the fraction that is truly active; NaN: none was found.
@@ -41,8 +41,8 @@ class ControlAccuracy:
         correlation: of a control's curve with the true one, averaged over controls whose true curve varies; NaN: no clip.
         active, true_active: number of active controls a frame.
         confused: pairs of controls, those that move the mesh most first.
-        same: names of controls that count as one.
-        still: names of controls that move no vertex; they do not count.
+        merged: names of controls that count as one.
+        without_effect: names of controls that move no vertex; they do not count.
     """
 
     precision: float
@@ -53,8 +53,8 @@ class ControlAccuracy:
     active: float
     true_active: float
     confused: tuple[ConfusedPair, ...]
-    same: tuple[tuple[str, ...], ...]
-    still: tuple[str, ...]
+    merged: tuple[tuple[str, ...], ...]
+    without_effect: tuple[str, ...]
 
     def figures(self) -> dict[str, float]:
         """The numbers by the names they have in metrics.json; those that are not defined are left out."""
@@ -74,8 +74,8 @@ class ControlAccuracy:
         return {
             **self.figures(),
             "confused_controls": [pair._asdict() for pair in self.confused],
-            "controls_counted_as_one": [list(group) for group in self.same],
-            "controls_without_effect": list(self.still),
+            "controls_counted_as_one": [list(group) for group in self.merged],
+            "controls_without_effect": list(self.without_effect),
         }
 
 
@@ -99,8 +99,8 @@ def control_accuracy(effects: ControlEffects, found: Tensor, true: Tensor, is_cl
         active=float(active.sum(dim=1).double().mean()),
         true_active=float(truly.sum(dim=1).double().mean()),
         confused=confused_pairs(effects, found, true),
-        same=effects.same,
-        still=effects.still,
+        merged=effects.merged,
+        without_effect=effects.without_effect,
     )
 
 

@@ -36,7 +36,7 @@ def random_poses(true_rig: RigBackend, count: int, purpose: str = "test") -> Pos
 
 
 def watched(sets: list[MeshSet], space: MeshSpace, count: int) -> dict[str, PoseBatch]:
-    """Validation sets: up to `count` evenly spaced meshes of each set, in mesh coordinates."""
+    """Validation sets, evaluated during training: up to `count` evenly spaced meshes of each set, in mesh coordinates."""
     result = {}
     for mesh_set in sets:
         rows = evenly(count, len(mesh_set)).tolist()

@@ -62,8 +62,8 @@ def evaluate_model(
         if not isinstance(model, Inverse):
             return [evaluate_rig(rig, held_out)]
         sets = [held_out, *([clip] if clip else [])]
-        found = [evaluate_inverse(model, rig, meshes).with_accuracy(ControlEffects.of_rig(rig)) for meshes in sets]
-        return [*found, evaluate_rig(rig, held_out.named("surrogate"))]
+        inverted = [evaluate_inverse(model, rig, meshes).with_accuracy(ControlEffects.of_rig(rig)) for meshes in sets]
+        return [*inverted, evaluate_rig(rig, held_out.named("surrogate"))]
     if not isinstance(model, Inverse):
         return [evaluate_rig(model, random_poses(true_rig, poses))]
     sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]

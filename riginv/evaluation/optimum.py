@@ -43,7 +43,7 @@ class Optimum:
         return float(self.errors_mm.double().mean())
 
     def ratio(self, result: EvaluationResult) -> float:
-        """How many times the optimum a result's mean error is, on the same meshes."""
+        """The ratio of a result's mean error to the optimum, on the same meshes."""
         return float(result.errors_mm[self.rows].double().mean()) / max(self.mean_mm, MIN_OPTIMUM_MM)
 
     def metrics(self, result: EvaluationResult) -> dict[str, float]:
@@ -60,7 +60,7 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]
     """
     if not (isinstance(true_rig, LinearRig) and true_rig.differentiable):
         return {}
-    key, objective, found = rig_digest(true_rig), None, {}
+    key, objective, optima = rig_digest(true_rig), None, {}
     for meshes in sets:
         if not len(meshes):
             continue
@@ -76,8 +76,8 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet]) -> dict[str, Optimum]
 
         facts = vertices.cpu().numpy().tobytes() + (b"" if known is None else known.cpu().numpy().tobytes())
         name = hashlib.sha256(key + facts).hexdigest()[:32]
-        found[meshes.name] = Optimum(rows, cached_tensors("optimum", name, solve)["errors_mm"])
-    return found
+        optima[meshes.name] = Optimum(rows, cached_tensors("optimum", name, solve)["errors_mm"])
+    return optima
 
 
 @torch.no_grad()
@@ -93,20 +93,20 @@ def least_errors(objective: Objective, vertices: Tensor, known: Tensor | None = 
     masks = [None] * len(vertices) if known is None else known[:, None]
     errors = []
     for units in (squares, descend_mean_distance(objective, coordinates, squares)):
-        found = zip(objective.to_controls(units), vertices, masks)
-        errors.append(torch.cat([mean_distance(rig(one[None]), mesh[None], mask) for one, mesh, mask in found]))
+        pairs = zip(objective.to_controls(units), vertices, masks)
+        errors.append(torch.cat([mean_distance(rig(controls[None]), mesh[None], mask) for controls, mesh, mask in pairs]))
     return torch.minimum(*errors)
 
 
 def known_vertices(meshes: MeshSet, rows: Tensor) -> Tensor | None:
-    """Which vertices of some meshes of a set errors are measured at, `(mesh, vertex)`; None: all."""
+    """The vertices at which errors of some meshes of a set are measured, a mask `(mesh, vertex)`; None: all."""
     masks = [mask for row in rows.tolist() if (mask := meshes.known(row, row + 1)) is not None]
     return torch.cat(masks) if masks else None
 
 
 @torch.no_grad()
 def rig_digest(rig: LinearRig) -> bytes:
-    """What a rig does, in a few bytes: its basis, its limits, and its coefficients in some poses."""
+    """A hash of what determines a rig: its basis, its limits, and its coefficients in some poses."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)
     facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([STARTS, STEPS, TOLERANCE, DESCENT_STEPS]))

@@ -105,7 +105,7 @@ def _evaluate(rig: RigBackend, meshes: MeshSet, controls_of: Callable[[int, Tens
 
 
 def make_true_rig(spec: ClassSpec[RigBackend], rig: RigBackend) -> RigBackend:
-    """The rig that evaluates `rig`; a class that can stand for another rig (`twin_of`) is told which.
+    """The rig that evaluates `rig`; a class with an argument `twin_of` receives the rig that it stands for.
 
     Raises:
         InputError: it cannot be built, or has other controls or vertices than the rig.

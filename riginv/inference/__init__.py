@@ -1,1 +1,1 @@
-"""Trained models as files, and ready for use."""
+"""Inference: bundles, which hold trained models, and the inverse that is loaded from one."""

@@ -53,7 +53,7 @@ class Bundle:
     """A bundle that has been read and checked.
 
     Attributes:
-        folder: where it lies.
+        folder: of the bundle.
         description: the content of bundle.yaml: `kind`, `network`, `rig`, `training`.
         weights: the network's.
         space: `rest_vertices`, `frame`, `faces`, `linear_map`.
@@ -176,7 +176,7 @@ def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
 
 
 def copy_bundle(folder: Path, to: Path) -> None:
-    """Copy a bundle: the files that it lists, as they are, and nothing else that lies there or that a link leads to."""
+    """Copy a bundle: only the files that its checksums name, and no links."""
     for name in [SUMS, *(name for _, _, name in _sums(folder))]:
         (to / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(folder / name, to / name)
@@ -204,7 +204,7 @@ def _check_file(folder: Path, name: str, expected: str) -> None:
 
 
 def _check_description(path: Path, description: Mapping[str, Any]) -> None:
-    """That a description has the fields that `write_bundle` writes."""
+    """Raises InputError where a description lacks fields that `write_bundle` writes."""
     _check_fields(path, "", description, FIELDS)
     rig, training = description["rig"], description["training"]
     _check_fields(path, "rig.", rig, RIG_FIELDS)
@@ -226,7 +226,7 @@ def _check_fields(path: Path, where: str, found: Mapping[str, Any], fields: Mapp
 
 
 def _check_tensors(folder: Path, weights: Mapping[str, Tensor], space: Mapping[str, Tensor]) -> None:
-    """That the mesh space has the shapes of one, and that every number is one."""
+    """Raises InputError where tensors have wrong shapes, or a number is not finite."""
     for name, words in SPACE_SHAPES.items():
         if name not in space or space[name].ndim != len(words) or space[name].is_floating_point() != (name != "faces"):
             raise InputError(f"{folder / SPACE}: {name} is missing or no array ({', '.join(words)}): altered; train it again")
@@ -243,7 +243,7 @@ def _check_tensors(folder: Path, weights: Mapping[str, Tensor], space: Mapping[s
 
 
 def is_damaged(folder: Path) -> bool:
-    """Whether a finished run's bundle is no longer what was written; says so, since it is then made again."""
+    """Whether a finished run's bundle differs from what was written; prints a warning, since it is then made again."""
     try:
         read_bundle(folder)
     except InputError as error:

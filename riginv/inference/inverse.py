@@ -26,8 +26,8 @@ from riginv.solvers.objective import Objective
 class QuickEncoder(nn.Module):
     """As `MeshSpace.encode`, in bfloat16 where a CPU multiplies such numbers: three times as fast as float32.
 
-    What is rounded are displacements, by 1 part in 256 each. Spread over thousands of vertices that cancels: mesh coordinates
-    come out within 0.2 % of their size. This is enough for a network, not for a solver or a mesh that moves by metres.
+    Displacements are rounded, each by 1 part in 256. Over thousands of vertices these errors cancel: mesh coordinates are
+    within 0.2 % of their size. This is enough for a network, not for a solver or a mesh that moves by metres.
 
     Args:
         space: whose coordinates.
@@ -50,8 +50,8 @@ class QuickEncoder(nn.Module):
 
 
 def _multiplies_bfloat16() -> bool:
-    ask = getattr(torch.cpu, "_is_avx512_bf16_supported", None)  # not a public name: it may go
-    return ask is not None and ask()
+    is_supported = getattr(torch.cpu, "_is_avx512_bf16_supported", None)  # not public: a later version may lack it
+    return is_supported is not None and is_supported()
 
 
 MIN_SIZE_FOR_BFLOAT16 = 1_000_000  # numbers of a frame: below it there is nothing to gain
@@ -62,10 +62,10 @@ class Inverse(nn.Module):
 
     Args:
         refine: steps of Levenberg-Marquardt that follow the network, mesh by mesh.
-        trained_seconds: what its training took.
+        trained_seconds: the duration of its training, s.
 
     Attributes:
-        network: from mesh coordinates to controls; it knows its rig and its mesh space.
+        network: from mesh coordinates to controls; holds its rig and its mesh space.
     """
 
     def __init__(self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0) -> None:
@@ -134,6 +134,6 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
 
 
 def bundle_rig(bundle: Bundle) -> RigBackend:
-    """The rig that a bundle describes: one of ours, or the surrogate that lies within the bundle."""
+    """The rig that a bundle describes: one of riginv, or the surrogate in the bundle."""
     own = {"bundle": str(bundle.folder / RIG)} if bundle.holds_surrogate else {}
     return build({**bundle.description["rig"]["config"], **own}, kind=RigBackend, only=OURS)

@@ -1,4 +1,4 @@
-"""What every command line shares: Hydra composes the config, and a user's mistake ends in one sentence."""
+"""The common part of all commands: Hydra composes the config, and a user's mistake ends in one sentence."""
 
 import functools
 import logging
@@ -13,7 +13,7 @@ from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.markup import escape
 
@@ -21,7 +21,6 @@ from riginv.config.building import OURS
 from riginv.config.folders import check_config_folders
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.path_values import quoted, with_quoted_paths
-from riginv.launch.help import register_help_resolvers
 from riginv.launch.job_process import exit_with_parent
 from riginv.launch.rank_process import exit_with_launcher, is_rank_process, report
 from riginv.launch.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
@@ -34,6 +33,7 @@ POSITIONAL = {"inspect": "clip"}  # the key of a command's positional argument
 ANSWERED_BY_HYDRA = ("--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i")
 OVERRIDE = re.compile(r"~|\+{0,2}[A-Za-z_][\w./@:-]*=")  # what Hydra takes for KEY=VALUE
 OPTIONS_WITH_VALUES = "--config-dir -cd --config-path -cp --config-name -cn --cfg -c --package -p --experimental-rerun".split()
+READING = {"reading": "reading/default.yaml", "frames": "frames/all.yaml"}  # groups of every command that reads a clip
 
 
 def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
@@ -59,10 +59,10 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
 
 
 def answer_help(module: str, config_name: str) -> None:
-    """Answer --help and its kin, and end: to be called before a command imports torch, which takes seconds.
+    """Answer --help and similar options, and exit; called before a command imports torch, which takes seconds.
 
     Args:
-        module: `__name__` of the command. Nothing happens where it is not `__main__`, or where a run is asked for.
+        module: `__name__` of the command. Nothing happens where it is not `__main__`, or without such an option.
     """
     if module == "__main__" and any(argument in ANSWERED_BY_HYDRA for argument in sys.argv[1:]):
         command(config_name)(lambda config: None)()
@@ -70,7 +70,7 @@ def answer_help(module: str, config_name: str) -> None:
 
 
 def _run(job: "_Job", config_name: str) -> None:
-    """Let Hydra compose the config of a command line, and run its job."""
+    """Compose the config of a command line with Hydra, and run its job."""
     try:
         options, values = split_options(sys.argv[1:])
         values = path_as_value(values, POSITIONAL.get(config_name))
@@ -113,7 +113,7 @@ def path_as_value(values: list[str], key: str | None) -> list[str]:
 
 
 def true_rig_choice(argument: str) -> str:
-    """Let `true_rig=NAME` choose from the group of rigs, as `rig=NAME` does."""
+    """Convert `true_rig=NAME` to a choice from the group of rigs, as `rig=NAME` is."""
     return f"rig@{argument}" if argument.startswith("true_rig=") else argument
 
 
@@ -186,3 +186,34 @@ def _stop(error: Exception, config_name: str) -> None:
         raise error
     Console(stderr=True).print("[bold red]error:[/]", escape(message), highlight=False, soft_wrap=True)
     sys.exit(1)
+
+
+def register_help_resolvers() -> None:
+    """Register the resolvers `${explained_keys:COMMAND}` and `${group_choices:GROUP}` of help texts."""
+    OmegaConf.register_new_resolver("explained_keys", explained_keys, replace=True, use_cache=True)
+    OmegaConf.register_new_resolver("group_choices", group_choices, replace=True, use_cache=True)
+
+
+def explained_keys(command: str) -> str:
+    """The keys of `conf/COMMAND.yaml`, and of how it reads a clip, with their values and comments."""
+    lines = _lines(f"{command}.yaml")
+    head = lines.index("defaults:")
+    body = next(number for number, line in enumerate(lines[head + 1 :], head + 1) if not line.startswith(" "))
+    shared = [line for line in _lines("run/sweep.yaml") if line.startswith("verbose:")]  # keys of every command
+    reading = [row for group in READING if f"  - {group}:" in "\n".join(lines[head:body]) for row in _group_keys(group)]
+    return "\n".join(f"  {line}".rstrip() for line in [*lines[body:], *shared, *reading]).strip("\n")
+
+
+def _group_keys(group: str) -> list[str]:
+    """The keys of a group's only choice that have a comment, below the group's name."""
+    about, *keys = _lines(READING[group])
+    return [f"{group + ':':25} {about}", *(f"  {line}" for line in keys if " # " in line)]
+
+
+def group_choices(group: str) -> str:
+    """The choices of a group, by name."""
+    return ", ".join(sorted(path.stem for path in (CONFIGS / group).glob("*.yaml")))
+
+
+def _lines(name: str) -> list[str]:
+    return (CONFIGS / name).read_text(encoding="utf-8").splitlines()

@@ -44,7 +44,7 @@ def run_in_processes(count: int, folder: Path) -> None:
             _kill(processes)
             signal.signal(signal.SIGTERM, before)
         if died:
-            _tell(died, count, Path(reports))
+            _report_failure(died, count, Path(reports))
 
 
 def _start(count: int, folder: Path, reports: Path) -> list[subprocess.Popen]:
@@ -109,7 +109,7 @@ def _kill(processes: list[subprocess.Popen]) -> None:
             process.wait()
 
 
-def _tell(died: dict[int, int], count: int, reports: Path) -> None:
+def _report_failure(died: dict[int, int], count: int, reports: Path) -> None:
     """Raise or print the cause: a user's mistake first, then a killed process, then a bug."""
     told = {rank: report for rank in died if (report := read_report(reports / str(rank)))}
     for report in told.values():

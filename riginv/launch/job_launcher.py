@@ -34,13 +34,13 @@ OF_THE_SWEEP = (
 
 
 class JobsLauncher(Launcher):
-    """Runs each job as a command line of its own, where `run_all` says."""
+    """Runs each job as a command line of its own; subclasses implement `run_all`."""
 
     package = ""  # that must be installed
     name = ""  # as in hydra/launcher=NAME
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Hydra's: what is to be run, which is the `run` of a command of ours.
+        """Called by Hydra with the task of a command.
 
         Raises:
             InputError: the package that this launcher needs is not installed.
@@ -48,17 +48,17 @@ class JobsLauncher(Launcher):
         if find_spec(self.package) is None:
             raise InputError(
                 f"hydra/launcher={self.name} needs the package {self.package}, which is not installed: "
-                "pip install 'riginv[sweeps]', or leave hydra/launcher away to run one job after the other"
+                "pip install 'riginv[sweeps]', or omit hydra/launcher to run one job after the other"
             )
         job: Any = task_function.__self__  # type: ignore[attr-defined]  # a method of `riginv.launch.command`
         self.context, self.module, self.config = hydra_context, job.module, config
 
     @abstractmethod
     def run_all(self, jobs: Sequence[Job]) -> None:
-        """Run every job by `run_in_subprocess`; one that cannot be run is left without an end."""
+        """Run every job by `run_in_subprocess`; the record of one that cannot be run stays without an end."""
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Hydra's: run a batch of jobs; what became of each is in its record."""
+        """Called by Hydra to run a batch of jobs; the outcome of each is in its record."""
         setup_globals()
         jobs = [self._job(overrides, initial_job_idx + index) for index, overrides in enumerate(job_overrides)]
         missing = [job for job in jobs if job.record().state != FINISHED]

@@ -19,7 +19,7 @@ PARENT_PID = "RIGINV_PARENT_PID"  # process id of the launcher, in the environme
 
 @dataclass(frozen=True)
 class Job:
-    """All that is needed to run a job somewhere: plain values, and folders that every machine sees under the same name.
+    """The description of a job, for any process or machine: plain values, and folders that all machines share.
 
     Attributes:
         module: the command, as in `python -m MODULE`.
@@ -80,7 +80,7 @@ def run_in_subprocess(job: Job, threads: int | None = None) -> None:
 
 
 def exit_with_parent() -> None:
-    """In the process of a job: exit as soon as its launcher has."""
+    """In the process of a job: exit as soon as its launcher has ended."""
     parent = os.environ.pop(PARENT_PID, None)
     if parent is not None:
         exit_with_process(int(parent))
@@ -101,7 +101,7 @@ POLL_SECONDS = 0.5
 
 
 def exit_with_process(parent: int) -> None:
-    """Exit as soon as the parent, of that process id, is gone."""
+    """Exit as soon as the parent, of that process id, has ended."""
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -16,7 +16,7 @@ LAUNCHER_PID, REPORT = "RIGINV_LAUNCHER_PID", "RIGINV_REPORT"
 
 @dataclass(frozen=True)
 class Report:
-    """What ended a process.
+    """The exception that ended a rank process.
 
     Attributes:
         text: a sentence for the user, or a traceback.
@@ -44,5 +44,5 @@ def read_report(path: Path) -> Report | None:
 
 
 def exit_with_launcher() -> None:
-    """Exit as soon as the launcher is gone."""
+    """Exit as soon as the launcher has ended."""
     exit_with_process(int(os.environ[LAUNCHER_PID]))

@@ -29,7 +29,7 @@ COLOURS = {FINISHED: "green", FAILED: "red"}
 
 
 class SweepTable(Callback):
-    """After a multirun: one row for each job, in the terminal, as `sweep.csv` and as `sweep.md`; exit code 1 if one failed."""
+    """Callback after a multirun: prints a row for each job, writes `sweep.csv` and `sweep.md`; exits with 1 on failure."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
@@ -81,7 +81,7 @@ def _say_what_failed(missing: Sequence[Row], count: int, folder: Path, module: s
     console = Console(stderr=True)
     for row in missing:
         console.print(f"  {escape(row['folder'])}: {escape(row['why'] or row['state'])}", soft_wrap=True, highlight=False)
-    where = f"each says why in {FAILURE} in its folder, and what it printed in {JOBS}/"
+    where = f"the reasons are in {FAILURE} in their folders, their output is in {JOBS}/"
     again = f"python -m {module} -m resume=true hydra.sweep.dir='{folder}'"
     console.print(
         f"[bold red]error:[/] {len(missing)} of {count} jobs failed; {where}. To run these again: {escape(again)}",

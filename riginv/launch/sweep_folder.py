@@ -1,4 +1,4 @@
-"""A sweep's folder: named by what was typed, and found again by `resume=true`."""
+"""A sweep's folder: named after the overrides of the command line, and found again by `resume=true`."""
 
 import datetime
 import re
@@ -23,7 +23,7 @@ NOT_OF_THE_TASK = ("hydra.", "hydra/", "resume=", "verbose=", "-")
 
 
 def register_sweep_resolvers() -> None:
-    """Let configs say `${sweep_folder:command,overrides}` and `${sweep_job:number,folder,overrides}`."""
+    """Register the resolvers `${sweep_folder:command,overrides}` and `${sweep_job:number,folder,overrides}` of configs."""
     OmegaConf.register_new_resolver("sweep_folder", new_sweep_folder, replace=True, use_cache=True)
     OmegaConf.register_new_resolver("sweep_job", job_name, replace=True)
 
@@ -37,12 +37,12 @@ def new_sweep_folder(command: str, overrides: Sequence[str]) -> str:
 
 
 def job_name(number: int, folder: str, overrides: Sequence[str]) -> str:
-    """`NUMBER_WHAT-SETS-IT-APART`, such as `03_model-holden_seed-1`."""
+    """`NUMBER_SWEPT-VALUES`, such as `03_model-holden_seed-1`."""
     return folder_name("_".join([f"{number:02d}", *map(_plain, swept(Path(folder), overrides))]))
 
 
 def swept(folder: Path, overrides: Sequence[str]) -> list[str]:
-    """What sets a job apart from the others of its sweep: the overrides that were not typed as they are."""
+    """The swept overrides of a job: those that differ from what was typed."""
     shared = [_as_hydra_writes(text) for text in typed_before(folder) or []]
     return [text for text in overrides if _as_hydra_writes(text) not in shared and not text.startswith(NOT_OF_THE_TASK)]
 
@@ -64,7 +64,7 @@ def typed_before(folder: Path, command: str | None = None) -> list[str] | None:
 
 
 def with_sweep_folder(arguments: list[str], command: str) -> list[str]:
-    """Lead a command line that resumes a sweep to the sweep's folder, and complete it there by what was typed before.
+    """Complete a command line that resumes a sweep: by the sweep's folder, and by what was typed when it began.
 
     Args:
         arguments: options first.
@@ -76,30 +76,30 @@ def with_sweep_folder(arguments: list[str], command: str) -> list[str]:
     if not {"-m", "--multirun", "hydra.mode=MULTIRUN"} & set(arguments):
         return arguments
     resume = any(text.lower() == "resume=true" for text in arguments)
-    given = [Path(text.removeprefix(FOLDER).strip("'\"")) for text in arguments if text.startswith(FOLDER)]
+    folders = [Path(text.removeprefix(FOLDER).strip("'\"")) for text in arguments if text.startswith(FOLDER)]
     typed = [text for text in arguments if re.search("=|^~", text) and not text.startswith(NOT_OF_THE_TASK)]
-    others = [text for text in arguments if text not in typed]
-    if not given:
-        same = [path for path in sorted(SWEEPS.glob("*")) if _same(_begun(path, command), typed)] if resume else []
-        return [*others, *(typed_before(same[-1]) or []), f"{FOLDER}{same[-1]}"] if same else arguments
-    before = _begun(given[-1])
+    options = [text for text in arguments if text not in typed]
+    if not folders:
+        same = [path for path in sorted(SWEEPS.glob("*")) if _same(_typed_for_job(path, command), typed)] if resume else []
+        return [*options, *(typed_before(same[-1]) or []), f"{FOLDER}{same[-1]}"] if same else arguments
+    before = _typed_for_job(folders[-1])
     if before is None:
         return arguments
     if not resume:
         raise InputError(
-            f"{given[-1]} holds a sweep already: add resume=true to run the jobs that are missing, "
+            f"{folders[-1]} holds a sweep already: add resume=true to run the jobs that are missing, "
             "or choose another hydra.sweep.dir=DIR"
         )
     if typed and not _same(before, typed):
         raise InputError(
-            f"{given[-1]} holds another sweep, of {' '.join(before)}: give the same arguments, or none, "
+            f"{folders[-1]} holds another sweep, of {' '.join(before)}: give the same arguments, or none, "
             "or choose another hydra.sweep.dir=DIR"
         )
-    return [*others, *before]
+    return [*options, *before]
 
 
-def _begun(folder: Path, command: str | None = None) -> list[str] | None:
-    """The same, where a job was started: Hydra writes its file even if it refuses what was typed."""
+def _typed_for_job(folder: Path, command: str | None = None) -> list[str] | None:
+    """As `typed_before`, where a job was started: Hydra writes its file even if it refuses the arguments."""
     return typed_before(folder, command) if (folder / JOBS).is_dir() else None
 
 
@@ -108,5 +108,5 @@ def _same(before: list[str] | None, typed: list[str]) -> bool:
 
 
 def _plain(text: str) -> str:
-    """A text without what a shell or Hydra would read as more than a letter: `seed=0` becomes `seed-0`."""
+    """A text without characters that are special in a shell or in Hydra: `seed=0` becomes `seed-0`."""
     return re.sub(r"[^\w.+-]", "-", text.replace("=[", "=")).strip("-")

@@ -31,7 +31,7 @@ EVENTS, ENDING = "events.out.tfevents.*", ".columns"
 
 
 def write_columns(sweep: Path, folders: Sequence[str], errors: Sequence[str]) -> None:
-    """Name the columns in a run of their own, which is the sweep's folder itself; jobs without choices are left out.
+    """Write the columns as a TensorBoard run of the sweep's folder itself; jobs without choices are left out.
 
     Args:
         sweep: the sweep's folder.
@@ -47,15 +47,15 @@ def write_columns(sweep: Path, folders: Sequence[str], errors: Sequence[str]) ->
         discard(old)
     if not values:
         return
-    jobs = max(len(given) for given in values.values())
+    jobs = max(len(chosen) for chosen in values.values())
     columns = [
-        _column(key, given) for key, given in values.items() if len(given) < jobs or key in NAMED_COLUMNS or _differ(given)
+        _column(key, chosen) for key, chosen in values.items() if len(chosen) < jobs or key in NAMED_COLUMNS or _differ(chosen)
     ]
     choices = sorted(columns, key=lambda column: not column.differs)
     results = [api_pb2.MetricInfo(name=api_pb2.MetricName(tag=f"{RESULT}/{key}")) for key in errors]
     experiment = api_pb2.Experiment(hparam_infos=choices, metric_infos=results, time_created_secs=time.time())
-    held = metadata.create_summary_metadata(plugin_data_pb2.HParamsPluginData(experiment=experiment))
-    value = Summary.Value(tag=metadata.EXPERIMENT_TAG, metadata=held, tensor=metadata.NULL_TENSOR)
+    summary_metadata = metadata.create_summary_metadata(plugin_data_pb2.HParamsPluginData(experiment=experiment))
+    value = Summary.Value(tag=metadata.EXPERIMENT_TAG, metadata=summary_metadata, tensor=metadata.NULL_TENSOR)
     writer = EventFileWriter(str(sweep), filename_suffix=ENDING)
     writer.add_event(Event(wall_time=time.time(), summary=Summary(value=[value])))
     writer.close()

@@ -16,10 +16,10 @@ POLL_SECONDS = 0.5
 
 
 class SweepProgress(Bar):
-    """Reads the jobs' records until it is left; where there is no terminal only the lines are shown.
+    """A progress bar that reads the jobs' records; without a terminal only a line for each finished job is printed.
 
     Args:
-        jobs: that are to be run.
+        jobs: the jobs of the sweep that have not finished.
     """
 
     def __init__(self, jobs: Sequence[Job]) -> None:
@@ -41,21 +41,21 @@ class SweepProgress(Bar):
 
     def _watch(self) -> None:
         while not self.over.wait(POLL_SECONDS):
-            self._look()
-        self._look()
+            self._update()
+        self._update()
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         records = [(job, job.record()) for job in self.jobs]
         self.jobs = [job for job, record in records if not record.has_ended]
         for _, record in records:
             if record.has_ended:
                 self.failed += record.state == FAILED
-                self._tell(record)
+                self._print_end(record)
         running = "; ".join(record.label for _, record in records if record.state == RUNNING)
         shown = f"{f'{self.failed} failed  ' if self.failed else ''}{f'running: {running}' if running else ''}"
         self.bar.update(self.task, completed=self.total - len(self.jobs), description=escape(shown))
 
-    def _tell(self, record: JobRecord) -> None:
+    def _print_end(self, record: JobRecord) -> None:
         how = f"{record.state} in {duration(record.seconds)}"
         if record.state == FAILED:
             how = f"[bold red]{how}:[/] {escape(record.why)}"

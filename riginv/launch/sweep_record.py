@@ -1,9 +1,9 @@
-"""Where each job of a sweep stands: one small file for each, in the sweep's folder, whatever process or machine it runs on.
+"""The states of a sweep's jobs: one small file for each job in the sweep's folder, which may be shared by machines.
 
 multirun.yaml         what was typed (Hydra's)
-jobs/NAME.json        how the job NAME stands
+jobs/NAME.json        the state of the job NAME
 jobs/NAME.log         what it printed, where it ran in a process of its own
-NAME/                 the job's own folder; failure.txt says why it failed
+NAME/                 the job's own folder; failure.txt has the reason of a failure
 sweep.csv, sweep.md   the table, once all have ended
 """
 
@@ -22,7 +22,7 @@ WAITING, RUNNING, FINISHED, FAILED = "waiting", "running", "finished", "failed"
 
 @dataclass
 class JobRecord:
-    """How one job stands.
+    """The state of a job.
 
     Attributes:
         number: its index in the sweep, from 0.
@@ -53,17 +53,17 @@ class JobRecord:
         return self.state in (FINISHED, FAILED)
 
     def waits(self, sweep: Path) -> None:
-        """Note that it is still to be run."""
+        """Record that the job waits."""
         self._write(sweep, WAITING)
 
     def started(self, sweep: Path) -> None:
-        """Note that it runs here, and forget why it failed before."""
+        """Record that the job runs on this machine, and clear an earlier failure."""
         discard(sweep / self.name / FAILURE)
         self.starts, self.why, self.host = self.starts + 1, "", platform.node()
         self._write(sweep, RUNNING)
 
     def ended(self, sweep: Path, seconds: float, why: str | None) -> None:
-        """Note that it finished, or why it failed; `failure.txt` has the whole of that."""
+        """Record that the job finished, or the reason why it failed, in full in `failure.txt`."""
         self.seconds = round(seconds, 1)
         if why is not None:
             *before, self.why = why.strip().splitlines()
@@ -77,17 +77,17 @@ class JobRecord:
 
 
 def record_file(sweep: Path, name: str) -> Path:
-    """Where a job's record lies; its log beside it."""
+    """The path of a job's record; its log is beside it."""
     return sweep / JOBS / f"{folder_name(name)}.json"
 
 
 def read_record(sweep: Path, number: int, name: str, swept: list[str]) -> JobRecord:
-    """How a job stands; waiting, where nothing is known of it."""
+    """The state of a job; waiting, where there is no record of it."""
     return _read(record_file(sweep, name)) or JobRecord(number, name, swept)
 
 
 def read_records(sweep: Path) -> list[JobRecord]:
-    """How all jobs stand, in their order."""
+    """The states of all jobs, in their order."""
     records = [_read(path) for path in sweep.glob(f"{JOBS}/*.json")]
     return sorted((record for record in records if record is not None), key=lambda record: record.number)
 

@@ -1,4 +1,4 @@
-"""A sweep as a table: a row for each job, what sets it apart, how it stands and what it reached."""
+"""A sweep as a table: a row for each job with its swept values, state and results."""
 
 import math
 from collections.abc import Sequence
@@ -45,13 +45,13 @@ def error_columns(rows: Sequence[Row]) -> list[str]:
 
 
 def swept_columns(rows: Sequence[Row]) -> list[str]:
-    """The columns that set jobs apart: all before `state`."""
+    """The columns of swept keys: all before `state`."""
     keys = (key for row in rows for key in list(row)[: list(row).index("state")])
     return list(dict.fromkeys(keys))
 
 
 def shown_columns(rows: Sequence[Row]) -> dict[str, str]:
-    """The columns that are shown to people, each with its heading."""
+    """The columns that are printed, each with its heading."""
     headings = {key: key.rpartition(".")[2] if key.count(".") else key for key in swept_columns(rows)}
     if len(set(headings.values())) < len(headings):
         headings = {key: key for key in headings}
@@ -62,7 +62,7 @@ def shown_columns(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def shown(value: Any) -> str:
-    """A cell as people read it."""
+    """The text of a cell."""
     if value is None or value == "":
         return "-"
     if isinstance(value, float):
@@ -71,7 +71,7 @@ def shown(value: Any) -> str:
 
 
 def write_tables(sweep: Path, rows: Sequence[Row]) -> None:
-    """Write the rows as `sweep.csv`, with every metric, and as `sweep.md`, to paste."""
+    """Write the rows as `sweep.csv`, with every metric, and as `sweep.md`, for documents."""
     write_text(sweep / CSV, csv_text(list(dict.fromkeys(key for row in rows for key in row)), rows))
     headings, cells = shown_columns(rows), [[shown(row.get(key)) for key in shown_columns(rows)] for row in rows]
     table = markdown_text(list(headings.values()), cells, text_columns(rows))
@@ -79,13 +79,13 @@ def write_tables(sweep: Path, rows: Sequence[Row]) -> None:
 
 
 def text_columns(rows: Sequence[Row]) -> list[int]:
-    """Which of the shown columns are words: those that were swept."""
+    """The shown columns that hold words: those that were swept."""
     names = swept_columns(rows)
     return [number for number, key in enumerate(shown_columns(rows)) if key in names]
 
 
 def caption(rows: Sequence[Row]) -> str:
-    """What the columns hold, and how they are sorted; empty without errors."""
+    """The caption of the table: the meaning of its columns, and the order of its rows; empty without errors."""
     by = {ranked_by([row for row in rows if row.get("rig") == rig]): None for rig in (row.get("rig") for row in rows)}
     names = [key.removesuffix(ERROR).replace("_", " ") for key in by if key]
     sorting = f"; sorted by that on {' or '.join(names)}" if names else ""

@@ -12,7 +12,7 @@ from typing import TextIO
 
 @contextmanager
 def exit_on_broken_pipe() -> Iterator[None]:
-    """Within it a command ends with exit status 1, and no traceback, once its output is closed."""
+    """A context in which a command exits with status 1, without a traceback, once its output is closed."""
     try:
         yield
     except SystemExit:
@@ -34,7 +34,7 @@ def _end_if_any(closed: list[TextIO]) -> None:
 
 
 def _closed_while_flushing() -> list[TextIO]:
-    """The streams that hold text which nobody reads any more."""
+    """The streams with unwritten text whose reader has closed them."""
     closed = []
     for stream in _streams():
         try:
@@ -55,7 +55,7 @@ def _is_broken_pipe(error: BaseException | None) -> bool:
 
 
 def _has_no_reader(stream: TextIO) -> bool:
-    """Whether a stream is a pipe that nobody reads from; a pipe to a worker may break, too, and that is no such end."""
+    """Whether a stream is a pipe without a reader; distinguishes the command's output from a broken pipe to a worker."""
     if not hasattr(select, "poll"):
         return True
     poll = select.poll()

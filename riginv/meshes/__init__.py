@@ -1,1 +1,1 @@
-"""Meshes in files: polygons, OBJ and PLY, as they stand, with their vertices in the file's order."""
+"""Meshes: polygons, OBJ and PLY files with their vertex order kept, metrics, rendering."""

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from riginv.errors import listed
 from riginv.meshes.polygons import Polygons
 
 
@@ -45,15 +46,11 @@ class MeshFile(ABC):
         """
 
 
-NAMED = 6  # objects that a note lists
-
-
 def note_on_objects(path: Path, names: Sequence[str]) -> tuple[str, ...]:
     """The note that several objects of a file are read as one mesh."""
     if len(names) < 2:
         return ()
-    listed = ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
-    return (f"{len(names)} objects in {path.name} ({listed}) were read as one mesh, in this order.",)
+    return (f"{len(names)} objects in {path.name} ({listed(names)}) were read as one mesh, in this order.",)
 
 
 class Points(NamedTuple):

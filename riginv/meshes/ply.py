@@ -85,7 +85,7 @@ def _vertex_number(path: Path, header: Header) -> int:
 
 
 def _text_points(path: Path, header: Header, body: bytes) -> tuple[Points | None, int]:
-    """The vertices, where they come first, one per line, and the offset behind them; None where they do not."""
+    """The vertices, where they come first, one per line, and the offset behind them; None where they do not come first."""
     element = header.elements[0]
     ends = np.flatnonzero(np.frombuffer(body, np.uint8) == ord("\n"))
     if element.has_lists or not 0 < element.count <= len(ends) + 1:

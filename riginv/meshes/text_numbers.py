@@ -1,4 +1,4 @@
-"""Numbers in text files: which spellings are read, which are repaired, and why others are refused.
+"""Numbers in text files: parsing, repair of unusual spellings, and the reasons why others are refused.
 
 NaN and infinity have many spellings: `nan`, `-nan(ind)`, `1.#IND00` (Microsoft's C library before 2015), `Infinity`. All are
 read as NaN, unknown. Fortran writes exponents with D or Q: `1.0D+02`. Both are unambiguous. Decimal commas and separators of
@@ -88,7 +88,7 @@ def number_of(word: str) -> float | None:
 
 
 def no_number(word: str) -> str:
-    """Why a word is not a number, and a remedy; empty where unknown.
+    """The reason why a word is not a number, and a remedy; empty where unknown.
 
     Example:
         >>> no_number("1,5")[:15]

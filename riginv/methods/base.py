@@ -24,7 +24,7 @@ class Method(ABC):
 
     Attributes:
         rig: the same.
-        seed: of whatever is drawn; set by `prepare`.
+        seed: of all random draws; set by `prepare`.
         fingerprint: hash of what the config does not determine, such as a bundle's weights; when it changes, `compare` reruns.
         trained_seconds: what was spent on training before, as on a network that is loaded; `compare` adds it to its own.
         source: what is implemented: the paper, and what was changed and why.
@@ -38,11 +38,11 @@ class Method(ABC):
 
     @classmethod
     def unsuited(cls, rig: LinearRig) -> str:
-        """Why the method cannot invert a rig, such as "it has no blendshapes"; empty where it can."""
+        """The reason why the method cannot invert a rig, such as "it has no blendshapes"; empty where it can."""
         return ""
 
     def prepare(self, seed: int) -> None:
-        """Train, fit or tabulate whatever the method needs before its first mesh; `compare` times it as `training_seconds`.
+        """Train, fit or tabulate what the method needs before its first mesh; `compare` times it as `training_seconds`.
 
         Called once, before `invert`; equal seeds must give equal results. Most methods only keep the seed.
         """
@@ -62,7 +62,7 @@ class Method(ABC):
 
 
 def encoded(meshes: MeshSet, space: MeshSpace) -> Tensor:
-    """All meshes of a set in the coordinates of a mesh space, `(mesh, coordinate)`, read piece by piece."""
+    """All meshes of a set in the coordinates of a mesh space, `(mesh, coordinate)`, read in batches."""
     pieces = [space.encode(vertices) for _, vertices in meshes.batches()]
     return torch.cat(pieces) if pieces else space.directions.new_zeros(0, space.size)
 

@@ -42,12 +42,12 @@ Rows = list[dict[str, Any]]
 
 
 def keep_rows(folder: Path, name: str, facts: Mapping[str, Any], rows: Rows) -> None:
-    """Keep what a method reached, with what it depends on: its config and the like."""
+    """Store the results of a method, with all that they depend on, such as its config."""
     write_json(folder / METHODS / f"{name}.json", {**facts, "rows": rows})
 
 
 def kept_rows(folder: Path, name: str, facts: Mapping[str, Any]) -> Rows | None:
-    """What a method reached before, or None where it has not finished yet or depended on something else then."""
+    """The stored results of a method, or None where it has not finished or they depend on something else."""
     path = folder / METHODS / f"{name}.json"
     if not path.is_file():
         return None
@@ -59,7 +59,7 @@ def kept_rows(folder: Path, name: str, facts: Mapping[str, Any]) -> Rows | None:
 
 
 def read_kept(path: Path) -> dict[str, Any]:
-    """What `keep_rows` wrote.
+    """The content of a file that `keep_rows` wrote.
 
     Raises:
         InputError: it is damaged.
@@ -69,7 +69,7 @@ def read_kept(path: Path) -> dict[str, Any]:
     whole = fits(kept.get("source"), str) and fits(found, list[Mapping[str, Any]])
     rows = [{**dict.fromkeys(ACCURACY), **row} for row in found] if whole else []  # earlier versions did not measure it
     if not rows or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
-        raise InputError(f"{path}: not what a finished method left there: altered; remove it, and the method is run again")
+        raise InputError(f"{path}: altered since a method wrote it; remove it, and the method is run again")
     return {**kept, "rows": rows}
 
 
@@ -154,24 +154,24 @@ def _plot(rows: Rows) -> Figure:
 
 
 def _linear_below(rows: Rows, key: str) -> dict[str, float]:
-    """Where a logarithmic axis that must show 0 too turns linear."""
+    """The value below which a logarithmic axis that must show 0 is linear."""
     positive = [row[key] for row in rows if row[key] > 0]
     return {"linthresh": min(positive, default=1.0)} if len(positive) < len(rows) else {}
 
 
 class ComparisonProgress(Bar):
-    """To be entered with the number of methods; where there is no terminal only the lines are shown."""
+    """A progress bar over methods; without a terminal only a line for each finished method is printed."""
 
     def __init__(self, methods: int) -> None:
         super().__init__(BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
         self.task = self.bar.add_task("", total=methods)
 
     def at(self, method: str, what: str) -> None:
-        """A method is at something now: a set's name, or that it is being prepared."""
+        """Show what a method works on: a set, or its preparation."""
         self.bar.update(self.task, description=f"{method}: {what}")
 
     def finished(self, method: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        """A method is done on every set."""
+        """Show that a method has finished all sets."""
         errors = ", ".join(f"{row['set'].replace('_', ' ')} {row['mean_vertex_error_mm']:.3g}" for row in rows)
         self.bar.console.print(f"{method}: {errors} mm", soft_wrap=True, highlight=False)
         self.bar.advance(self.task)

@@ -1,4 +1,4 @@
-"""Direct optimisation, as the paper compares itself with."""
+"""Direct optimisation, the paper's point of comparison."""
 
 import torch
 from torch import Tensor
@@ -55,7 +55,7 @@ class Direct(Method):
 
 
 class Neutral(Method):
-    """Neutral controls for every mesh: what any other method has to beat."""
+    """Neutral controls for every mesh: the reference for all other methods."""
 
     source = "none: the yardstick at the lower end"
 

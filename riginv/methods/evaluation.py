@@ -1,4 +1,4 @@
-"""One method on one set: how good, how smooth, how sparse, how fast."""
+"""Evaluation of one method on one set: errors, roughness, sparsity and time."""
 
 import time
 from dataclasses import asdict, dataclass
@@ -20,7 +20,7 @@ ACCURACY = ("control_precision", "control_recall", "control_error_weighted")
 
 @dataclass(frozen=True)
 class Row:
-    """What a method reached on a set; the fields but the last are the columns of compare.csv.
+    """The results of a method on a set; the fields but the last are the columns of compare.csv.
 
     None: of roughness, where the set is no clip; of the optimum and of the controls, where these are not known.
     """
@@ -44,7 +44,7 @@ class Row:
 
 
 class Clocked(MeshSet):
-    """A set that keeps count of the seconds it takes to make its meshes, and hides the controls that made them."""
+    """A set that measures the time it takes to make its meshes, and does not expose the controls that made them."""
 
     def __init__(self, meshes: MeshSet) -> None:
         super().__init__(meshes.name, meshes.fps, frame_numbers=meshes.frame_numbers)

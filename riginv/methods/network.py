@@ -15,7 +15,7 @@ BATCH_SIZE = 512
 
 
 class Network(Method):
-    """The network of a bundle, trained beforehand by `python -m riginv.train`; its training time is the bundle's.
+    """The network of a bundle, trained by `python -m riginv.train`; its training time is the bundle's.
 
     Args:
         bundle: the bundle of an inverse, or the run that holds it.
@@ -39,7 +39,7 @@ class Network(Method):
 
     @torch.no_grad()
     def invert(self, meshes: MeshSet) -> Tensor:
-        """In the mesh space that the network was trained in, whose axes may be others than those of `rig`."""
+        """As `Method.invert`, in the mesh space of the network, whose axes may differ from those of `rig`."""
         coordinates = encoded(meshes, self.inverse.network.rig.space)
         pieces = [self.inverse.network(piece) for piece in coordinates.split(BATCH_SIZE) if len(piece)]
         return torch.cat(pieces) if pieces else self.rig.source.lower.new_zeros(0, len(self.rig.source.controls))

@@ -20,7 +20,7 @@ class LevenbergMarquardt(Method):
     """Levenberg-Marquardt on each mesh; in a clip, started from neighbouring frames.
 
     Args:
-        starts: of meshes that are no clip.
+        starts: number of starts of each unrelated mesh.
         key_starts: of every fourth frame of a clip.
         steps: linearisations from each start.
         more_steps: for frames that start from a neighbour's answer.
@@ -69,7 +69,7 @@ class LevenbergMarquardt(Method):
 
 
 class Clip(LevenbergMarquardt):
-    """A whole clip at once, with smooth curves; meshes that are no clip are solved one by one.
+    """A whole clip at once, with smooth curves; unrelated meshes are solved one by one.
 
     Args:
         smoothness: as in `solve_clip`.
@@ -121,7 +121,7 @@ class Clip(LevenbergMarquardt):
 
 
 class Refined(Network):
-    """A network's answer and a few steps of Levenberg-Marquardt from there, mesh by mesh.
+    """The output of a network, and a few steps of Levenberg-Marquardt from there, mesh by mesh.
 
     Args:
         bundle: the bundle of an inverse, or the run that holds it.

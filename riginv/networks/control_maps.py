@@ -120,7 +120,7 @@ class NeutralStart(ControlMap):
 
 
 def _through_tanh(gradient: Tensor, outputs: Tensor) -> Tensor:
-    """The vector-Jacobian product of tanh, by its outputs; rounds as automatic differentiation does."""
+    """The vector-Jacobian product of tanh, by its outputs; rounded as by automatic differentiation."""
     return torch.ops.aten.tanh_backward(gradient, outputs)
 
 

@@ -1,4 +1,4 @@
-"""Which controls and shapes the coefficients of a blendshape rig depend on, found by posing it.
+"""Dependencies of the coefficients of a blendshape rig on controls and shapes, found by posing it.
 
 A primary shape depends on a few controls, a corrective on the shapes that it corrects.
 """
@@ -19,7 +19,7 @@ CERTAIN = 0.995  # fraction of the poses with an active corrective in which a sh
 
 
 class Dependencies(NamedTuple):
-    """What each coefficient depends on; rows are padded with -1.
+    """The controls and shapes that each coefficient depends on; rows are padded with -1.
 
     Attributes:
         drivers: controls of each primary shape, `(primary, slot)`.
@@ -32,7 +32,7 @@ class Dependencies(NamedTuple):
 
 @torch.no_grad()
 def find_dependencies(rig: LinearRig, drivers: int, parents: int) -> Dependencies:
-    """Find what the coefficients of a blendshape rig depend on, the strongest dependency first.
+    """The dependencies of a blendshape rig's coefficients, the strongest first.
 
     Args:
         drivers, parents: the greatest number of each.
@@ -73,5 +73,5 @@ def _given(events: Tensor, conditions: Tensor) -> Tensor:
 def _strongest(scores: Tensor, most: int) -> Tensor:
     """The columns of the greatest positive scores of each row, `(row, most)`, padded with -1."""
     values, columns = scores.topk(min(most, scores.shape[1]), dim=1)
-    found = torch.where(values > 0, columns, -1)
-    return torch.nn.functional.pad(found, (0, most - found.shape[1]), value=-1)
+    strongest = torch.where(values > 0, columns, -1)
+    return torch.nn.functional.pad(strongest, (0, most - strongest.shape[1]), value=-1)

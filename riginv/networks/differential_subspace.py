@@ -59,13 +59,13 @@ def reconstruction(
     normal = local @ local.T + weight * positions @ positions.T
     normal.diagonal().add_(1e-9 * normal.diagonal().mean())
     to_coefficients = torch.linalg.solve(normal, torch.linalg.pinv(deltas))
-    found = Reconstruction(
+    maps = Reconstruction(
         local_parts.unflatten(1, (-1, 3)),
         anchor_parts.unflatten(1, (-1, 3)),
         local_parts @ local.T @ to_coefficients,
         weight * anchor_parts @ positions.T @ to_coefficients,
     )
-    return Reconstruction(*(values.to(rig.dtype) for values in found))
+    return Reconstruction(*(values.to(rig.dtype) for values in maps))
 
 
 def _principal(seen: Tensor) -> Tensor:

@@ -52,7 +52,7 @@ class RigFeatures(nn.Module):
 
     @staticmethod
     def offered_by(rig: RigInMeshSpace) -> bool:
-        """Whether the rig has features (`LinearRig.features`)."""
+        """Whether a rig has features (`LinearRig.features`)."""
         return rig.source.features(rig.neutral_coefficients) is not None
 
     @classmethod
@@ -94,10 +94,10 @@ class RigFeatures(nn.Module):
         return self.change(self.rest, self._features(coordinates))
 
     def residual(
-        self, target: Float[Tensor, "batch coordinate"], found: Float[Tensor, "batch coordinate"]
+        self, target: Float[Tensor, "batch coordinate"], predicted: Float[Tensor, "batch coordinate"]
     ) -> Float[Tensor, "batch feature"]:
-        """The residual `(batch, feature)` of meshes that were found against their targets, both in mesh coordinates."""
-        return self.change(self._features(found), self._features(target))
+        """The residual `(batch, feature)` of predicted meshes against their targets, both in mesh coordinates."""
+        return self.change(self._features(predicted), self._features(target))
 
     def change(self, before: Tensor, after: Tensor) -> Tensor:
         """The scaled difference of unscaled features, all `(batch, feature)`."""

@@ -45,7 +45,7 @@ class Estimate:
 
     @functools.cached_property
     def controls(self) -> Tensor:
-        """`(batch, control)`, with a graph from the network."""
+        """The controls within the limits, `(batch, control)`, with a graph from the network."""
         return self.control_map(self.raw)
 
     @functools.cached_property
@@ -55,20 +55,20 @@ class Estimate:
 
     @functools.cached_property
     def _posed(self) -> tuple[Tensor, Vjp]:
-        """`found`, and the vector-Jacobian product from coordinates to raw outputs."""
+        """`detached_coordinates`, and the vector-Jacobian product from coordinates to raw outputs."""
         controls, to_raw = self.control_map.with_vjp(self.raw.detach())
-        found, to_controls = self.rig.coordinates_and_vjp(controls)
-        return found, lambda gradient: to_raw(to_controls(gradient))
+        coordinates, to_controls = self.rig.coordinates_and_vjp(controls)
+        return coordinates, lambda gradient: to_raw(to_controls(gradient))
 
     @property
-    def found(self) -> Tensor:
+    def detached_coordinates(self) -> Tensor:
         """As `coordinates`, without a graph."""
         return self._posed[0]
 
     @functools.cached_property
     def error(self) -> Tensor:
-        """`found` minus the target, `(batch, coordinate)`, without a graph."""
-        return self.found - self.target
+        """`detached_coordinates` minus the target, `(batch, coordinate)`, without a graph."""
+        return self.detached_coordinates - self.target
 
     @functools.cached_property
     def squares(self) -> Tensor:
@@ -226,7 +226,7 @@ class StagedInverse(InverseNetwork):
         """The raw outputs `(batch, control)` of an estimate, refined by a stage."""
         before, gradient = estimate.raw.detach(), estimate.gradient / self.gradient_scale
         if self.features:
-            residual = self.features.residual(estimate.target, estimate.found)
+            residual = self.features.residual(estimate.target, estimate.detached_coordinates)
         else:
             residual = estimate.error / -self.coordinate_scale
         squashed = torch.tanh(0.3 * before)
@@ -235,7 +235,7 @@ class StagedInverse(InverseNetwork):
         return before + stage(torch.cat([inputs, residual, gradient, squashed], dim=1))
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
-        """The last estimate; where the rig has features the best one of each mesh, for there a refinement step may fail."""
+        """The last estimate; where the rig has features the best one of each mesh, since a refinement step may fail there."""
         estimates = self.estimates(coordinates)
         return self._best(estimates) if self.features else estimates[-1].controls
 

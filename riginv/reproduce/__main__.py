@@ -51,7 +51,7 @@ def reproduce(config: DictConfig) -> None:
         plan.expect(measured(timed_trainings(settings.budget, settings.rig), rig))
     graph = Graph(plan.steps, folder.path / "steps", *code_hashes(rig.source, [settings.rig, settings.body, true_rig.spec]))
     if stale := graph.stale_steps():
-        say(f"{len(stale)} kept steps are of another version of riginv or of its libraries, and are made anew.")
+        say(f"{len(stale)} kept steps are of another version of riginv or of its libraries, and are run again.")
 
     if note:
         say(note, markup=False)

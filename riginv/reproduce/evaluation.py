@@ -97,7 +97,7 @@ class EvaluateRig(Task):
 
 
 def read_errors(folder: str | Path) -> dict[str, Tensor]:
-    """What `EvaluateControls` wrote: mean vertex errors, mm, by SET/mesh `(mesh,)` and SET/vertex `(vertex,)`."""
+    """The results of `EvaluateControls`: mean vertex errors, mm, by SET/mesh `(mesh,)` and SET/vertex `(vertex,)`."""
     return read_tensors(Path(folder) / ERRORS_FILE)
 
 

@@ -30,7 +30,7 @@ def training_config(settings: Sequence[str], rig: ClassSpec[RigBackend], seed: i
     own = {"rig": dict(rig.config), "true_rig": None, "seed": seed, "capture": None}
     training = to_typed(copy.deepcopy(_composed(*last.values())) | own, TrainConfig)
     if (devices := training.trainer.processes) > 1:
-        raise InputError(f"a budget asks for {devices} devices: riginv.reproduce trains on one (trainer.devices=1)")
+        raise InputError(f"a budget has {devices} devices: riginv.reproduce trains on one (trainer.devices=1)")
     return training
 
 

@@ -22,10 +22,10 @@ Seeds = Annotated[Sequence[int], Bound("different whole numbers of at least 0, s
 
 @dataclass(frozen=True)
 class NetworkBudget:
-    """How a network is trained.
+    """The training of a network.
 
     Attributes:
-        steps: training steps; None: as the settings say.
+        steps: training steps; None: as in `settings`.
         settings: arguments of `riginv.train`.
     """
 
@@ -58,7 +58,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is computed; conf/budget/quick.yaml explains each key."""
+    """The amount of computation; conf/budget/quick.yaml explains each key."""
 
     name: str
     about: str

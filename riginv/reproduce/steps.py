@@ -53,7 +53,7 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Task(ABC):
-    """What a step does: plain values that its result depends on.
+    """The work of a step: plain values that its result depends on.
 
     Attributes:
         draws: whether it draws figures only, so that no other step depends on its code.

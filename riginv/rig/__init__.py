@@ -1,1 +1,1 @@
-"""Rigs: their interface, those known by meshes alone, and the mesh space that everything is trained in."""
+"""Rigs: the interface, its contract, black-box and recorded rigs, and mesh space."""

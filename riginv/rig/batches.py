@@ -11,7 +11,7 @@ from torch import Tensor
 def generator_at(seed: int, *key: int | str, device: torch.device | str = "cpu") -> torch.Generator:
     """A random generator that depends on nothing but a seed and a key, such as a set's name or a step's number.
 
-    So a stopped run continues exactly as it would have gone on, and evaluation sets are independent of training.
+    So an interrupted run continues with identical results, and evaluation sets are independent of training.
     """
     digest = hashlib.sha256(repr((seed, *key)).encode()).digest()
     return torch.Generator(device).manual_seed(int.from_bytes(digest[:8], "little") >> 1)

@@ -15,7 +15,7 @@ PROBES = 4  # random directions in which gradients are checked: a Jacobian of al
 
 
 class ContractError(AssertionError):
-    """A rig broke the contract; the message says how."""
+    """A rig does not meet the contract; the message names the clause and the values."""
 
 
 def check_rig(rig: RigBackend, seed: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""What each control does to the mesh, from the Jacobian of a rig in several poses, and which controls do the same."""
+"""Displacements of the mesh by each control, from the Jacobian of a rig in several poses, and controls with equal effects."""
 
 from dataclasses import dataclass
 
@@ -13,13 +13,13 @@ from riginv.rig.random_controls import sparse_controls, uniform
 
 POSES, MAX_ACTIVE, SEED = 4, 10, 20221206  # random poses of each kind
 MAX_COEFFICIENTS = 2000  # of a rig whose Jacobian is taken through its basis: more cost more than its vertices
-SAME_COSINE = 0.999  # of the displacements of two controls that the mesh cannot tell apart
+SAME_COSINE = 0.999  # of the displacements of two controls that the mesh does not distinguish
 STILL_MM = 2e-3  # root mean square displacement over the range of a control that moves nothing: above rounding
 
 
 @dataclass(frozen=True)
 class ControlEffects:
-    """The motion of the mesh by each control; controls that the mesh cannot tell apart are merged into one column.
+    """The motion of the mesh by each control; controls that the mesh does not distinguish are merged into one column.
 
     Attributes:
         names: of the columns: those of merged controls are joined by `=`.
@@ -27,23 +27,23 @@ class ControlEffects:
             the control of a column that moves the mesh most.
         gram: `(column, column)`, mm^2: the mean inner product over the vertices of the displacements by two columns over their
             ranges, averaged over poses.
-        same: the names of controls that the mesh cannot tell apart, group by group.
-        still: the names of controls that move no vertex in any of the poses; they have no column.
+        merged: the names of controls that the mesh does not distinguish, group by group.
+        without_effect: the names of controls that move no vertex in any of the poses; they have no column.
         neutral, span: the neutral values and the ranges of the controls, `(control,)`.
     """
 
     names: tuple[str, ...]
     merge: Tensor
     gram: Tensor
-    same: tuple[tuple[str, ...], ...]
-    still: tuple[str, ...]
+    merged: tuple[tuple[str, ...], ...]
+    without_effect: tuple[str, ...]
     neutral: Tensor
     span: Tensor
 
     @classmethod
     @torch.no_grad()
     def of_rig(cls, rig: RigBackend) -> "ControlEffects":
-        """The effects of a rig's controls, by finite differences: any rig will do."""
+        """The effects of a rig's controls, by finite differences, so that it need not be differentiable."""
         grams = _grams(rig)
         sizes = grams.diagonal(dim1=1, dim2=2).sqrt()
         gram, moves = grams.mean(dim=0), sizes > STILL_MM
@@ -60,8 +60,8 @@ class ControlEffects:
             names=tuple(" = ".join(names[control] for control in group) for group in groups),
             merge=merge,
             gram=gram[kept][:, kept],
-            same=tuple(tuple(names[control] for control in group) for group in groups if len(group) > 1),
-            still=tuple(name for name, moved in zip(names, moves.any(dim=0).tolist()) if not moved),
+            merged=tuple(tuple(names[control] for control in group) for group in groups if len(group) > 1),
+            without_effect=tuple(name for name, moved in zip(names, moves.any(dim=0).tolist()) if not moved),
             neutral=rig.neutral_controls.cpu().double(),
             span=(rig.upper - rig.lower).cpu().double(),
         )

@@ -1,4 +1,4 @@
-"""Whether a store's poses are of a given rig: a hash of its exact properties, and a fingerprint of a few posed meshes."""
+"""The identity of a rig, for stores of its poses: a hash of its exact properties, and a fingerprint of a few meshes."""
 
 import hashlib
 import json

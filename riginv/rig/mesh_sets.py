@@ -46,7 +46,7 @@ class MeshSet(ABC):
         return renamed
 
     def batches(self, size: int = 128) -> Iterator[tuple[int, Tensor]]:
-        """All meshes in order, `size` at a time: the index of the first of a batch, and their vertices."""
+        """Yields all meshes in order, `size` at a time: the index of the first of a batch, and their vertices."""
         for start in range(0, len(self), size):
             yield start, self.vertices(start, min(start + size, len(self)))
 

@@ -1,4 +1,4 @@
-"""Tables of sampled pairs: controls and a rig's vertices at these, written wherever the rig runs.
+"""Tables of sampled pairs: controls and a rig's vertices at these, written by the program in which the rig runs.
 
 A table is a `.npz` file, a folder of `.npy` files, or a zarr group, with these arrays:
 

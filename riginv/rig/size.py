@@ -1,4 +1,4 @@
-"""The size of a rig and whether it is plausible: faces are about 200 mm tall, bodies about 2 m."""
+"""The size of a rig, and a test of whether it is plausible: faces are about 200 mm tall, bodies about 2 m."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -63,7 +63,7 @@ def length(mm: float) -> str:
 
 
 def extent(sides: Sequence[float], unit: str = "") -> str:
-    """The sides of a box, given in mm, as text: `97 x 174 x 90 mm`; with a unit, given and written in that unit."""
+    """The sides of a box, given in mm, as text: `97 x 174 x 90 mm`; with `unit`, given and written in that."""
     scale, unit = (1.0, unit) if unit else (1000.0, "m") if max(sides) >= 1000 else (1.0, "mm")
     return f"{' x '.join(f'{side / scale:.3g}' for side in sides)} {unit}"
 

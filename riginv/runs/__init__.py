@@ -1,1 +1,1 @@
-"""What a run keeps on disk: folders, whole files, locks, checksums."""
+"""Runs: folders, atomic files, locks, checksums, cache, tables, threads, worker processes."""

@@ -1,4 +1,4 @@
-"""Arrays in files that is untrusted: numbers and text, never Python objects, and never more than the file can hold.
+"""Checked reading of untrusted array files: numbers and text, no Python objects, no more values than the file can hold.
 
 NumPy, zarr and numcodecs read what a header promises; these checks come before they do.
 """
@@ -33,7 +33,7 @@ DAMAGED_ZIP = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Ru
 
 
 def check_npy(path: Path) -> None:
-    """That an .npy is whole and holds plain values.
+    """Raises InputError where an .npy is truncated, or holds other values than numbers and text.
 
     Raises:
         InputError: its header is damaged, or promises Python objects, or more than the file has.
@@ -72,7 +72,7 @@ def whole_numbers(text: str) -> list[int]:
 
 
 def check_npz(path: Path) -> None:
-    """That no member of an .npz is larger than a file of its size could mean; Python objects are for NumPy to refuse.
+    """Raises InputError where a member of an .npz is implausibly large for the file's size; NumPy refuses Python objects.
 
     Raises:
         InputError: it is no zip, or a member is damaged, encrypted, or promises far more than there is.
@@ -97,7 +97,7 @@ def check_npz(path: Path) -> None:
 
 
 def check_zarr(path: Path, arrays: Mapping[str, Any]) -> None:
-    """That zarr arrays of a local folder hold plain values, by codecs that only compute, and no more than could be meant.
+    """Raises InputError where zarr arrays of a local folder hold objects, use unsafe codecs, or are implausibly large.
 
     Nothing of their chunks has been read so far.
 
@@ -133,7 +133,7 @@ def codecs_of(metadata: Any) -> Iterator[str]:
 
 
 class Header(NamedTuple):
-    """What the header of an array says."""
+    """The header of an array: its shape, order and type."""
 
     shape: tuple[int, ...]
     fortran: bool
@@ -170,7 +170,7 @@ def _check_header(where: str, file: IO[bytes], size: int, alone: bool) -> None:
     header = read_header(where, file)
     shape, dtype = header.shape, header.dtype
     if dtype.hasobject and not alone:
-        return  # one member among others, that may never be asked for: NumPy refuses to load it
+        return  # one member among others, which may never be read: NumPy refuses to load it
     if dtype.hasobject or dtype.kind not in PLAIN:
         raise InputError(f"{where}: it holds {dtype}, and Python objects are never loaded: save plain numbers")
     check_shape(where, header)

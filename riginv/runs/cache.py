@@ -21,7 +21,7 @@ SUM = "sha256"
 
 
 def cache_folder() -> Path:
-    """Where riginv keeps what it can build again: `$RIGINV_CACHE`, or the user's cache folder."""
+    """The folder of what riginv can build again: `$RIGINV_CACHE`, or the user's cache folder."""
     return Path(os.environ.get("RIGINV_CACHE") or platformdirs.user_cache_dir("riginv"))
 
 
@@ -39,7 +39,7 @@ def code_key(sources: Sequence[Path], distributions: Sequence[str] = ()) -> str:
     for source in sources:
         paths = [source] if source.is_file() else sorted(source.glob("*.py"))
         if not paths:
-            raise FileNotFoundError(f"{source}: no such source, and no folder with any: whoever moved it must name it anew")
+            raise FileNotFoundError(f"{source}: neither a Python file nor a folder of some: correct the sources of this key")
         for path in paths:
             digest.update(path.read_bytes())
     for name in distributions:
@@ -50,7 +50,7 @@ def code_key(sources: Sequence[Path], distributions: Sequence[str] = ()) -> str:
 def cached_tensors(name: str, key: str, build: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
     """The tensors kept as `name` under `key`, or else those that `build` makes, which are then kept.
 
-    A damaged file is built anew, by its checksum; where nothing can be written the tensors are built every time.
+    A damaged file, found by its checksum, is built again; where nothing can be written the tensors are built every time.
     """
     path = cache_folder() / f"{name}-{key}.safetensors"
     tensors = _read(path)

@@ -99,7 +99,7 @@ def has_valid_checksum(path: Path) -> bool:
 
 
 def _digest(file: BinaryIO, size: int) -> bytes:
-    """The SHA-256 of the first bytes of an open file, which then stands behind them."""
+    """The SHA-256 of the first `size` bytes of an open file; moves its position behind them."""
     digest = hashlib.sha256()
     file.seek(0)
     while size > 0 and (block := file.read(min(size, BLOCK))):

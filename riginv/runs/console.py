@@ -1,4 +1,4 @@
-"""What is printed beside tables: lines, notes and warnings, and a bar that says how far long work is."""
+"""Terminal output beside tables: lines, notes and warnings, and progress bars."""
 
 from collections.abc import Sequence
 from types import TracebackType
@@ -10,7 +10,7 @@ from rich.text import Text
 
 
 class Bar:
-    """To be entered while the work goes on; where there is no terminal nothing is drawn.
+    """A progress bar as a context manager; without a terminal nothing is drawn.
 
     Args:
         columns: of Rich's.

@@ -34,13 +34,13 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def stale_partial_files(path: Path) -> list[Path]:
-    """What killed processes left beside a file or a folder that they were writing."""
+    """Partial files and folders that killed processes left beside a file or a folder."""
     part = re.compile(rf"\.{re.escape(path.name)}\.\d+\.part(\..+)?")
     return [beside for beside in path.parent.iterdir() if part.fullmatch(beside.name)] if path.parent.is_dir() else []
 
 
 def discard(path: Path) -> None:
-    """Remove a file or a folder, if it is there; of a link the link alone."""
+    """Remove a file or a folder, if it exists; a link is removed, not its target."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -59,7 +59,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def is_file(path: Path) -> bool:
-    """Whether a file is there; where the system takes no such name there is none."""
+    """Whether a file exists; False for names that the system does not allow."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -71,7 +71,7 @@ def check_regular(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
-        return  # whoever opens it says so
+        return  # an error when it is opened
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise InputError(f"{path}: this is no file but a device, a pipe or a socket, which are never read: name a file")
 
@@ -136,7 +136,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file that is untrusted: plain values, and no more of them than could be meant.
 
     Raises:
-        InputError: the file is missing or damaged, asks for Python objects, holds no mapping, or multiplies itself.
+        InputError: the file is missing or damaged, asks for Python objects, holds no mapping, or expands beyond all bounds.
     """
     text = read_text(path)
     try:

@@ -1,4 +1,4 @@
-"""One process at a time in a folder: locks of the operating system, which go with the process however it ends."""
+"""Exclusive locks of files and folders, which the operating system releases when the process ends."""
 
 import os
 import platform
@@ -17,14 +17,14 @@ _held: dict[Path, FileLock] = {}
 
 
 class FolderInUseError(InputError):
-    """Another process is at work in a folder."""
+    """Another process uses a folder."""
 
 
 def lock_folder(folder: Path) -> bool:
-    """Lock a folder for this process, until `unlock_folder` or the end of the process; the folder is made where it is missing.
+    """Lock a folder for this process, until `unlock_folder` or the end of the process; a missing folder is made.
 
     Returns:
-        whether it was not this process's before.
+        Whether this call has locked it: False where this process had locked it before.
 
     Raises:
         FolderInUseError: another process has it.
@@ -38,24 +38,24 @@ def lock_folder(folder: Path) -> bool:
 
 
 def unlock_folder(folder: Path) -> None:
-    """Give a folder back, if this process has it."""
+    """Release the lock of a folder, if this process has it."""
     lock = _held.pop(folder.resolve(), None)
     if lock is None:
         return
     if folder.is_dir() and set(folder.iterdir()) == {folder / LOCK}:
-        discard(folder / LOCK)  # nothing came of the run
+        discard(folder / LOCK)  # the run wrote nothing
     lock.release()
 
 
 def unlock_folders() -> None:
-    """Give back all folders that this process has."""
+    """Release all folder locks of this process."""
     for folder in list(_held):
         unlock_folder(folder)
 
 
 @contextmanager
 def exclusive_lock(path: Path) -> Iterator[None]:
-    """Let no other process write a file or a folder meanwhile, and clear away what killed ones left of it half-written.
+    """A context that locks a file or a folder against other processes, and removes partial files of killed ones.
 
     Raises:
         FolderInUseError: another process writes it.
@@ -69,7 +69,7 @@ def exclusive_lock(path: Path) -> Iterator[None]:
             discard(left)
         yield
     finally:
-        with suppress(OSError):  # while it is locked: whoever has it open finds that it has no name any more
+        with suppress(OSError):  # while it is locked: another process that has it open finds it removed
             beside.unlink()
         lock.release()
 
@@ -85,6 +85,6 @@ def _locked(file: Path, of: Path) -> FileLock:
                 f"wait until it has ended, end it, or choose another place"
             ) from None
         raise FolderInUseError(f"{of} is in use by another process: wait until it has ended, or choose another place") from None
-    with suppress(OSError):  # it is there to be read by people
+    with suppress(OSError):  # for users who look into the file
         file.write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
     return lock

@@ -42,7 +42,7 @@ class RunFolder:
     """The folder of one run.
 
     Attributes:
-        path: where it lies.
+        path: of the folder.
         config: the plain config.
         resumed: whether the folder holds an earlier start of the same run, which continues.
         is_writer: whether this process writes the folder: rank 0.
@@ -59,7 +59,7 @@ class RunFolder:
         """Lock the folder, remove partial files of killed processes, and write config.yaml.
 
         Raises:
-            InputError: another process is at work there, or has begun a run there meanwhile.
+            InputError: another process uses the folder, or has begun a run there since.
         """
         if not self.is_writer:
             return
@@ -118,7 +118,7 @@ def find_run_folder(
         upgrade: gives the config of a run to be resumed present names (`riginv.config.aliases.upgraded`).
 
     Raises:
-        InputError: the folder holds something else, or a run that was not asked to be resumed or had another config.
+        InputError: the folder holds something else, a run and `resume` is false, or a run of another config.
     """
     path = Path(path)
     if not is_writer:
@@ -171,7 +171,7 @@ def discard_if_empty(path: Path) -> None:
 
 
 def register_folder_resolvers() -> None:
-    """Let configs say `${run_folder:resume,name,arguments}` and `${folder_name:text}`."""
+    """Register the resolvers `${run_folder:resume,name,arguments}` and `${folder_name:text}` of configs."""
     OmegaConf.register_new_resolver("run_folder", default_run_folder, replace=True, use_cache=True)
     OmegaConf.register_new_resolver("folder_name", folder_name, replace=True)
 

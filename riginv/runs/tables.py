@@ -53,7 +53,7 @@ def new_table(headings: Sequence[str], title: str = "", text_columns: Sequence[i
     Args:
         headings: of the columns; empty: none is shown.
         title: plain text.
-        text_columns: those whose cells are words and stand at the left; numbers stand at the right.
+        text_columns: columns of words, aligned left; numbers are aligned right.
         padding: spaces between columns.
     """
     table = Table(title=escape(title) or None, box=box.SIMPLE_HEAD, show_header=any(headings), padding=(0, padding, 0, 0))
@@ -64,7 +64,7 @@ def new_table(headings: Sequence[str], title: str = "", text_columns: Sequence[i
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """Rows as CSV; what they hold beyond the columns is left out."""
+    """Rows as CSV; values of other keys than the columns are left out."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, columns, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
@@ -155,7 +155,7 @@ def control_lines(accuracy: Mapping[str, Any]) -> list[str]:
 
 
 def pair_lines(accuracy: Mapping[str, Any], where: str = "") -> list[str]:
-    """The confused controls, and those that the mesh cannot tell apart, in sentences for the user."""
+    """The confused controls, and those that the mesh does not distinguish, in sentences for the user."""
     pairs = [
         f"{pair['instead']} in place of {pair['control']} ({pair['fraction']:.0%} of its missing value, in {pair['frames']} "
         "meshes)"
@@ -164,7 +164,11 @@ def pair_lines(accuracy: Mapping[str, Any], where: str = "") -> list[str]:
     same, still = (accuracy.get(key) or () for key in ("controls_counted_as_one", "controls_without_effect"))
     return [
         *([f"Confused controls{where}: {'; '.join(pairs)}."] if pairs else []),
-        *([f"The mesh cannot tell apart, counted as one: {'; '.join(' = '.join(group) for group in same)}."] if same else []),
+        *(
+            [f"The mesh does not distinguish, counted as one: {'; '.join(' = '.join(group) for group in same)}."]
+            if same
+            else []
+        ),
         *([f"Controls that move no vertex, not counted: {', '.join(still)}."] if still else []),
     ]
 

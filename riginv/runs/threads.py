@@ -20,18 +20,18 @@ import psutil
 import torch
 
 THREADS_VARIABLE = "RIGINV_THREADS"  # environment variable: fixes the number of threads
-LIMIT = "OMP_NUM_THREADS"  # no more than this, where it is set: users know it
+LIMIT = "OMP_NUM_THREADS"  # an upper limit, where it is set
 SECONDS = 2.0  # between two looks at what other processes do
-SHORTEST = 0.25  # s: over less time the operating system's clocks say too little
+SHORTEST = 0.25  # s: over less time the operating system's clocks are too coarse
 BUSY_FRACTION = 0.4  # a core of which others use less than this counts as free
 Result = TypeVar("Result")
 
 
 class Cores:
-    """The cores that this process may use, and what other processes leave of them.
+    """The cores that this process may use, and how many of them other processes leave free.
 
     Attributes:
-        count: how many, by affinity and by the limits of a container.
+        count: their number, by affinity and by the limits of a container.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class Cores:
         self._before = self._clocks()
 
     def free(self) -> float | None:
-        """How many cores were free, or this process's own, since the last look; None where that was just now."""
+        """The mean number of cores that were free or used by this process since the last call; None directly after a call."""
         now = self._clocks()
         seconds = now[0] - self._before[0]
         if seconds < SHORTEST:
@@ -50,7 +50,7 @@ class Cores:
         return max(0.0, self.count - max(0.0, others) / seconds)
 
     def _clocks(self) -> tuple[float, float, float]:
-        """The time, the seconds that all processes have computed on these cores, and those that this one has."""
+        """The time, and the CPU seconds on these cores of all processes and of this one."""
         cores = psutil.cpu_times(percpu=True)
         busy = 0.0
         for number in self.numbers:
@@ -65,11 +65,11 @@ class Workers:
     """Computes a few tasks at once, each in a thread of its own.
 
     Args:
-        threads: how many; None: as many as are free, looked at every few seconds.
-        most: no more than this, however many are free.
+        threads: their number; None: the number of free cores, counted every few seconds.
+        most: the largest number of threads; None: all cores.
 
     Attributes:
-        count: how many there are now.
+        count: the present number of threads.
     """
 
     def __init__(self, threads: int | None = None, most: int | None = None) -> None:
@@ -81,8 +81,8 @@ class Workers:
         self._pool: ThreadPoolExecutor | None = None
         self._working = threading.local()
 
-    def look(self) -> int:
-        """Count the cores that are free, if that was not done just now; how many threads there are from here on."""
+    def update_count(self) -> int:
+        """Count the free cores, every few seconds at most; returns the number of threads to use."""
         now = time.monotonic()
         if self.chosen is None and not 0 <= now - self._looked < SECONDS:
             free = self.cores.free()
@@ -95,10 +95,10 @@ class Workers:
         return self.count
 
     def run(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
-        """The results of tasks, in their order. A task within a task is computed by the thread that asks for it."""
+        """The results of tasks, in their order. Tasks within a task are computed by the same thread."""
         if getattr(self._working, "nested", False):
             return [task() for task in tasks]
-        count = min(self.look(), len(tasks))
+        count = min(self.update_count(), len(tasks))
         with single_threaded():
             if count <= 1:
                 return [task() for task in tasks]
@@ -124,16 +124,16 @@ class Workers:
                     self._working.nested = False
 
             learning = torch.is_grad_enabled()
-            others = [self._threads().submit(contextvars.copy_context().run, _alone, work, learning) for _ in range(count - 1)]
+            futures = [self._threads().submit(contextvars.copy_context().run, _alone, work, learning) for _ in range(count - 1)]
             try:
                 work()
             finally:
-                for other in others:
-                    other.result()
+                for future in futures:
+                    future.result()
             return [results[number] for number in range(len(tasks))]
 
     def describe(self) -> str:
-        """What was chosen, and why, in a few words."""
+        """The number of threads and how it was chosen, in a few words."""
         threads = f"{self.count} thread{'s' if self.count > 1 else ''}"
         if self.chosen is not None:
             return f"{threads}, as asked for"
@@ -148,13 +148,13 @@ class Workers:
 
 @functools.cache
 def workers() -> Workers:
-    """Those that solvers use."""
+    """The threads that solvers use."""
     return Workers()
 
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Within it each operation of this thread is computed by this thread alone."""
+    """A context in which each tensor operation of this thread runs on this thread alone."""
     before = torch.get_num_threads()
     if before == 1:
         yield
@@ -180,7 +180,7 @@ def allowed_cores() -> list[int]:
 
 
 def _container_limit() -> int:
-    """Whole cores that a container's quota amounts to (cgroup v2, v1); as many as there are where there is no quota."""
+    """Whole cores of a container's quota (cgroup v2, v1); all cores where there is no quota."""
     try:
         version_2 = Path("/sys/fs/cgroup/cpu.max")
         if version_2.is_file():

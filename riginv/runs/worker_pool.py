@@ -211,7 +211,7 @@ class _Crew:
             thread.join(KILL_TIMEOUT_S)
 
     def _add_thread(self, starts_at_once: bool) -> None:
-        # Linux can end a worker with the thread that started it, so this thread lives as long as the pool.
+        # Linux can end a worker with the thread that started it, so this thread runs as long as the pool exists.
         thread = threading.Thread(target=self._manage_worker, args=(starts_at_once,), daemon=True)
         self._threads.append(thread)
         thread.start()

@@ -1,4 +1,4 @@
-"""One worker process at the other end of a pipe (docs/worker-protocol.md), and the messages between them."""
+"""A worker process that answers requests over pipes (docs/worker-protocol.md), and the encoding of messages."""
 
 import contextlib
 import json
@@ -26,11 +26,11 @@ Message = tuple[dict[str, Any], dict[str, np.ndarray]]
 
 
 class WorkerLostError(Exception):
-    """A worker crashed, timed out, or sent an invalid answer; the message says which."""
+    """A worker crashed, timed out, or sent an invalid answer, as the message states."""
 
 
 class WorkerRefusedError(Exception):
-    """A worker cannot meet a request, and is ready for the next one; the message tells the user why."""
+    """A worker cannot meet a request, and is ready for the next one; the message is for the user."""
 
 
 def write_message(stream: IO[bytes], header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
@@ -151,7 +151,7 @@ class WorkerProcess:
         try:
             worker = psutil.Process(self.pid)
             memory = sum(one.memory_info().rss for one in (worker, *worker.children(recursive=True)))
-        except psutil.Error:  # one of them has ended; the next request tells whether the worker has
+        except psutil.Error:  # one of them has ended; the next request shows whether the worker has
             return 0.0
         self._memory_at_first = memory if self._memory_at_first is None else self._memory_at_first
         return (memory - self._memory_at_first) / 1e6

@@ -1,4 +1,4 @@
-"""Meshes near the poses of a skinned rig: joints have noise that no control gives them."""
+"""Meshes near the poses of a skinned rig: joints have rotations that no control produces."""
 
 import math
 

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, kernels_for
 
-TO_NEXT, TO_SECOND = -4.0, 1.0  # couplings of a frame to the next and second next, away from the ends of a clip
 LONGEST_GAP = 12.0  # of frames, as a multiple of the usual step: curves are not smoothed across longer ones
 
 
@@ -105,11 +104,11 @@ def solve_band(
         factors.append(factor)
         halves.append(half)
         forward.append(value)
-    found = right.new_zeros(frames + 2, controls)
+    unknowns = right.new_zeros(frames + 2, controls)
     for frame in reversed(range(frames)):
-        rest = forward[frame] - halves[frame][:, :-1] @ found[frame + 1 : frame + 3].flatten()
-        found[frame] = torch.linalg.solve_triangular(factors[frame].T, rest[:, None], upper=True)[:, 0]
-    return found[:frames]
+        rest = forward[frame] - halves[frame][:, :-1] @ unknowns[frame + 1 : frame + 3].flatten()
+        unknowns[frame] = torch.linalg.solve_triangular(factors[frame].T, rest[:, None], upper=True)[:, 0]
+    return unknowns[:frames]
 
 
 RunTasks = Callable[[list[Callable[[], int]]], list[int]]  # runs tasks, perhaps in parallel, and returns their results

@@ -52,25 +52,25 @@ def solve_clip(
     Returns:
         Controls `(frame, control)`, as fractions of their ranges.
     """
-    found = start.clamp(0, 1)
-    weights = found.new_ones(len(found)) if weights is None else weights.to(found)
-    frame_steps = usual_steps(torch.arange(len(found)) if numbers is None else numbers).to(found.device)
+    units = start.clamp(0, 1)
+    weights = units.new_ones(len(units)) if weights is None else weights.to(units)
+    frame_steps = usual_steps(torch.arange(len(units)) if numbers is None else numbers).to(units.device)
     by_mean_distance = objective.by_mean_distance() if mean_steps else None
-    for first in range(0, len(found), window):
-        stop = min(first + window + lookahead, len(found))
-        if len(found) - stop <= lookahead:
-            stop = len(found)  # no window is shorter than its look-ahead
-        rows, known = slice(first, stop), max(first - 2, 0)
+    for first in range(0, len(units), window):
+        stop = min(first + window + lookahead, len(units))
+        if len(units) - stop <= lookahead:
+            stop = len(units)  # no window is shorter than its look-ahead
+        rows, fixed_from = slice(first, stop), max(first - 2, 0)
         scaled = smoothness * objective.squared_mm
-        before, apart = found[known:first], frame_steps[known : stop - 1]
-        frames = _Window(objective, coordinates[rows], weights[rows], before, scaled, apart)
-        found[rows] = frames.solve(found[rows], steps, tolerance)
+        before, steps_between = units[fixed_from:first], frame_steps[fixed_from : stop - 1]
+        frames = _Window(objective, coordinates[rows], weights[rows], before, scaled, steps_between)
+        units[rows] = frames.solve(units[rows], steps, tolerance)
         if by_mean_distance is not None:
             frames.objective = by_mean_distance
-            found[rows] = frames.solve(found[rows], mean_steps, tolerance)
-        if stop == len(found):
+            units[rows] = frames.solve(units[rows], mean_steps, tolerance)
+        if stop == len(units):
             break
-    return found
+    return units
 
 
 class _Window:

@@ -44,8 +44,8 @@ def solve_meshes(
             if not len(open_rows):
                 break
             if number == 1 and descent_steps:
-                given = objective.to_controls(first[open_rows])
-                start = objective.units(descend(rig, given, target[open_rows], descent_steps, DESCENT_RATE))
+                controls = objective.to_controls(first[open_rows])
+                start = objective.units(descend(rig, controls, target[open_rows], descent_steps, DESCENT_RATE))
             else:
                 start = start_at_random(objective, first, number)[open_rows]
             best.take_better(open_rows, levenberg_marquardt(objective, target[open_rows], start, steps, tolerance))
@@ -75,8 +75,10 @@ def descend_mean_distance(
     """Gradient descent on the mean vertex distance from a solution of least squares; both as fractions of the ranges."""
     distance, controls = objective.by_mean_distance(MEAN_CORNER_MM).distance, objective.to_controls(start)
     batches = zip(controls.split(BATCH_SIZE), coordinates.to(controls).split(BATCH_SIZE))
-    found = [descend(objective.rig, one, target, MEAN_STEPS, MEAN_RATE, distance, anneal=True) for one, target in batches]
-    return objective.units(torch.cat(found))
+    descended = [
+        descend(objective.rig, batch, target, MEAN_STEPS, MEAN_RATE, distance, anneal=True) for batch, target in batches
+    ]
+    return objective.units(torch.cat(descended))
 
 
 def solve_frames(
@@ -102,24 +104,24 @@ def solve_frames(
         key_distance: step of the frames that are solved from scratch, a power of 2.
     """
     count, distance = len(coordinates), key_distance
-    found = Solution.at_neutral(objective, count)
+    solution = Solution.at_neutral(objective, count)
     keys = torch.arange(count, device=coordinates.device)[::distance]
-    found.put(keys, solve_meshes(objective, coordinates[keys], starts, steps, descent_steps=descent_steps))
+    solution.put(keys, solve_meshes(objective, coordinates[keys], starts, steps, descent_steps=descent_steps))
     while distance > 1:
         new = torch.arange(count, device=coordinates.device)[distance // 2 :: distance]
         before, after = new - distance // 2, (new + distance // 2).clamp(max=(count - 1) // distance * distance)
-        before, after = (torch.where(found.skipped[one], other, one) for one, other in ((before, after), (after, before)))
-        start = (found.units[before] + found.units[after]) / 2
-        found.put(new, refine_meshes(objective, coordinates[new], start, more_steps))
+        before, after = (torch.where(solution.skipped[side], other, side) for side, other in ((before, after), (after, before)))
+        start = (solution.units[before] + solution.units[after]) / 2
+        solution.put(new, refine_meshes(objective, coordinates[new], start, more_steps))
         distance //= 2
     for distance in (2**number for number in reversed(range(rounds))):
         for shift in (distance, -distance):
-            _restart(objective, coordinates, found, shift, more_steps)
+            _restart(objective, coordinates, solution, shift, more_steps)
     if rounds:
-        unfinished = (~found.converged & ~found.skipped).nonzero()[:, 0]
-        more = refine_meshes(objective, coordinates[unfinished], found.units[unfinished], steps)
-        found.take_better(unfinished, more)
-    return found
+        unfinished = (~solution.converged & ~solution.skipped).nonzero()[:, 0]
+        continued = refine_meshes(objective, coordinates[unfinished], solution.units[unfinished], steps)
+        solution.take_better(unfinished, continued)
+    return solution
 
 
 def solve_from_guess(

@@ -21,12 +21,12 @@ TRIES = 3  # of increasing damping on one linearisation, before the step has fai
 
 
 class Pace(NamedTuple):
-    """How boldly Levenberg-Marquardt steps, and when it ends.
+    """Step limits and convergence tolerances of Levenberg-Marquardt.
 
     Attributes:
         damping: of the first step.
         longest_step: of each control, as a fraction of its range.
-        enough: mm^2 of half the mean squared distance at which a mesh has converged; 0: never for that reason.
+        enough: half the mean squared distance, mm^2, below which a mesh has converged; 0: there is no such threshold.
     """
 
     damping: float = START_DAMPING
@@ -96,11 +96,11 @@ def levenberg_marquardt(
         pace: `NEAR` for starts that are known to be near the solution.
     """
     coordinates = coordinates.to(start)
-    given = (coordinates, start) if weights is None else (coordinates, start, weights)
+    arguments = (coordinates, start) if weights is None else (coordinates, start, weights)
     size = max(FEWEST, min(MOST, -(-len(start) // 2)))
-    batches = zip(*(values.split(size) for values in given))
-    found = objective.run_tasks([partial(_solve, objective, steps, tolerance, pace, *batch) for batch in batches])
-    return Solution(**{name: torch.cat([getattr(part, name) for part in found]) for name in vars(found[0])})
+    batches = zip(*(values.split(size) for values in arguments))
+    solutions = objective.run_tasks([partial(_solve, objective, steps, tolerance, pace, *batch) for batch in batches])
+    return Solution(**{name: torch.cat([getattr(solution, name) for solution in solutions]) for name in vars(solutions[0])})
 
 
 @torch.no_grad()
@@ -116,8 +116,8 @@ def _solve(
     skipped = ~torch.isfinite(coordinates).all(dim=1)
     best = torch.where(skipped[:, None], objective.neutral, start.clamp(0, 1))
     cost = torch.full_like(best[:, 0], torch.nan)
-    converged, taken = torch.zeros_like(skipped), torch.zeros_like(skipped, dtype=torch.long)
-    damping, idle = torch.full_like(cost, pace.damping), torch.zeros_like(taken)
+    converged, step_counts = torch.zeros_like(skipped), torch.zeros_like(skipped, dtype=torch.long)
+    damping, idle = torch.full_like(cost, pace.damping), torch.zeros_like(step_counts)
     active = (~skipped).nonzero()[:, 0]
 
     def targets(rows: Tensor) -> tuple[Tensor, ...]:
@@ -128,20 +128,20 @@ def _solve(
             break
         target = targets(active)
         near = objective.linearise(best[active], *target)
-        moved, found, chosen = _improve(objective, near, best[active], target, damping[active], pace.longest_step)
-        gained = near.cost - found
-        best[active], cost[active], damping[active] = moved, found, chosen
-        taken[active] += 1
+        new_units, new_cost, new_damping = _improve(objective, near, best[active], target, damping[active], pace.longest_step)
+        gained = near.cost - new_cost
+        best[active], cost[active], damping[active] = new_units, new_cost, new_damping
+        step_counts[active] += 1
         small = gained <= tolerance * near.cost
         idle[active] = torch.where(small, idle[active] + 1, 0)
         last = (gained > 0) & (gained <= LEAST_GAIN * objective.squared_mm)
         if pace.enough:
-            last |= found - objective.prior_cost(moved) <= pace.enough * objective.squared_mm
-        converged[active] = last | (idle[active] >= IDLE) | (small & (chosen >= MOST_DAMPING))
+            last |= new_cost - objective.prior_cost(new_units) <= pace.enough * objective.squared_mm
+        converged[active] = last | (idle[active] >= IDLE) | (small & (new_damping >= MOST_DAMPING))
         active = active[~converged[active]]
     if len(unknown := (torch.isnan(cost) & ~skipped).nonzero()[:, 0]):  # with 0 steps
         cost[unknown] = objective.cost(best[unknown], *targets(unknown))
-    return Solution(best, cost, converged, taken, skipped)
+    return Solution(best, cost, converged, step_counts, skipped)
 
 
 def _improve(

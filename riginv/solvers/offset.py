@@ -75,20 +75,20 @@ class OffsetSolver:
             neutral: to start from, or the given one.
             steps: at most.
         """
-        known = torch.isfinite(vertices).all(dim=2, keepdim=True)
-        filled = torch.where(known, vertices, neutral)
+        is_known = torch.isfinite(vertices).all(dim=2, keepdim=True)
+        filled = torch.where(is_known, vertices, neutral)
         start = start_by_derivative(self.objective, self._coordinates(filled, neutral))
         at = OffsetSolution(neutral, start, filled)
-        at = self._settled(at, known)
+        at = self._settled(at, is_known)
         damping, idle = START_DAMPING, 0
         while at.steps < steps and idle < IDLE and damping < MOST_DAMPING:
             near = self._linearise(at)
             before = at.cost
             while damping < MOST_DAMPING:
                 step = near.step(at.units, damping)
-                found = at if step is None else self._settled(self._moved(at, *step), known)
-                if found.cost < before:
-                    damping, at = max(damping / 5, LEAST_DAMPING), found
+                solution = at if step is None else self._settled(self._moved(at, *step), is_known)
+                if solution.cost < before:
+                    damping, at = max(damping / 5, LEAST_DAMPING), solution
                     break
                 damping *= 4
             at.steps += 1
@@ -205,17 +205,17 @@ class _Arrow:
         for _ in range(ROUNDS):
             every = torch.nn.functional.pad(free, (0, self.gradient.shape[1] - self.controls), value=True)
             try:
-                found, shared = self.solve(added, every, pinned)
+                unknowns, shared = self.solve(added, every, pinned)
             except torch.linalg.LinAlgError:
                 return None
-            target = at + found[:, : self.controls]
+            target = at + unknowns[:, : self.controls]
             leaving = free & ((target < 0) | (target > 1))
             if not bool(leaving.any()):
                 break
             free = free & ~leaving
             pinned[:, : self.controls] = torch.where(free, 0.0, target.clamp(0, 1) - at)
         change = (target.clamp(0, 1) - at).clamp(-LONGEST_STEP, LONGEST_STEP)
-        motion = found[:, self.controls :] if found.shape[1] > self.controls else None
+        motion = unknowns[:, self.controls :] if unknowns.shape[1] > self.controls else None
         return (at + change).to(at), None if motion is None else motion.to(at), shared.to(at)
 
     def solve(self, added: Tensor, free: Tensor, pinned: Tensor) -> tuple[Tensor, Tensor]:
@@ -226,26 +226,26 @@ class _Arrow:
             free: which unknowns are solved for; the others are `pinned`.
         """
         right = torch.where(free, -self.gradient - (self.hessian @ pinned[..., None])[..., 0], 0.0)
-        wanted = -self.slope - (self.coupling.mT @ pinned[..., None])[..., 0].sum(dim=0)
+        shared_right = -self.slope - (self.coupling.mT @ pinned[..., None])[..., 0].sum(dim=0)
         reduced, halves = self.own.clone(), []
         factors = []
         for frame in range(len(right)):
-            some = free[frame].nonzero()[:, 0]
-            block = self.hessian[frame][some][:, some] + torch.diag(added[frame, some])
+            rows = free[frame].nonzero()[:, 0]
+            block = self.hessian[frame][rows][:, rows] + torch.diag(added[frame, rows])
             factor = torch.linalg.cholesky(block)
-            both = torch.cat([self.coupling[frame, some], right[frame, some, None]], dim=1)
-            half = torch.linalg.solve_triangular(factor, both, upper=False)
+            columns = torch.cat([self.coupling[frame, rows], right[frame, rows, None]], dim=1)
+            half = torch.linalg.solve_triangular(factor, columns, upper=False)
             reduced -= half[:, :-1].T @ half[:, :-1]
-            wanted = wanted - half[:, :-1].T @ half[:, -1]
-            factors.append((some, factor))
+            shared_right = shared_right - half[:, :-1].T @ half[:, -1]
+            factors.append((rows, factor))
             halves.append(half)
         reduced.diagonal().add_(1e-9 * reduced.diagonal().mean())
-        shared = torch.linalg.solve(reduced, wanted)
-        found = pinned.clone()
-        for frame, ((some, factor), half) in enumerate(zip(factors, halves)):
+        shared = torch.linalg.solve(reduced, shared_right)
+        unknowns = pinned.clone()
+        for frame, ((rows, factor), half) in enumerate(zip(factors, halves)):
             value = half[:, -1:] - half[:, :-1] @ shared[:, None]
-            found[frame, some] = torch.linalg.solve_triangular(factor.T, value, upper=True)[:, 0]
-        return found, shared
+            unknowns[frame, rows] = torch.linalg.solve_triangular(factor.T, value, upper=True)[:, 0]
+        return unknowns, shared
 
 
 def _centre(neutral: Tensor) -> tuple[Tensor, float]:

@@ -48,19 +48,19 @@ def examine(
         if name in store.arrays:
             store.constant(name)
     ledger, damaged = store.ledger()
-    found = StoreCondition(damaged={chunk: f"chunk {chunk} of 'ledger' is damaged" for chunk in damaged})
+    condition = StoreCondition(damaged={chunk: f"chunk {chunk} of 'ledger' is damaged" for chunk in damaged})
     for chunk in range(store.layout.chunks) if chunks is None else chunks:
-        if chunk in found.damaged:
+        if chunk in condition.damaged:
             pass
         elif not ledger[chunk, 0]:
-            found.absent.append(chunk)
+            condition.absent.append(chunk)
         elif thorough:
             fault = _fault(store, chunk, ledger[chunk])
             if fault:
-                found.damaged[chunk] = fault
+                condition.damaged[chunk] = fault
         if advance:
             advance(store.layout.count(chunk))
-    return found
+    return condition
 
 
 def _fault(store: PoseStore, chunk: int, row: np.ndarray) -> str | None:

@@ -23,7 +23,7 @@ from riginv.store.store import PoseStore
 from riginv.store.training import SamplingProgress
 from riginv.store.worker import ChunkWorkers
 
-UNITS = {"controls": "as each control says", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}
+UNITS = {"controls": "as of each control", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}
 Facts = dict[str, Any]
 
 
@@ -78,14 +78,14 @@ class FillResult:
     """Result of `fill`.
 
     Attributes:
-        found: condition of the shard's chunks before.
+        condition: the state of the shard's chunks before.
         made: number of poses made.
-        absent: number of chunks of the store that are still to be made, by other shards.
+        absent: number of chunks of the store that other shards have not made yet.
     """
 
     store: PoseStore
     shard: Shard
-    found: StoreCondition
+    condition: StoreCondition
     made: int
     absent: int
 
@@ -108,24 +108,24 @@ def fill(settings: SampleConfig) -> FillResult:
             workers = stack.enter_context(ChunkWorkers(out, settings.rig, settings.sampler, jobs))
         store, rig = open_or_begin(settings, location, shard, store, rig)
         chunks = shard.chunks(store.layout)
-        progress.begin("looking through", sum(map(store.layout.count, chunks)))
-        found = examine(store, chunks, settings.recheck, progress.advance)
+        progress.begin("verifying", sum(map(store.layout.count, chunks)))
+        condition = examine(store, chunks, settings.recheck, progress.advance)
         made = 0
-        if found.incomplete:
+        if condition.incomplete:
             refusal = f"another process is sampling shard {shard} of it: wait for it, or give another out"
             stack.enter_context(location.exclusive_lock(f"shard-{shard.number}-of-{shard.of}", refusal))
-            progress.begin(f"sampling {rig.name}", sum(map(store.layout.count, found.incomplete)))
+            progress.begin(f"sampling {rig.name}", sum(map(store.layout.count, condition.incomplete)))
             if jobs > 1:
                 workers = workers or stack.enter_context(ChunkWorkers(out, settings.rig, settings.sampler, jobs))
-                done = workers.make(found.incomplete)
+                done = workers.make(condition.incomplete)
             else:
                 writable = PoseStore.begin(location, store.layout, store.facts, rig)
                 sampler = build_sampler(settings.sampler.config, rig)
-                done = make_chunks(ChunkMaker(writable, rig, sampler), found.incomplete)
+                done = make_chunks(ChunkMaker(writable, rig, sampler), condition.incomplete)
             for chunk in done:
                 made += store.layout.count(chunk)
                 progress.advance(store.layout.count(chunk))
-        return FillResult(store, shard, found, made, len(absent_chunks(store)))
+        return FillResult(store, shard, condition, made, len(absent_chunks(store)))
 
 
 def open_or_begin(

@@ -126,7 +126,7 @@ class Layout:
     def plans(self) -> dict[str, ArrayPlan]:
         """Plans of all arrays, by name."""
         poses, chunks = min(self.chunk, self.samples), self.chunks
-        found = {
+        plans = {
             CONTROLS: ArrayPlan((self.samples, self.controls), (poses, self.controls), "float32", ("pose", "control")),
             COEFFICIENTS: ArrayPlan(
                 (self.samples, self.coefficients), (poses, self.coefficients), self.dtype, ("pose", "coefficient")
@@ -141,13 +141,13 @@ class Layout:
             NEUTRAL: ArrayPlan((self.coefficients,), (self.coefficients,), "float32", ("coefficient",)),
         }
         if self.vertices:
-            found[VERTICES] = ArrayPlan(
+            plans[VERTICES] = ArrayPlan(
                 (self.samples, self.vertices, 3), (poses, self.vertices, 3), self.dtype, ("pose", "vertex", "axis")
             )
         if self.fitted:
             shape = (self.coefficients, self.fitted, 3)
-            found[BASIS] = ArrayPlan(shape, shape, "float32", ("coefficient", "vertex", "axis"))
-        return found
+            plans[BASIS] = ArrayPlan(shape, shape, "float32", ("coefficient", "vertex", "axis"))
+        return plans
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)

@@ -77,7 +77,7 @@ class PoseStore:
 
     @classmethod
     def begin(cls, location: StoreLocation, layout: Layout, facts: dict[str, Any], rig: LinearRig) -> "PoseStore":
-        """Create a store without chunks, or open the one that another process has created meanwhile.
+        """Create a store without chunks, or open the one that another process has created since.
 
         Raises:
             InputError: it cannot be written.
@@ -86,8 +86,8 @@ class PoseStore:
         constants = {NEUTRAL: rig.neutral_coefficients()[0]} | ({BASIS: rig.basis} if layout.fitted else {})
         values = {name: value.detach().cpu().float().numpy() for name, value in constants.items()}
         with location.writing(), location.exclusive_lock("begin"):
-            found = cls.find(location, read_only=False)
-            if found is None and location.path is not None:
+            store = cls.find(location, read_only=False)
+            if store is None and location.path is not None:
                 for remains in location.path.parent.glob(f".{location.path.name}.*.part"):
                     discard(remains)
                 partial = location.path.with_name(f".{location.path.name}.{os.getpid()}.part")
@@ -96,12 +96,12 @@ class PoseStore:
                     partial.replace(location.path)
                 finally:
                     discard(partial)
-            elif found is None:
+            elif store is None:
                 _make(location.open(read_only=False), layout, facts, values)
-            found = found or cls.find(location, read_only=False)
-        if found is None:
-            raise InputError(f"{location}: the store is gone")
-        return found
+            store = store or cls.find(location, read_only=False)
+        if store is None:
+            raise InputError(f"{location}: the store no longer exists")
+        return store
 
     def read(self, name: str, chunk: int) -> np.ndarray:
         """Rows of an array for a chunk, as stored.

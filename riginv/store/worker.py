@@ -83,7 +83,7 @@ class _Worker:
         location = StoreLocation(self.settings["out"])
         store = PoseStore.find(location, read_only=False)
         if store is None or self.rig is None:
-            raise InputError(f"{location}: the store is gone")
+            raise InputError(f"{location}: the store no longer exists")
         rig = self.rig if isinstance(self.rig, LinearRig) else store.fitted_rig(self.rig)
         return ChunkMaker(store, rig, build_sampler(self.settings["sampler"], rig))
 

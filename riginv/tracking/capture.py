@@ -105,18 +105,18 @@ def open_capture(
     digest, has_unknown = _digest(clip)
     here = Path(__file__).parent
     key = hashlib.sha256(rig_digest(rig) + code_key([here]).encode() + digest).hexdigest()[:32]
-    found = cached_tensors("capture", key, lambda: _prepared(clip, rig, true_rig, has_unknown))
-    known = found["solvable"]
-    if not bool(known.any()):
+    prepared = cached_tensors("capture", key, lambda: _prepared(clip, rig, true_rig, has_unknown))
+    solvable = prepared["solvable"]
+    if not bool(solvable.any()):
         raise InputError(f"{path}: no frame has enough known vertices: there is nothing to evaluate on")
-    motion, filling = (found[name] if len(found[name]) else None for name in ("motion", "filling"))
+    motion, filling = (prepared[name] if len(prepared[name]) else None for name in ("motion", "filling"))
     if motion is not None:
         notes.append("rigid motion was removed, as riginv.invert does")
     if filling is not None:
         notes.append("vertices that are not known count for no error; the rig's own mesh fills them in")
-    if not bool(known.all()):
-        notes.append(f"frames of which too little is known were left out: {int((~known).sum()):,} of {len(clip):,}")
-    return CapturedMeshes(clip, rig, every[known], motion, filling, tuple(notes))
+    if not bool(solvable.all()):
+        notes.append(f"frames of which too little is known were left out: {int((~solvable).sum()):,} of {len(clip):,}")
+    return CapturedMeshes(clip, rig, every[solvable], motion, filling, tuple(notes))
 
 
 def content_key(meshes: MeshSet) -> str:
@@ -155,10 +155,10 @@ def _prepared(clip: Clip, rig: LinearRig, true_rig: RigBackend, has_unknown: Ten
     console = Console(stderr=True)
     for start in track(starts, "rigid motion and unknown vertices", console=console, transient=True, disable=not starts):
         rows = slice(start, min(start + WINDOW, len(clip)))
-        found = inverter.invert(clip.vertices(rows.start, rows.stop))
-        controls[rows], solvable[rows] = found.controls, found.solvable
-        if found.motion is not None:
-            motion[rows] = found.motion
+        result = inverter.invert(clip.vertices(rows.start, rows.stop))
+        controls[rows], solvable[rows] = result.controls, result.solvable
+        if result.motion is not None:
+            motion[rows] = result.motion
     none = torch.zeros(0)
     return {
         "motion": none if anchors is None else motion,

@@ -1,4 +1,4 @@
-"""What an inversion is compared with: the lowest error that the rig can reach on a few frames, and the true controls."""
+"""References for an inversion: the lowest error that the rig can reach on a few frames, and the true controls."""
 
 from dataclasses import replace
 
@@ -23,29 +23,29 @@ FRAMES = 8
 STARTS, STEPS, DESCENT_STEPS = 3, 60, 100
 
 
-def with_accuracy(errors: FrameErrors, clip: Clip, found: Inversion, true_rig: RigBackend) -> FrameErrors:
+def with_accuracy(errors: FrameErrors, clip: Clip, inversion: Inversion, true_rig: RigBackend) -> FrameErrors:
     """The errors of an inversion, with the accuracy of its controls where the clip has the true ones."""
     known = ~errors.mean_mm.isnan()
     if clip.controls is None or not bool(known.any()):
         return errors
-    accuracy = control_accuracy(ControlEffects.of_rig(true_rig), found.controls[known], clip.controls[known], is_clip=True)
+    accuracy = control_accuracy(ControlEffects.of_rig(true_rig), inversion.controls[known], clip.controls[known], is_clip=True)
     return replace(errors, controls=accuracy.as_json())
 
 
 @torch.no_grad()
-def with_optimum(errors: FrameErrors, clip: Clip, found: Inversion, evaluator: FrameEvaluator) -> FrameErrors:
+def with_optimum(errors: FrameErrors, clip: Clip, inversion: Inversion, evaluator: FrameEvaluator) -> FrameErrors:
     """The errors of an inversion, with the lowest that solvers reach on frames spread over the clip (`find_optima`).
 
-    All controls are free, whatever the constraints. Unchanged for a true rig that is no differentiable `LinearRig`.
+    All controls are free, regardless of constraints. Unchanged for a true rig that is no differentiable `LinearRig`.
     """
     rig, known_frames = evaluator.true_rig, (~errors.mean_mm.isnan()).nonzero()[:, 0]
     if not (isinstance(rig, LinearRig) and rig.differentiable and len(known_frames)):
         return errors
     rows = known_frames[evenly(FRAMES, len(known_frames))]
     vertices = torch.cat([clip.vertices(row, row + 1) for row in rows.tolist()])
-    if found.motion is not None:
-        vertices = remove_motion(found.motion[rows], vertices)
-    recovered = rig(found.controls[rows])
+    if inversion.motion is not None:
+        vertices = remove_motion(inversion.motion[rows], vertices)
+    recovered = rig(inversion.controls[rows])
     known = torch.isfinite(vertices).all(dim=2)
     evaluated = known if evaluator.evaluated is None else known & evaluator.evaluated
     vertices = torch.where(evaluated[..., None], vertices, recovered)
@@ -53,7 +53,7 @@ def with_optimum(errors: FrameErrors, clip: Clip, found: Inversion, evaluator: F
     objective = Objective(RigInMeshSpace(rig, space))
     coordinates = space.encode(vertices)
     squares = solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS)
-    refined = refine_meshes(objective, coordinates, objective.units(found.controls[rows]), STEPS)
+    refined = refine_meshes(objective, coordinates, objective.units(inversion.controls[rows]), STEPS)
     squares.take_better(torch.arange(len(rows)), refined)
     answers = (squares.units, descend_mean_distance(objective, coordinates, squares.units))
     each = [mean_distance(rig(objective.to_controls(answer)), vertices, evaluated) for answer in answers]

@@ -99,8 +99,8 @@ class ControlNames:
     def _unknown(self, where: str, name: str) -> InputError:
         near = [known for known in self.names if name.strip("*").lower() in known.lower()][:3] or self.names[:4]
         return InputError(
-            f"{where} names {name!r}, and rig '{self.rig}' has no such control; it has {', '.join(near)}, ...; mend the name, "
-            f"or ignore it with controls.unknown=ignore_new"
+            f"{where} names {name!r}, and rig '{self.rig}' has no such control; it has {', '.join(near)} and others; mend the "
+            f"name, or ignore it with controls.unknown=ignore_new"
         )
 
 

@@ -42,7 +42,7 @@ class FixedControlsRig(LinearRig):
         return found, lambda gradient: vjp(gradient).index_select(1, self.free)
 
     def neutral_coefficients(self) -> Tensor:
-        """The coefficients of the rest mesh, whatever the fixed values are."""
+        """The coefficients of the rest mesh, for any fixed values."""
         return self.rig.neutral_coefficients()
 
     def features(self, coefficients: Tensor) -> Tensor | None:

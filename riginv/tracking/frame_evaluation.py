@@ -28,7 +28,7 @@ class FrameEvaluator:
         true_rig: makes the meshes that are compared.
         rig: made the recovered meshes; they serve if it is the true rig.
         space: its mesh space, unweighted.
-        estimator: tells whether frames converged.
+        estimator: reports whether frames converged.
         training: what the network was trained on; None without a network.
         evaluated: the vertices that count, `(vertex,)`; None: all.
         regions: region name of each vertex.
@@ -88,7 +88,7 @@ class FrameEvaluator:
         residual = (filled - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
         unreachable = (residual.clamp_min(0) / self.space.vertex_count).sqrt() > self.limits.reach_mm
         is_poor = mean > self.limits.reach_mm
-        if isinstance(self.estimator, NetworkEstimator):  # the error may be the network's: a solver would tell
+        if isinstance(self.estimator, NetworkEstimator):  # the error may be the network's, and only a solver could show it
             converged = converged & (~is_poor | unreachable)
         unusual = torch.zeros_like(converged)
         if self.training is not None:

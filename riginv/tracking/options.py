@@ -20,7 +20,7 @@ Weight = Annotated[float, Bound("a weight from 0 to 1e6", lambda value: 0 <= val
 
 @dataclass(frozen=True)
 class VertexOptions:
-    """How much each vertex counts.
+    """Weights of vertices.
 
     Attributes:
         weights: weight by region or glob of regions; later ones override earlier ones.
@@ -137,7 +137,7 @@ class AfterOptions:
 
 @dataclass(frozen=True)
 class LookOptions:
-    """Which views of the result are written: the HTML page, the contact sheet, TensorBoard events."""
+    """The views of the result that are written: the HTML page, the contact sheet, TensorBoard events."""
 
     page: bool = True
     sheet: bool = True
@@ -146,7 +146,7 @@ class LookOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingOptions:
-    """How a clip is inverted.
+    """Options of inverting a clip.
 
     Attributes:
         method: None: the network of a bundle, else `clip`.

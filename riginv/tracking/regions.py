@@ -1,4 +1,4 @@
-"""Named regions of a rig's mesh: to weight vertices, and to tell where a frame's error is largest."""
+"""Named regions of a rig's mesh: to weight vertices, and to locate a frame's largest error."""
 
 import json
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RANK_TOLERANCE, MeshSpace
 from riginv.runs.array_files import load_numbers, whole_numbers
@@ -65,7 +65,7 @@ def vertex_weights(rig: RigBackend, options: VertexOptions) -> Tensor | None:
     for glob, weight in weights.items():
         names = [name for name in regions if fnmatchcase(name, glob)]
         if not names:
-            known = ", ".join(list(regions)[:40]) or "none; name files of vertex numbers with vertices.regions"
+            known = listed(regions, 40) if regions else "none; name files of vertex numbers with vertices.regions"
             raise InputError(f"vertices.weights names {glob!r}, and rig '{rig.name}' has no such region; it has: {known}")
         for name in names:
             result += regions[name] * (weight - result)

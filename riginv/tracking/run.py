@@ -20,7 +20,7 @@ from riginv.tracking.options import SolverOptions
 from riginv.tracking.rigid import fit_rigid
 
 PARTS = 2  # of a window, for as many threads
-Advance = Callable[[str, int], None]  # told the name of a pass, and how many frames of it are done
+Advance = Callable[[str, int], None]  # receives the name of a pass, and the number of its finished frames
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ def invert_clip(clip: Clip, inverter: WindowInverter, evaluator: FrameEvaluator,
         window: frames in memory at a time.
         advance: reports progress.
     """
-    kept = _FrameResults(len(clip), inverter)
+    results = _FrameResults(len(clip), inverter)
 
     def invert(first: int, vertices: Tensor) -> None:
         with torch.no_grad():
-            found = inverter.invert(vertices)
-        evaluator.add(first, found)
-        kept.add(first, found)
+            inverted = inverter.invert(vertices)
+        evaluator.add(first, inverted)
+        results.add(first, inverted)
 
     windows = clip.batches(window)
     at_once = PARTS if inverter.estimator.frames_are_independent and evaluator.true_rig is evaluator.rig else 1
@@ -66,9 +66,9 @@ def invert_clip(clip: Clip, inverter: WindowInverter, evaluator: FrameEvaluator,
             parts = [partial(invert, int(rows[0]), vertices[rows - first]) for rows in starts if len(rows)]
             following = workers().run([*parts, partial(next, windows, None)])[-1]
         advance("inverting", len(vertices))
-    kept.check(clip)
-    kept.controls = _continuous(inverter, kept.controls)
-    return kept.finished(interpolate_controls(kept.controls, kept.known, clip.frame_numbers), clip, evaluator)
+    results.check(clip)
+    results.controls = _continuous(inverter, results.controls)
+    return results.finished(interpolate_controls(results.controls, results.known, clip.frame_numbers), clip, evaluator)
 
 
 def invert_smoothly(
@@ -86,27 +86,27 @@ def invert_smoothly(
     estimator = inverter.estimator
     if not isinstance(estimator, SolverEstimator):
         raise TypeError("a whole clip is for solvers")
-    kept, size = _FrameResults(len(clip), inverter), estimator.space.size
+    results, size = _FrameResults(len(clip), inverter), estimator.space.size
     coordinates, converged = torch.full((len(clip), size), torch.nan), torch.zeros(len(clip), dtype=torch.bool)
     for first, vertices in clip.batches(window):
-        found = inverter.invert(vertices)
-        kept.add(first, found)
+        inverted = inverter.invert(vertices)
+        results.add(first, inverted)
         rows = slice(first, first + len(vertices))
-        coordinates[rows] = torch.where(found.solvable[:, None], estimator.space.encode(found.filled), torch.nan)
-        converged[rows] = estimator.converged(found.filled, found.controls)  # of the frame alone
+        coordinates[rows] = torch.where(inverted.solvable[:, None], estimator.space.encode(inverted.filled), torch.nan)
+        converged[rows] = estimator.converged(inverted.filled, inverted.controls)  # of the frame alone
         advance("each frame", len(vertices))
-    kept.check(clip)
-    kept.controls = _continuous(inverter, kept.controls)
-    if estimator.is_exact(coordinates, kept.controls):  # made by the rig itself: smoothing would only move it away
-        controls = interpolate_controls(kept.controls, kept.known, clip.frame_numbers)
-        return _evaluated(controls, converged, kept, clip, inverter, evaluator, window, advance)
+    results.check(clip)
+    results.controls = _continuous(inverter, results.controls)
+    if estimator.is_exact(coordinates, results.controls):  # made by the rig itself: smoothing would only move it away
+        controls = interpolate_controls(results.controls, results.known, clip.frame_numbers)
+        return _evaluated(controls, converged, results, clip, inverter, evaluator, window, advance)
     start = Solution.at_neutral(estimator.objective, len(clip))
-    start.units, start.skipped = estimator.units(kept.controls), ~kept.known
+    start.units, start.skipped = estimator.units(results.controls), ~results.known
     advance("the whole clip", 0)
     begin = smoothed(start, options.blur, clip.frame_numbers)
     steps = (options.smoothness, options.clip_steps, options.mean_steps)
     smooth = solve_clip(estimator.objective, coordinates, begin, *steps, numbers=clip.frame_numbers)
-    return _evaluated(estimator.controls(smooth), converged, kept, clip, inverter, evaluator, window, advance)
+    return _evaluated(estimator.controls(smooth), converged, results, clip, inverter, evaluator, window, advance)
 
 
 def _continuous(inverter: WindowInverter, controls: Tensor) -> Tensor:
@@ -120,7 +120,7 @@ def _continuous(inverter: WindowInverter, controls: Tensor) -> Tensor:
 def _evaluated(
     controls: Tensor,
     converged: Tensor,
-    kept: "_FrameResults",
+    results: "_FrameResults",
     clip: Clip,
     inverter: WindowInverter,
     evaluator: FrameEvaluator,
@@ -130,11 +130,11 @@ def _evaluated(
     """The inversion with final controls `(frame, control)`, evaluated frame by frame."""
     for first, vertices in clip.batches(window):
         rows = slice(first, first + len(vertices))
-        found = _with_controls(vertices, controls[rows], inverter, kept.known[rows])
-        evaluator.add(first, found, converged[rows])
-        kept.add(first, found)
+        inverted = _with_controls(vertices, controls[rows], inverter, results.known[rows])
+        evaluator.add(first, inverted, converged[rows])
+        results.add(first, inverted)
         advance("evaluating", len(vertices))
-    return kept.finished(controls, clip, evaluator)
+    return results.finished(controls, clip, evaluator)
 
 
 def _with_controls(vertices: Tensor, controls: Tensor, inverter: WindowInverter, known: Tensor) -> WindowResult:
@@ -154,12 +154,12 @@ class _FrameResults:
         self.motion = None if inverter.anchors is None else torch.zeros(frames, 4, 4, dtype=inverter.rig.dtype)
         self.known = torch.zeros(frames, dtype=torch.bool)
 
-    def add(self, first: int, found: WindowResult) -> None:
+    def add(self, first: int, inverted: WindowResult) -> None:
         """Store the frames of a window that starts at `first`."""
-        rows = slice(first, first + len(found.controls))
-        self.controls[rows], self.known[rows] = found.controls, found.solvable
-        if self.motion is not None and found.motion is not None:
-            self.motion[rows] = found.motion
+        rows = slice(first, first + len(inverted.controls))
+        self.controls[rows], self.known[rows] = inverted.controls, inverted.solvable
+        if self.motion is not None and inverted.motion is not None:
+            self.motion[rows] = inverted.motion
 
     def check(self, clip: Clip) -> None:
         """Raise InputError where no frame could be solved."""

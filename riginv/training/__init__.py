@@ -1,1 +1,1 @@
-"""Training: from a config to a network."""
+"""Training: Lightning modules, losses, data, callbacks, several devices."""

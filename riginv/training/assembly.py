@@ -27,13 +27,12 @@ from riginv.sampling.noise import CaptureNoise
 from riginv.store.training import reading_store
 from riginv.training.checkpoints import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.training.config import ModelConfig, TrainConfig, TrainerConfig
-from riginv.training.dashboard import Dashboard
+from riginv.training.dashboard import Dashboard, PosePictures
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import this_process
 from riginv.training.module import RigModule
 from riginv.training.parallel import HALVES
-from riginv.training.pictures import PosePictures
-from riginv.training.progress import TrainingProgress
+from riginv.training.summary import TrainingProgress
 
 CALIBRATION_MESHES = 1024
 BFLOAT16 = "bf16-mixed"
@@ -91,7 +90,7 @@ def build_sampler(settings: TrainConfig, rig: RigInMeshSpace) -> MeshSampler:
 
 
 def build_data(settings: TrainConfig, module: RigModule, true_rig: RigBackend, clip: MeshSet | None) -> PoseDataModule:
-    """The stream of training batches, and the sets that are validated on meanwhile."""
+    """The training batches and the validation sets."""
     sampler, count = build_sampler(settings, module.rig), settings.evaluation.validation_poses
     if true_rig.held_out is not None:
         sets = [true_rig.held_out]
@@ -113,7 +112,7 @@ def calibrate(seed: int, module: RigModule, sampler: MeshSampler) -> None:
 
 
 def speed_up(trainer: TrainerConfig, module: RigModule, device: torch.device) -> None:
-    """Train in bfloat16, or in compiled code, where the config says so: the network, and neither the rig nor the losses.
+    """Train in bfloat16, or in compiled code, as configured; this affects the network, not the rig and the losses.
 
     Raises:
         InputError: nothing can be compiled here.
@@ -137,7 +136,7 @@ def lightning_arguments(trainer: TrainerConfig) -> dict[str, Any]:
 
 
 def build_trainer(settings: TrainConfig, folder: RunFolder) -> tuple[L.Trainer, TrainingClock]:
-    """Lightning's trainer with everything that happens around training.
+    """Lightning's trainer with its callbacks, logger and plugins, and the clock of training time.
 
     Raises:
         InputError: the device is not there.
@@ -157,7 +156,7 @@ def build_trainer(settings: TrainConfig, folder: RunFolder) -> tuple[L.Trainer, 
     arguments = lightning_arguments(settings.trainer)
     if process.environment is not None:
         plugins.append(process.environment)
-        # A rig's buffers are large and never change: they are not sent anew at every step.
+        # A rig's buffers are large and never change: they are not sent at every step.
         arguments |= {"strategy": DDPStrategy(broadcast_buffers=False), "sync_batchnorm": True}
     elif process.must_start_others:
         raise InputError(

@@ -42,13 +42,13 @@ class AtomicCheckpoints(TorchCheckpointIO):
         """
         check_regular(Path(path))
         try:
-            found = torch.load(path, map_location=map_location or "cpu", weights_only=True)
+            checkpoint = torch.load(path, map_location=map_location or "cpu", weights_only=True)
         except Exception as error:  # torch.load raises exceptions of many types
             raise InputError(f"{path}: no checkpoint of plain tensors and values ({in_short(error)}); {START_OVER}") from None
-        missing = [key for key in PARTS if not isinstance(found, dict) or not isinstance(found.get(key), PARTS[key])]
+        missing = [key for key in PARTS if not isinstance(checkpoint, dict) or not isinstance(checkpoint.get(key), PARTS[key])]
         if missing:
             raise InputError(f"{path}: no checkpoint of plain tensors and values (no {missing[0]} in it); {START_OVER}")
-        return found
+        return checkpoint
 
 
 class SaveLast(L.Callback):
@@ -88,7 +88,7 @@ class SaveLast(L.Callback):
 
 
 class TrainingClock(L.Callback):
-    """Counts the seconds spent in training, those before a stop included.
+    """Counts the seconds of training, including those before an interruption.
 
     Attributes:
         seconds: so far.

@@ -21,7 +21,7 @@ from riginv.training.module import RigModule
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """What is trained, and how it learns.
+    """The module, network, loss, optimiser and schedule.
 
     Attributes:
         module: the Lightning module, with the options that are its own.
@@ -81,7 +81,7 @@ class EvaluationConfig:
 
 @dataclass(frozen=True)
 class CheckpointConfig:
-    """How often training is saved."""
+    """The interval of checkpoints."""
 
     every_n_steps: PositiveInt
 

@@ -1,18 +1,24 @@
-"""TensorBoard: a page of charts to watch, the choices of a run as few columns, and its results."""
+"""TensorBoard: a page of charts to watch, the choices of a run as few columns, its results, and pictures of poses."""
 
 import re
-from typing import Any
+from typing import Any, cast
 
 import lightning as L
+import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
+from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
+from PIL import Image
+from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
 from riginv.launch.sweep_hparams import NAMED_COLUMNS, RESULT
+from riginv.meshes.rendering import Pair, comparison
+from riginv.rig.batches import PoseBatch
 from riginv.runs.tables import sets_of
+from riginv.training.data import PoseDataModule
 from riginv.training.module import RigModule
-from riginv.training.pictures import validation_sets, writer_of
 
 MEAN, NEUTRAL, OPTIMUM = (f"{name}mean_vertex_error_mm" for name in ("", "neutral_", "optimum_"))
 Layout = dict[str, dict[str, list[Any]]]
@@ -101,3 +107,47 @@ def _flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{key}"] = value if isinstance(value, bool | int | float | str) else str(value)
     return flat
+
+
+class PosePictures(L.Callback):
+    """Shows, for each validation set, its worst and its median mesh: target, result and error.
+
+    Args:
+        every_n_validations: how often; the last validation is always shown.
+    """
+
+    def __init__(self, every_n_validations: int) -> None:
+        self.every_n_validations, self.validations = every_n_validations, 0
+
+    def on_validation_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        assert isinstance(module, RigModule)
+        self.validations += 1
+        if self.validations % self.every_n_validations and trainer.global_step < trainer.max_steps:
+            return
+        for name, batch in validation_sets(trainer, module).items():
+            picture = worst_and_median(module, batch)
+            writer_of(trainer).add_image(f"poses/{name}", np.asarray(picture), trainer.global_step, dataformats="HWC")
+
+
+def writer_of(trainer: L.Trainer) -> SummaryWriter:
+    """The TensorBoard writer of a trainer."""
+    assert isinstance(trainer.logger, TensorBoardLogger)
+    return trainer.logger.experiment
+
+
+def validation_sets(trainer: L.Trainer, module: RigModule) -> dict[str, PoseBatch]:
+    """The validation sets of a training by name, each as one batch on the module's device."""
+    data: PoseDataModule = trainer.datamodule  # type: ignore[attr-defined]  # set by fit
+    return {
+        name: cast(PoseBatch, {key: cast(torch.Tensor, values).to(module.device) for key, values in batch.items()})
+        for name, batch in data.validation.items()
+    }
+
+
+@torch.no_grad()
+def worst_and_median(module: RigModule, batch: PoseBatch) -> Image.Image:
+    """The worst and the median pose of a batch."""
+    targets, results = module.rig.space.decode(batch["coordinates"]), module.results(batch)
+    order = (results - targets).norm(dim=2).mean(dim=1).argsort(descending=True).tolist()
+    rows = {"worst: target": order[0], "median: target": order[len(order) // 2]}
+    return comparison(module.true_rig, [Pair(label, targets[row], results[row]) for label, row in rows.items()])

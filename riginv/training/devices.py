@@ -28,7 +28,7 @@ from riginv.launch.rank_process import is_rank_process
 
 @dataclass(frozen=True)
 class TrainerConfig:
-    """Where a network is trained, and how long.
+    """The devices and the duration of a training.
 
     Attributes:
         accelerator: of Lightning: cpu, gpu, auto.
@@ -55,7 +55,7 @@ class TrainerConfig:
 
     @property
     def processes(self) -> int:
-        """Of the whole run."""
+        """The number of processes of the whole run."""
         return self.devices * self.num_nodes
 
 
@@ -66,7 +66,7 @@ class Process:
     Attributes:
         rank: its number; the first, 0, is the one that writes.
         count: of all processes of the run.
-        environment: where Lightning learns of the others; None where there are none, or they are still to be started.
+        environment: Lightning's description of the other processes; None where there are none, or they have not been started.
     """
 
     rank: int = 0
@@ -84,13 +84,13 @@ class Process:
 
 
 def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
-    """Which process of a run this one is, from its config and from what has started it.
+    """This process as one of a run, from the config and the environment that started it.
 
     Args:
         batch_size: meshes in a training batch, those of all processes together.
 
     Raises:
-        InputError: the processes that are there are not those that the config asks for, or cannot be started here.
+        InputError: the processes do not match the config, or cannot be started here.
     """
     count = trainer.processes
     if batch_size < count:
@@ -110,7 +110,7 @@ def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
     if environment.world_size() != count and not is_rank_process():
         raise InputError(
             f"{environment.world_size()} processes were started, trainer.devices={trainer.devices} x "
-            f"trainer.num_nodes={trainer.num_nodes} asks for {count}: give both as they were started"
+            f"trainer.num_nodes={trainer.num_nodes} is {count}: set both to match the processes"
         )
     rank = int(os.environ["RANK"]) if is_rank_process() else environment.global_rank()
     if count > 1 and not is_rank_process() and not _folder_is_named():
@@ -119,7 +119,7 @@ def this_process(trainer: TrainerConfig, batch_size: int) -> Process:
 
 
 def _environment(trainer: TrainerConfig, count: int) -> ClusterEnvironment | None:
-    """What has started the processes of a run, if anything has."""
+    """The environment that has started the processes of a run, if any has."""
     if is_rank_process():
         return LightningEnvironment()
     if TorchElasticEnvironment.detect():
@@ -152,7 +152,7 @@ def _started_from_outside() -> ClusterEnvironment:
 
 
 def _is_swept_over(environment: ClusterEnvironment | None) -> bool:
-    """Whether the processes of a run would have to come of a job of a sweep, or each go through the whole sweep."""
+    """Whether a sweep's job would have to start processes, or each process would run the whole sweep."""
     if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
         return False
     return environment is None or HydraConfig.get().launcher._target_.endswith(".BasicLauncher")

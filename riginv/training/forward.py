@@ -43,8 +43,8 @@ class ForwardModule(RigModule):
 
     def coefficients(self, controls: Tensor) -> tuple[Tensor, Tensor]:
         """The coefficients `(batch, coefficient)` of controls `(batch, control)`, and `(1, coefficient)` at neutral."""
-        found = self.network(torch.cat([controls, self.rig.source.neutral_controls[None]]))
-        return found[:-1], found[-1:]
+        coefficients = self.network(torch.cat([controls, self.rig.source.neutral_controls[None]]))
+        return coefficients[:-1], coefficients[-1:]
 
     def results(self, batch: PoseBatch) -> Tensor:
         coefficients, neutral = self.coefficients(batch["controls"])

@@ -23,8 +23,5 @@ class HoldenModule(RigModule):
     def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         controls = self.network(batch["coordinates"])
         with torch.no_grad():
-            found = self.rig(controls)
-        return mse_loss(controls, batch["controls"]), found
-
-    def results(self, batch: PoseBatch) -> Tensor:
-        return self.true_rig(self.network(batch["coordinates"]))
+            coordinates = self.rig(controls)
+        return mse_loss(controls, batch["controls"]), coordinates

@@ -60,9 +60,8 @@ class InverseModule(RigModule):
         estimates = self.network.estimates(batch["coordinates"])
         losses = [*(self.loss for _ in estimates[1:]), self.last_loss]
         values, gradients = zip(*(value_and_gradient(loss, estimate) for loss, estimate in zip(losses, estimates)))
-        return _PrecomputedGradients.apply(sum(values), *gradients, *(estimate.raw for estimate in estimates)), estimates[
-            -1
-        ].found
+        loss = _PrecomputedGradients.apply(sum(values), *gradients, *(estimate.raw for estimate in estimates))
+        return loss, estimates[-1].detached_coordinates
 
     def loss_on_threads(self, batch: PoseBatch, weights: list[nn.Parameter], workers: Workers) -> tuple[Tensor, Tensor]:
         parts = self.network.learned_parts()
@@ -73,9 +72,6 @@ class InverseModule(RigModule):
             return value_and_gradient(self.last_loss if number == len(parts) - 1 else self.loss, estimate)
 
         return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers)
-
-    def results(self, batch: PoseBatch) -> Tensor:
-        return self.true_rig(self.network(batch["coordinates"]))
 
 
 def value_and_gradient(loss: nn.Module, estimate: Estimate) -> tuple[Tensor, Tensor]:
@@ -88,13 +84,13 @@ def value_and_gradient(loss: nn.Module, estimate: Estimate) -> tuple[Tensor, Ten
         factor = 2 / len(estimate.squares) * loss.derivatives(estimate.squares)
         return loss.of_squares(estimate.squares).mean(), factor[:, None] * estimate.gradient
     with torch.enable_grad():
-        found = estimate.found.detach().requires_grad_()
-        value = loss(found, estimate.target)
-    return value.detach(), estimate.vjp(torch.autograd.grad(value, found)[0])
+        coordinates = estimate.detached_coordinates.detach().requires_grad_()
+        value = loss(coordinates, estimate.target)
+    return value.detach(), estimate.vjp(torch.autograd.grad(value, coordinates)[0])
 
 
 class _PrecomputedGradients(torch.autograd.Function):
-    """A value whose gradients by raw outputs are known already."""
+    """A value with precomputed gradients by the raw outputs."""
 
     @staticmethod
     def forward(ctx: Any, value: Tensor, *gradients_and_raws: Tensor) -> Tensor:

@@ -27,7 +27,7 @@ class LengthLoss(nn.Module, ABC):
         self.vertex_count = vertex_count
 
     def forward(self, coordinates: Tensor, target: Tensor) -> Tensor:
-        """Both `(batch, coordinate)`; a scalar."""
+        """The loss, a scalar, of mesh coordinates against their target, both `(batch, coordinate)`."""
         return self.of_squares((coordinates - target).square().sum(dim=1)).mean()
 
     @abstractmethod
@@ -81,9 +81,9 @@ class MeanDistanceLoss(nn.Module):
         self.register_buffer("frame", frame[:, picked.to(frame.device)].flatten(1), persistent=False)
 
     def forward(self, coordinates: Tensor, target: Tensor) -> Tensor:
-        """Both `(batch, coordinate)`; a scalar."""
-        apart = ((coordinates - target) @ self.frame).unflatten(1, (-1, 3))
-        return (apart.square().sum(dim=2) + EPSILON_MM**2).sqrt().mean()
+        """The loss, a scalar, of mesh coordinates against their target, both `(batch, coordinate)`."""
+        displacement = ((coordinates - target) @ self.frame).unflatten(1, (-1, 3))
+        return (displacement.square().sum(dim=2) + EPSILON_MM**2).sqrt().mean()
 
 
 class CoefficientLoss(nn.Module):
@@ -103,9 +103,9 @@ class CoefficientLoss(nn.Module):
         super().__init__()
         self.register_buffer("sizes", linear_map.square().sum(dim=1) / vertex_count, persistent=False)
 
-    def forward(self, coefficients: Tensor, wanted: Tensor) -> Tensor:
-        """Both `(batch, coefficient)`; a scalar."""
-        return (((coefficients - wanted).square() @ self.sizes) + EPSILON_MM**2).sqrt().mean()
+    def forward(self, coefficients: Tensor, target: Tensor) -> Tensor:
+        """The loss, a scalar, of coefficients against their target, both `(batch, coefficient)`."""
+        return (((coefficients - target).square() @ self.sizes) + EPSILON_MM**2).sqrt().mean()
 
 
 def root_mean_square_mm(coordinates: Tensor, target: Tensor, vertex_count: int) -> Tensor:

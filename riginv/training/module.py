@@ -81,10 +81,10 @@ class RigModule(L.LightningModule, ABC):
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
         weights = [weight for weight in self.network.parameters() if weight.requires_grad]
         if self.workers is not None and self.can_use_threads and worth_halving(len(batch["coordinates"]), weights):
-            loss, found = self.loss_on_threads(batch, weights, self.workers)
+            loss, coordinates = self.loss_on_threads(batch, weights, self.workers)
         else:
-            loss, found = self.loss_and_coordinates(batch)
-        return self.log_step(loss, found, batch["coordinates"])
+            loss, coordinates = self.loss_and_coordinates(batch)
+        return self.log_step(loss, coordinates, batch["coordinates"])
 
     def loss_on_threads(self, batch: PoseBatch, weights: list[nn.Parameter], workers: Workers) -> tuple[Tensor, Tensor]:
         """As `loss_and_coordinates`, computed by two threads, with the gradients of the weights."""
@@ -95,9 +95,9 @@ class RigModule(L.LightningModule, ABC):
         """Whether `loss_on_threads` computes the same loss."""
         return can_be_halved(self.network, self.losses)
 
-    @abstractmethod
     def results(self, batch: PoseBatch) -> Tensor:
-        """The predicted meshes `(batch, vertex, 3)`, mm: for an inverse, the true rig at the predicted controls."""
+        """The predicted meshes `(batch, vertex, 3)`, mm: those of the true rig at an inverse's controls, or a surrogate's."""
+        return self.true_rig(self.network(batch["coordinates"]))
 
     def setup(self, stage: str) -> None:
         if self.trainer.world_size > 1:
@@ -105,17 +105,17 @@ class RigModule(L.LightningModule, ABC):
 
     def on_train_start(self) -> None:
         if self.workers is not None and self.can_use_threads and self.device.type == "cpu" and self.trainer.is_global_zero:
-            self.workers.look()
+            self.workers.update_count()
             missing = why_not()
             print(f"training on {self.workers.describe()}{f'; no compiled kernels: {missing}' if missing else ''}", flush=True)
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Raises InputError where the checkpoint's tensors do not match the network's."""
-        expected, found = self.state_dict(), checkpoint["state_dict"]
+        expected, stored = self.state_dict(), checkpoint["state_dict"]
         differing = sorted(
             str(name)
-            for name in expected.keys() | found.keys()
-            if getattr(expected.get(name), "shape", None) != getattr(found.get(name), "shape", None)
+            for name in expected.keys() | stored.keys()
+            if getattr(expected.get(name), "shape", None) != getattr(stored.get(name), "shape", None)
         )
         if differing:
             raise InputError(f"the checkpoint does not fit the network: {differing[0]:.80} differs; remove it to start over")

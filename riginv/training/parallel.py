@@ -19,17 +19,17 @@ from riginv.runs.threads import Workers
 
 HALVES = 2
 WORTH_SPLITTING = 1 << 24  # multiplications of a batch with all weights: below it a second thread has nothing to gain
-LossAndFound = Callable[[PoseBatch], tuple[Tensor, Tensor]]
+LossAndCoordinates = Callable[[PoseBatch], tuple[Tensor, Tensor]]
 
 
 def can_be_halved(network: nn.Module, losses: Sequence[nn.Module]) -> bool:
-    """Whether the halves of a batch can be computed apart: nothing normalises over it, and losses are means over the meshes."""
+    """Whether halves of a batch can be computed separately: no layer normalises over it, and losses are means over meshes."""
     normalised = any(isinstance(part, _BatchNorm) for part in network.modules())
     return not normalised and all(getattr(loss, "mean_of_meshes", False) for loss in losses)
 
 
 def worth_halving(rows: int, weights: Sequence[nn.Parameter]) -> bool:
-    """Whether a batch on a CPU is large enough."""
+    """Whether a batch is on a CPU and large enough for two threads."""
     return rows >= HALVES and weights[0].device.type == "cpu" and rows * sum(w.numel() for w in weights) >= WORTH_SPLITTING
 
 
@@ -51,7 +51,8 @@ def in_stages(
         workers: threads.
     """
     waiting: SimpleQueue[tuple[int, Estimate] | None] = SimpleQueue()
-    values, gradients, found = [torch.empty(0)] * len(parts), [()] * len(parts), []
+    values, coordinates = [torch.empty(0)] * len(parts), []
+    gradients: list[tuple[Tensor, ...]] = [()] * len(parts)
     weights = [[weight for weight in part.parameters() if weight.requires_grad] for part in parts]
 
     def differentiate() -> None:
@@ -67,7 +68,7 @@ def in_stages(
                 if number + 1 < len(parts):
                     _ = estimate.gradient  # the next stage needs it, too: computed by this thread alone
                 else:
-                    found.append(estimate.found)
+                    coordinates.append(estimate.detached_coordinates)
                 waiting.put((number, estimate))
         finally:
             waiting.put(None)
@@ -75,15 +76,15 @@ def in_stages(
 
     workers.run([estimate_all, differentiate])
     total = _WithGradients.apply(sum(values), list(chain(*gradients)), *chain(*weights))
-    return total, found[0]
+    return total, coordinates[0]
 
 
 def in_halves(
-    compute: LossAndFound, batch: PoseBatch, weights: Sequence[nn.Parameter], workers: Workers
+    compute: LossAndCoordinates, batch: PoseBatch, weights: Sequence[nn.Parameter], workers: Workers
 ) -> tuple[Tensor, Tensor]:
-    """The loss of a batch and what was found, from those of its halves; the loss brings the gradients of the weights along.
+    """Loss and predicted coordinates of a batch, from those of its halves; the loss carries the gradients of the weights.
 
-    Halves, and the order in which they are added up, are the same whatever computes them: so is every bit of the result.
+    The halves, and the order of their sum, do not depend on the number of threads: nor does any bit of the result.
 
     Args:
         compute: returns the mean loss of a batch, with a graph, and the predicted coordinates `(batch, coordinate)`, detached.
@@ -95,22 +96,22 @@ def in_halves(
     sizes = [count - count // HALVES, count // HALVES]
     halves = split_batch(batch, sizes)
 
-    def half(part: PoseBatch, share: float) -> tuple[Tensor, Tensor, tuple[Tensor | None, ...]]:
-        loss, found = compute(part)
-        scale = torch.full_like(loss, share)
-        return share * loss.detach(), found, torch.autograd.grad(loss, weights, scale, allow_unused=True)
+    def half(part: PoseBatch, fraction: float) -> tuple[Tensor, Tensor, tuple[Tensor | None, ...]]:
+        loss, coordinates = compute(part)
+        scale = torch.full_like(loss, fraction)
+        return fraction * loss.detach(), coordinates, torch.autograd.grad(loss, weights, scale, allow_unused=True)
 
     tasks = [partial(half, part, size / count) for part, size in zip(halves, sizes)]
-    (loss, found, gradients), (second_loss, second_found, second_gradients) = workers.run(tasks)
-    pairs = [(one, other) for one, other in zip(gradients, second_gradients) if one is not None and other is not None]
+    (loss, coordinates, gradients), (second_loss, second_coordinates, second_gradients) = workers.run(tasks)
+    pairs = [(first, second) for first, second in zip(gradients, second_gradients) if first is not None and second is not None]
 
     def add(numbers: list[int]) -> None:
         torch._foreach_add_([pairs[number][0] for number in numbers], [pairs[number][1] for number in numbers])
 
-    runs = _evenly([one.numel() for one, _ in pairs], list(range(len(pairs))))
+    runs = _evenly([first.numel() for first, _ in pairs], list(range(len(pairs))))
     workers.run([partial(add, numbers) for numbers in runs])
     total = _WithGradients.apply(loss + second_loss, list(gradients), *weights)
-    return total, torch.cat([found, second_found])
+    return total, torch.cat([coordinates, second_coordinates])
 
 
 def _evenly(sizes: list[int], numbers: list[int]) -> list[list[int]]:
@@ -124,7 +125,7 @@ def _evenly(sizes: list[int], numbers: list[int]) -> list[list[int]]:
 
 
 class _WithGradients(torch.autograd.Function):
-    """A loss whose gradients by the weights are known already."""
+    """A loss with precomputed gradients by the weights."""
 
     @staticmethod
     def forward(ctx: Any, loss: Tensor, gradients: list[Tensor | None], *weights: Tensor) -> Tensor:

@@ -87,23 +87,23 @@ def write_viewer(
     rig = animation.rig
     thinned = thin(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), MAX_VERTICES)
     rows = shown_rows(animation, errors, min(MAX_FRAMES, max(2, MAX_NUMBERS // (6 * len(thinned.kept)))))
-    both, top_mm = _meshes(animation, targets, rows, thinned, advance)
-    middle = (np.nanmax(both, axis=(0, 1, 2)) + np.nanmin(both, axis=(0, 1, 2))) / 2
-    both -= middle
-    farthest = float(np.nanmax(np.abs(both)))
+    meshes, top_mm = _meshes(animation, targets, rows, thinned, advance)
+    middle = (np.nanmax(meshes, axis=(0, 1, 2)) + np.nanmin(meshes, axis=(0, 1, 2))) / 2
+    meshes -= middle
+    farthest = float(np.nanmax(np.abs(meshes)))
     step = max(farthest / LARGEST, min(STEP_MM, farthest / 4000))
-    whole = np.where(np.isnan(both), UNKNOWN, np.round(np.nan_to_num(both) / step)).astype(np.int16)
-    count, kept = len(animation), len(thinned.kept)
-    note = _note(len(rows), count, kept, len(rig.rest_vertices), step)
+    integers = np.where(np.isnan(meshes), UNKNOWN, np.round(np.nan_to_num(meshes) / step)).astype(np.int16)
+    count, vertex_count = len(animation), len(thinned.kept)
+    note = _note(len(rows), count, vertex_count, len(rig.rest_vertices), step)
     colors = rig.vertex_colors()
     lower, span = rig.lower.cpu().double(), (rig.upper - rig.lower).cpu().double()
     values = ((animation.controls.cpu().double() - lower) / span * 65534 - 32767).round().clamp(-32767, 32767)
     facts = {
         **_facts(animation, errors),
         "shown": rows,
-        "vertices": kept,
+        "vertices": vertex_count,
         "step": step,
-        "radius": float(np.nanmax(np.linalg.norm(both, axis=-1))),
+        "radius": float(np.nanmax(np.linalg.norm(meshes, axis=-1))),
         "top_mm": top_mm,
         "heat": (HEAT_STOPS * 255).round().astype(int).tolist(),
         "colored": colors is not None,
@@ -115,7 +115,7 @@ def write_viewer(
         "STYLE": (HERE / "page.css").read_text(encoding="utf-8"),
         "SCRIPT": (HERE / "scene.js").read_text(encoding="utf-8") + (HERE / "page.js").read_text(encoding="utf-8"),
         "FACTS": json.dumps(facts, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
-        "MESHES": _packed(_changes(whole.reshape(len(rows), -1))),
+        "MESHES": _packed(_changes(integers.reshape(len(rows), -1))),
         "VALUES": _packed(_changes(values.numpy().astype(np.int16))),
         "FACES": _packed(thinned.faces.astype("<u4").tobytes()),
         "COLORS": _packed(b"" if colors is None else _bytes(colors.cpu().numpy()[thinned.kept])),
@@ -123,7 +123,7 @@ def write_viewer(
     page = (HERE / "page.html").read_text(encoding="utf-8")
     page = SLOT.sub(lambda slot: parts[slot[1]], page)  # in one pass, so that inserted text is not searched
     write_text(path, page)
-    return PageContents(len(rows), count, kept, len(rig.rest_vertices), note)
+    return PageContents(len(rows), count, vertex_count, len(rig.rest_vertices), note)
 
 
 def shown_rows(animation: Animation, errors: FrameErrors, limit: int) -> list[int]:

@@ -24,13 +24,13 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
     """
     rows = sheet_rows(animation, errors)
     recovered = animation.rig(animation.controls[list(rows)])
-    wanted = targets(list(rows)).to(recovered)
-    wanted = torch.where(wanted.isnan(), recovered, wanted)
-    distances = (wanted - recovered).norm(dim=2)
+    target_meshes = targets(list(rows)).to(recovered)
+    target_meshes = torch.where(target_meshes.isnan(), recovered, target_meshes)
+    distances = (target_meshes - recovered).norm(dim=2)
     top = float(distances.max().clamp_min(0.01))
     camera, faces, colors = Camera(animation.rig.rest_vertices), animation.rig.faces, animation.rig.vertex_colors()
     pictures, labels = [], []
-    for (row, name), target, mesh, distance in zip(rows.items(), wanted, recovered, distances):
+    for (row, name), target, mesh, distance in zip(rows.items(), target_meshes, recovered, distances):
         view = camera.following(target, mesh)
         pictures += [view.picture(target, faces, colors), view.picture(mesh, faces, colors)]
         pictures.append(view.picture(mesh, faces, heat_colors(distance, top)))
@@ -43,7 +43,7 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
 
 
 def sheet_rows(animation: Animation, errors: FrameErrors) -> dict[int, str]:
-    """The rows that are drawn, and why: the worst with some distance between them, then evenly spread ones."""
+    """The rows that are drawn, each with its reason: the worst with some distance between them, then evenly spread ones."""
     rows, distance = evaluated_rows(animation, errors), max(1, len(animation) // 20)
     chosen: dict[int, str] = {}
     for index in errors.worst(len(rows)):

@@ -40,7 +40,7 @@ class BlenderClip(WorkerClip):
 
 
 def _check(path: str, file: Path) -> None:
-    """Raises InputError where a file is missing or is not of the format that its name says."""
+    """Raises InputError where a file is missing or its content does not match its suffix."""
     if not file.is_file():
         raise InputError(f"{path}: no such file; clip=PATH names a clip")
     with file.open("rb") as opened:

@@ -12,7 +12,7 @@ CHUNK = 16  # most poses of a request
 
 
 class PoseLostError(RuntimeError):
-    """A pose, or loading, lost several workers in a row; the message says which pose, and how the last worker ended.
+    """A pose, or loading, lost several workers in a row; the message names the pose and the end of the last worker.
 
     Attributes:
         row: of the pose; None: no pose was requested.

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.rig.arkit import ArkitParts
 from riginv.rig.interface import Control, Motion, RigBackend
 from riginv.runs.worker_pool import GROWTH_MB
@@ -106,8 +106,8 @@ class BlenderRig(RigBackend):
         except PoseLostError as error:
             row = values[error.row or 0]
             moved = (row != self.neutral_controls.cpu()).nonzero()[:, 0].tolist() if error.row is not None else []
-            pose = ", ".join(f"{self.control_names[control]} {float(row[control]):g}" for control in moved[:8])
-            raise InputError(f"{self.name}: {error}; what it moves: {pose}{', ...' if len(moved) > 8 else ''}") from None
+            pose = listed(f"{self.control_names[control]} {float(row[control]):g}" for control in moved)
+            raise InputError(f"{self.name}: {error}; what it moves: {pose}") from None
         return torch.from_numpy(np.ascontiguousarray(vertices)).to(controls)
 
     def arkit_parts(self) -> dict[str, ArkitParts]:

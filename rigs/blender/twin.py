@@ -39,7 +39,7 @@ def blueprint_of(rig: RigBackend) -> Blueprint:
 
 
 def write_blend(blueprint: Blueprint, out: Path, interpreter: str) -> None:
-    """Build a .blend from a blueprint, whole or not at all.
+    """Build a .blend from a blueprint, atomically.
 
     Raises:
         InputError: Blender failed.

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from torch import Tensor
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.rig.interface import Control
 from rigs.dna.format import DnaFile
 from rigs.dna.format.layers import Behavior, Definition
@@ -15,7 +15,6 @@ from rigs.dna.logic.layout import Stage, put
 from rigs.dna.logic.rotations import normalise
 
 Kind = Literal["gui", "raw"]
-SHOWN = 6  # names in a note, at most
 
 
 class ControlSet(NamedTuple):
@@ -59,11 +58,12 @@ def control_set(file: DnaFile, logic: Logic, kind: Kind | None) -> ControlSet:
         for number, rest in zip(used, np.clip(0.0, lower[used], upper[used]))
     ]
     unused = [definition.gui_controls[number] for number in np.flatnonzero(~(upper > lower)).tolist()]
-    notes = [f"GUI controls that the table does not use are left out ({len(unused)}): {_listed(unused)}"] if unused else []
+    shown = listed(name[:60] for name in unused)
+    notes = [f"GUI controls that the table does not use are left out ({len(unused)}): {shown}"] if unused else []
     groups = logic.quaternions
-    taken = {control.name for control in controls}
+    used_names = {control.name for control in controls}
     for control in _quaternion_controls(definition, groups):
-        if control.name in taken:
+        if control.name in used_names:
             raise InputError(f"{file.path}: a GUI and a raw control are both named '{control.name[:80]}': rename one of them")
         controls.append(control)
     if len(groups):
@@ -139,7 +139,3 @@ def _check_unique(file: DnaFile, what: str, names: tuple[str, ...]) -> None:
         if name in seen:
             raise InputError(f"{file.path}: two {what} controls are named {name[:80]!r}, expected unique names: rename one")
         seen.add(name)
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(name[:60] for name in names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")

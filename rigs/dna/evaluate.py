@@ -89,29 +89,31 @@ def read_inputs(path: Path, file: DnaFile) -> Arrays:
 
 def all_stages(file: DnaFile, given: Arrays, settings: EvaluateConfig) -> Arrays:
     """Every stage of the file for given controls, by key, float32."""
-    found: Arrays = {}
+    stages: Arrays = {}
     logic = _reference(Logic(file))
     joints = bool(file.need(Definition).joints)
     if "gui" in given:
         gui = torch.tensor(given["gui"].astype(np.float32))
         raw = logic.raw_of(gui)  # in float32, as engines do
-        found["gui_raw"] = raw.numpy()
+        stages["gui_raw"] = raw.numpy()
         if not len(logic.quaternions):  # the table sets quaternions to 0, where joints have no rotation
-            found |= {f"gui_{key}": value for key, value in _stages(logic, raw.double(), 0, joints).items()}
+            stages |= {f"gui_{key}": value for key, value in _stages(logic, raw.double(), 0, joints).items()}
     if "raw" in given:
         raw = torch.tensor(given["raw"]).double()
         answer = TableInverse(file)(raw.numpy())
-        found |= {"raw_gui": answer.gui, "raw_gui_residual": answer.residual}
+        stages |= {"raw_gui": answer.gui, "raw_gui_residual": answer.residual}
         levels = [("raw", 0, raw), ("lod1", 1, raw[: settings.lod1_rows])]
         for key, lod, rows in levels[: max(1, logic.layout.lod_count)]:
             level = logic if lod == 0 else _reference(Logic(file, lod))
-            stages = _stages(level, rows, settings.quaternion_rows[lod], joints)
-            found |= {f"{key}_{name}": value for name, value in stages.items()}
+            level_stages = _stages(level, rows, settings.quaternion_rows[lod], joints)
+            stages |= {f"{key}_{name}": value for name, value in level_stages.items()}
             try:
-                found |= _vertices(file, lod, key, rows, given, settings.vertex_rows[lod])
+                stages |= _vertices(file, lod, key, rows, given, settings.vertex_rows[lod])
             except InputError as error:
                 Console(stderr=True).print(f"no vertices at level of detail {lod}: {error}", highlight=False, markup=False)
-    return {name: value.astype(np.float32) if value.dtype.kind == "f" else value for name, value in found.items() if value.size}
+    return {
+        name: value.astype(np.float32) if value.dtype.kind == "f" else value for name, value in stages.items() if value.size
+    }
 
 
 def _reference(logic: Logic) -> Logic:

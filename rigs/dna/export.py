@@ -78,7 +78,7 @@ def write_rig(rig: RigBackend, draft: Draft, out: Path) -> float:
     if not difference <= TOLERANCE_MM:
         raise InputError(
             f"rig '{rig.name}': as a DNA file it differs by {difference:.3g} mm, expected {TOLERANCE_MM:g} at most: its "
-            f"logic is not what its draft says"
+            f"logic differs from its draft"
         )
     write_dna(out, file)
     return difference

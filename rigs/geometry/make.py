@@ -120,7 +120,7 @@ def _moved_together() -> list[set[str]]:
 
 
 def main() -> None:
-    """Make the asset, and say how large it is."""
+    """Make the asset, and print its size."""
     write_asset(build_arrays())
     print(f"{PATH}: {PATH.stat().st_size:,} bytes")
 

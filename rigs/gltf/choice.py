@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from rigs.gltf.animation import CUBIC, Channel
 from rigs.gltf.channels import animation_names, read_channels, unnamed
 from rigs.gltf.container import GltfFile
@@ -13,7 +13,7 @@ from rigs.gltf.posing import PosedMeshes, poses_at
 
 MOVES = 1e-5  # fraction of the meshes' size that a vertex must move
 LOOKS = 48  # most sampled poses, beside those farthest from the first
-KNOWN = 10  # animations listed in a message
+COMPARED = 10  # other animations, of which those that move other parts are looked for
 
 
 class Chosen(NamedTuple):
@@ -89,7 +89,7 @@ def choice_notes(file: GltfFile, meshes: PosedMeshes, chosen: Chosen) -> list[st
     others = [number for number in range(len(names)) if number != read]
     why = "the first that moves the meshes that were read" if chosen.moves else "the first that holds them in a pose"
     notes.append(f"{text} was read, {why}; not read: {_several(names, others)} (reading.animation=NAME or NUMBER chooses).")
-    if found := _parts_elsewhere(file, meshes, chosen, others[:KNOWN]):
+    if found := _parts_elsewhere(file, meshes, chosen, others[:COMPARED]):
         numbers = ",".join(str(number + 1) for number in (read, *found))
         notes.append(
             f"What that animation leaves still of these meshes is moved by {_several(names, found)}: "
@@ -120,7 +120,7 @@ def _requested(file: GltfFile, meshes: PosedMeshes, names: list[str], requested:
 
 
 def _parts_elsewhere(file: GltfFile, meshes: PosedMeshes, chosen: Chosen, others: Iterable[int]) -> list[int]:
-    """Other animations that move only what the chosen one does not, as exporters write that make one of each action."""
+    """Other animations that move only what the chosen one does not, as some exporters write one for each action."""
     if not chosen.moves:
         return []
     taken, found = {(one.node, one.path) for one in chosen.channels if meshes.follows(one)}, []
@@ -142,7 +142,7 @@ def _all(names: list[str]) -> str:
 
 def _several(names: list[str], numbers: Iterable[int]) -> str:
     each = [f"{number + 1}" + f" '{names[number]}'" * (names[number] != unnamed(number)) for number in numbers]
-    return ", ".join(each[:KNOWN]) + (f" and {len(each) - KNOWN} more" if len(each) > KNOWN else "")
+    return listed(each)
 
 
 def _number_of(file: GltfFile, names: list[str], requested: Any) -> int:

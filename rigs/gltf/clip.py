@@ -17,7 +17,7 @@ from rigs.gltf.container import GltfFile, open_gltf
 from rigs.gltf.posing import PosedMeshes, poses_at
 from rigs.gltf.rig import GltfRig
 from rigs.gltf.scene import Scene, read_scene
-from rigs.gltf.selection import listed, mesh_name, mesh_nodes
+from rigs.gltf.selection import listed_meshes, mesh_name, mesh_nodes
 from rigs.gltf.timing import Timing, timing_of
 
 METRE = 1000.0  # mm, the unit of glTF
@@ -90,7 +90,7 @@ def _select(
         if chosen and chosen.moves:
             break
     if best is None:
-        raise no_motion(file, listed(mesh_name(file, scene, node) for node in selection.nodes))
+        raise no_motion(file, listed_meshes(mesh_name(file, scene, node) for node in selection.nodes))
     return best
 
 
@@ -101,9 +101,10 @@ def _facts(
     others = [name for node, name in names.items() if node not in selection.nodes]
     notes = []
     if others and selection.reason:
-        read = listed(names[node] for node in selection.nodes)
+        read = listed_meshes(names[node] for node in selection.nodes)
         notes.append(
-            f"Of its meshes {read} were read, {selection.reason}; not read: {listed(others)} (reading.mesh=[NAME] chooses)."
+            f"Of its meshes {read} were read, {selection.reason}; not read: {listed_meshes(others)} "
+            "(reading.mesh=[NAME] chooses)."
         )
     if selection.welded is not None:
         notes.append("Vertices at seams were welded as in the rig (rig.weld=true).")

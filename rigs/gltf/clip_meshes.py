@@ -52,17 +52,17 @@ def clip_meshes(file: GltfFile, scene: Scene, options: ReadingOptions, rig: RigB
     if not mesh_nodes(trial, scene):
         raise InputError(f"{file.path}: no mesh in its scene: export it with its meshes, or give another clip")
     candidates = list(_candidates(trial, scene, rig))
-    found: list[ClipMeshes] = []
+    selection: list[ClipMeshes] = []
     if rig and options.vertices is None:
         counts, rest = _vertex_counts(trial, scene), {len(rig.rest_vertices)}
         rest |= {len(rig.vertex_map)} if isinstance(rig, GltfRig) else set()
         for nodes, reason in candidates:
-            if sum(counts[node] for node in nodes) in rest and len(found) < MOST_COMPARED:
+            if sum(counts[node] for node in nodes) in rest and len(selection) < MOST_COMPARED:
                 fitting = _fitting(trial, nodes, options, rig)
-                found += [fitting._replace(reason=reason)] if fitting else []
+                selection += [fitting._replace(reason=reason)] if fitting else []
                 if fitting and reason == BY_NAME:
                     break
-    return found or [ClipMeshes(candidates[0][0], None, candidates[0][1])]
+    return selection or [ClipMeshes(candidates[0][0], None, candidates[0][1])]
 
 
 def _candidates(file: GltfFile, scene: Scene, rig: RigBackend | None) -> Iterator[tuple[list[int], str]]:

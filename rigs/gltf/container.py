@@ -103,7 +103,7 @@ class GltfFile:
 
 
 def open_gltf(path: str | Path) -> GltfFile:
-    """Open a glTF file and check its document; .glb and .gltf are told apart by content.
+    """Open a glTF file and check its document; .glb and .gltf are distinguished by content.
 
     Raises:
         InputError: the file is missing, truncated or not glTF 2.0, or requires an unsupported extension.

@@ -12,7 +12,7 @@ COMMON = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)
 NTSC = {base: base * 1000 / 1001 for base in (24.0, 30.0, 48.0, 60.0, 120.0)}  # 23.976, 29.97, 47.95, 59.94, 119.88
 EXACT = 5e-4  # tolerance in frames, beside the rounding of times
 DECIMALS, ROUNDED = (2, 3, 4, 5), 0.16  # decimals that exporters round seconds to, and the tolerance in frames then
-CLEAR = 3.5  # standard errors by which a common rate and its NTSC variant are told apart
+CLEAR = 3.5  # standard errors that distinguish a common rate from its NTSC variant
 COARSE = 0.25  # greatest uncertainty of a time, frames
 HOLD_S, HOLD = 2e-3, 0.15  # seconds, and fraction of a step, within which a key only holds a value up to the next key
 DENSE = 8.0  # fewest keys per second whose spacing may be that of frames
@@ -94,7 +94,7 @@ class KeyTimes:
         return found or self._guess(f"its {len(self.times)} keys stand at the frames of no common rate")
 
     def _guess(self, reason: str) -> Rate:
-        note = f"{DEFAULT_FPS:g} frames a second taken, because {reason}, and glTF does not say (reading.fps=...)."
+        note = f"{DEFAULT_FPS:g} frames a second taken, because {reason}, and glTF does not store it (reading.fps=...)."
         return Rate(DEFAULT_FPS, "a guess", self.exact(DEFAULT_FPS), note)
 
     def _on_frames(self, tolerance: Callable[[float], float], least: int) -> Rate | None:
@@ -151,7 +151,7 @@ class KeyTimes:
         return Rate(fps, source, COARSE, note)
 
     def _mostly_on_frames(self) -> Rate | None:
-        """The rate on whose frames most keys lie, but not, say, the last key of a trimmed clip."""
+        """The rate on whose frames most keys lie; the last key of a trimmed clip, for example, may not."""
         if len(self.times) < MANY:
             return None
         strays = {}

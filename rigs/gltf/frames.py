@@ -8,14 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.geometry.kinematics import compose
 from riginv.geometry.skinning import NUMBERS, matrix_basis
 from rigs.gltf.accessors import MOST_NUMBERS
 from rigs.gltf.avatar import Avatar, blend_transforms, check_distances, transform_vectors
 
 NEGLIGIBLE_MM = 1e-4  # a joint whose fraction of a target's deltas stays below this does not rotate them
-SHOWN = 8  # joints named in a note
 _IDLE = "have no vertices, carry one other joint and are never animated"
 LINEAR = 9  # entries of the 3x4 matrix of a joint that act on deltas: its last column moves points only
 
@@ -80,8 +79,7 @@ def joint_frames(avatar: Avatar, include: list[str], animated: Iterable[int] = (
     for numbers, what in ((joints - set(np.flatnonzero(loaded)), "move no vertex"), (idle, _IDLE)):
         if numbers:
             names = [scene.names[node] for node in sorted(numbers)]
-            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-            file.note(f"{len(names)} joints {what}, and are no controls: {', '.join(names[:SHOWN])}{more}.")
+            file.note(f"{len(names)} joints {what}, and are no controls: {listed(names)}.")
     if moving & named:
         named |= {node for node in moving if any(fnmatchcase(scene.names[node], glob) for glob in include)}
     return _frames_of(avatar, named - idle)
@@ -125,7 +123,7 @@ def _rest_transforms(avatar: Avatar, nodes: list[int]) -> Tensor:
         rest = scene.rigid[node] if parent < 0 else compose(scene.world[parent], scene.rigid[node])
         if abs(float(torch.linalg.det(rest[:, :3]))) < 1e-12:
             raise InputError(
-                f"{avatar.file.path}: joint '{scene.names[node]}' stands in a space that is scaled to nothing: leave it out of "
+                f"{avatar.file.path}: joint '{scene.names[node]}' is in a space that is scaled to nothing: leave it out of "
                 f"rig.joint_include, or export it with another scale"
             )
         found.append(torch.cat([rest[:, :3], rest[:, 3:] * avatar.mm], dim=1))

@@ -1,4 +1,4 @@
-"""Controls of joints: which there are, their order of rotation and their ranges, from what the file's animations do."""
+"""Controls of joints, with their orders of rotation and ranges, from the motion in the file's animations."""
 
 from collections.abc import Callable
 from typing import Literal, NamedTuple
@@ -26,7 +26,7 @@ UNIFORM = 1e-3  # difference of scales along the three axes that counts as none
 
 
 class Drives(NamedTuple):
-    """What the controls of joints do, in the order of the controls: angles of all frames, then translations, then scales.
+    """The effects of joint controls, in the order of the controls: angles of all frames, then translations, then scales.
 
     Attributes:
         controls: with their ranges.
@@ -61,21 +61,21 @@ def joint_drives(
     controls: list[Control] = []
     rotations = [[one.rotations for one in motions.get(node, []) if one.rotations is not None] for node in frames.nodes]
     if limit_deg is None:
-        orders = torch.stack([_best_order(each) for each in rotations])
+        orders = torch.stack([_best_order(angles) for angles in rotations])
         limits = _angle_limits(rotations, orders)
     else:
         orders = torch.tensor([ORDERS[0]] * len(frames.names))
         limits = [[(-limit_deg, limit_deg)] * 3] * len(frames.names)
-    for name, each in zip(frames.names, limits):
-        controls += [Control(f"{name}.{axis}", low, high, unit="deg") for axis, (low, high) in zip(ANGLES, each)]
+    for name, angles in zip(frames.names, limits):
+        controls += [Control(f"{name}.{axis}", low, high, unit="deg") for axis, (low, high) in zip(ANGLES, angles)]
     moved = _chosen(frames, motions, translation, lambda one: one.translations is not None, roots=True)
     for number in moved:
         controls += _translation_controls(avatar, frames, number, motions.get(frames.nodes[number], []))
     scaled, axes = [], []
     for number in _chosen(frames, motions, scale, lambda one: one.scales is not None):
-        more, their_axes = _scale_controls(frames.names[number], motions.get(frames.nodes[number], []))
-        controls += more
-        scaled += [number] * len(more)
+        scale_controls, their_axes = _scale_controls(frames.names[number], motions.get(frames.nodes[number], []))
+        controls += scale_controls
+        scaled += [number] * len(scale_controls)
         axes += their_axes
     moved_frames, scaled_frames = (torch.tensor(numbers, dtype=torch.long) for numbers in (moved, scaled))
     return Drives(controls, orders, moved_frames, scaled_frames, torch.tensor(axes).view(-1, 3))

@@ -1,4 +1,4 @@
-"""What the animations of a file do to its nodes: the ranges of joint controls come from it."""
+"""The motion of nodes in the animations of a file, from which joint controls get their ranges."""
 
 from typing import NamedTuple
 

@@ -4,12 +4,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
-from riginv.errors import InputError, printable
+from riginv.errors import InputError, listed, printable
 from rigs.gltf.container import GltfFile
 from rigs.gltf.scene import Scene
 from rigs.gltf.targets import target_count
-
-KNOWN = 12  # names listed in a message
 
 
 class MeshName(NamedTuple):
@@ -59,7 +57,7 @@ def named_meshes(file: GltfFile, scene: Scene, globs: Sequence[str], key: str) -
         matching = _matching(names, glob)
         if not matching:
             raise InputError(
-                f"{file.path}: {key} names {glob!r}, no mesh is called so; its meshes are: {listed(names.values())}"
+                f"{file.path}: {key} names {glob!r}, no mesh is called so; its meshes are: {listed_meshes(names.values())}"
             )
         found |= matching
     return [node for node in nodes if node in found]
@@ -84,7 +82,7 @@ def rig_meshes(file: GltfFile, scene: Scene, include: list[str], exclude: list[s
     names = {node: mesh_name(file, scene, node) for node in mesh_nodes(file, scene)}
     gone = set[int]().union(*(_matching(names, glob) for glob in exclude))
     kept = [node for node in named_meshes(file, scene, include, "rig.include") if node not in gone]
-    known = listed(names.values())
+    known = listed_meshes(names.values())
     if not kept:
         raise InputError(f"{file.path}: no mesh is left for the rig; its meshes are: {known}; see rig.include and rig.exclude")
     if include:
@@ -107,7 +105,6 @@ def with_targets_or_skin(file: GltfFile, nodes: list[int]) -> list[int]:
     return [node for node in nodes if node in moved or "skin" in file.document["nodes"][node]]
 
 
-def listed(names: Iterable[MeshName]) -> str:
-    """Names for a message."""
-    shown = sorted({name.shown for name in names})
-    return (", ".join(shown[:KNOWN]) + (f" and {len(shown) - KNOWN} more" if len(shown) > KNOWN else "")) or "none"
+def listed_meshes(names: Iterable[MeshName]) -> str:
+    """The names of meshes for a message, each once, sorted."""
+    return listed(sorted({name.shown for name in names}))

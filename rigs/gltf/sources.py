@@ -1,4 +1,4 @@
-"""Bytes of a glTF file: chunks of a .glb, files beside a .gltf, and data URIs. Nothing else is opened."""
+"""Bytes of a glTF file: chunks of a .glb, files beside a .gltf, and data URIs; nothing else is opened."""
 
 import base64
 import binascii
@@ -30,9 +30,9 @@ def chunks(path: Path, data: np.ndarray) -> tuple[bytes, np.ndarray | None]:
         raise InputError(f"{path}: a .glb of version {version}, expected {VERSION}: export it again as glTF 2.0")
     if length > len(data):
         raise InputError(
-            f"{path}: {len(data)} bytes, expected {length} as its header says: the file is truncated; copy or export it again"
+            f"{path}: {len(data)} bytes, expected {length} by its header: the file is truncated; copy or export it again"
         )
-    found: dict[int, np.ndarray] = {}
+    chunks_by_kind: dict[int, np.ndarray] = {}
     start = HEADER
     while start + CHUNK_HEADER <= length:
         size, kind = (int(number) for number in np.frombuffer(data[start : start + CHUNK_HEADER].tobytes(), "<u4"))
@@ -41,11 +41,11 @@ def chunks(path: Path, data: np.ndarray) -> tuple[bytes, np.ndarray | None]:
             raise InputError(
                 f"{path}: a part of {size} bytes starts at byte {start} of {length}: the file is damaged; export it again"
             )
-        found.setdefault(kind, data[start : start + size])
+        chunks_by_kind.setdefault(kind, data[start : start + size])
         start += size
-    if JSON_CHUNK not in found:
+    if JSON_CHUNK not in chunks_by_kind:
         raise InputError(f"{path}: a .glb without its JSON part: the file is damaged; export it again")
-    return found[JSON_CHUNK].tobytes(), found.get(BINARY_CHUNK)
+    return chunks_by_kind[JSON_CHUNK].tobytes(), chunks_by_kind.get(BINARY_CHUNK)
 
 
 def bytes_of(path: Path, user: str) -> np.ndarray:

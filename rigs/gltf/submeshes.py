@@ -73,7 +73,7 @@ def read_submeshes(file: GltfFile, nodes: list[int]) -> list[Submesh]:
         InputError: vertices and targets do not match, or there are implausibly many.
     """
     names = target_names(file, sorted({file.document["nodes"][node]["mesh"] for node in nodes}))
-    found: dict[tuple, Submesh] = {}
+    submeshes: dict[tuple, Submesh] = {}
     start = corners = 0
     for seen, (node, mesh, number, primitive) in enumerate(_primitives(file, nodes)):
         label = f"{mesh_label(file, mesh)}, primitive {number}"
@@ -86,20 +86,20 @@ def read_submeshes(file: GltfFile, nodes: list[int]) -> list[Submesh]:
         count = count_of(file, attributes["POSITION"], f"POSITION of {label}")
         corners += count_of(file, primitive["indices"], f"indices of {label}") if "indices" in primitive else count
         key = (node, tuple(sorted(attributes.items())), tuple(targets.values()))
-        if key in found:  # primitives that differ in their material alone
-            found[key].primitives.append(primitive)
+        if key in submeshes:  # primitives that differ in their material alone
+            submeshes[key].primitives.append(primitive)
         else:
             _check_counts(file, targets, count, label)
-            found[key] = Submesh(label, node, mesh, attributes, targets, start, count, [primitive])
+            submeshes[key] = Submesh(label, node, mesh, attributes, targets, start, count, [primitive])
             start += count
         if max(3 * start * (1 + len(targets)), corners) > MOST_NUMBERS or seen >= MOST_PRIMITIVES:
             raise InputError(
                 f"{file.path}: {start} vertices with {len(targets)} morph targets and {corners} corners in {seen + 1} "
                 f"primitives are more than can be meant: choose meshes with rig.include=[NAME]"
             )
-    if not found:
+    if not submeshes:
         raise InputError(f"{file.path}: its meshes have no primitives, so there is no vertex: export it again")
-    return list(found.values())
+    return list(submeshes.values())
 
 
 def _check_counts(file: GltfFile, targets: dict[str, int | None], count: int, label: str) -> None:

@@ -4,13 +4,12 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from rigs.gltf.container import GltfFile
 
 MOST_TARGETS = 10_000
 BASIS = "Basis"  # Blender's reference shape, which is no target
 NUMBERED = re.compile(r"accessors?[\s_.-]*\d*", re.IGNORECASE)  # names that exporters give to accessors of any kind
-SHOWN = 4  # names listed in a note
 
 
 def mesh_label(file: GltfFile, mesh: int) -> str:
@@ -94,7 +93,7 @@ def _one_for_each(file: GltfFile, mesh: int, found: list[str], count: int) -> li
         what = f"'{_numbered(len(found))}' and so on name the others" if len(found) < count else f"'{found[count]}' is left out"
         file.note(
             f"{mesh_label(file, mesh)} has {count} morph targets and names {len(found)} in extras.targetNames: the names were "
-            f"given in their order, and {what}; names may stand at the wrong targets."
+            f"given in their order, and {what}; names may be at the wrong targets."
         )
     return [(found[number] if number < len(found) else "") or _numbered(number) for number in range(count)]
 
@@ -114,10 +113,9 @@ def _unique(file: GltfFile, mesh: int, names: list[str]) -> list[str]:
         taken.add(new)
         result.append(new)
     if renamed:
-        several = ", ".join(renamed[:SHOWN]) + (f" and {len(renamed) - SHOWN} more" if len(renamed) > SHOWN else "")
         file.note(
             f"{len(renamed)} morph targets of {mesh_label(file, mesh)} have names that others of it have, too: they are called "
-            f"{several}."
+            f"{listed(renamed)}."
         )
     return result
 

@@ -161,7 +161,7 @@ class MayaRig:
         for name, value in zip(self.names, pose):
             self.cmds.setAttr(name, value)
         flat = []
-        for point in self.mesh.getPoints(self.api.MSpace.kWorld):  # cm, whatever the scene's unit
+        for point in self.mesh.getPoints(self.api.MSpace.kWorld):  # cm, for any unit of the scene
             x, y, z = 10 * point.x, 10 * point.y, 10 * point.z
             flat += (x, y, z) if self.y_up else (x, z, -y)
         return flat

@@ -79,5 +79,5 @@ def _explained(path: Path) -> Iterator[None]:
             raise
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
-            f"{path}: cannot be read as arrays of deltas: {reason}; truncated, or not what its name says"
+            f"{path}: cannot be read as arrays of deltas: {reason}; truncated, or of another format than its suffix"
         ) from None

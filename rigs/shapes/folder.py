@@ -6,12 +6,10 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import NamedTuple
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from riginv.meshes.reading import READERS as MESH_READERS
 from rigs.shapes.deltas import READERS as DELTA_READERS
 from rigs.shapes.deltas import names_in
-
-LISTED = 8  # names in a message, at most
 
 
 class Source(NamedTuple):
@@ -44,16 +42,16 @@ def find_shapes(
         raise InputError(f"{folder}: no such folder; rig.folder= takes the folder with the neutral and one file for each shape")
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     meshes = [path for path in files if path.suffix.lower() in MESH_READERS]
-    known = ", ".join((*MESH_READERS, *DELTA_READERS))
+    suffixes = ", ".join((*MESH_READERS, *DELTA_READERS))
     if not meshes:
-        content = f"its {len(files)} files are {_listed([path.name for path in files])}" if files else "it is empty"
-        raise InputError(f"{folder}: no meshes there: {content}; expected a neutral and one file for each shape ({known})")
+        content = f"its {len(files)} files are {listed([path.name for path in files])}" if files else "it is empty"
+        raise InputError(f"{folder}: no meshes there: {content}; expected a neutral and one file for each shape ({suffixes})")
     neutral_path = _neutral(folder, neutral, meshes)
     readable = [path for path in files if path.suffix.lower() in (*MESH_READERS, *DELTA_READERS)]
     named = [(name, path) for path in readable if path != neutral_path for name in names_in(path)]
     if not named:
         raise InputError(
-            f"{folder}: {neutral_path.name} is the only shape there; expected one more file for each shape ({known})"
+            f"{folder}: {neutral_path.name} is the only shape there; expected one more file for each shape ({suffixes})"
         )
     _check_globs("include", include, named, folder)
     shapes: dict[str, Path] = {}
@@ -84,7 +82,7 @@ def _neutral(folder: Path, neutral: str, meshes: list[Path]) -> Path:
     near = difflib.get_close_matches(neutral, names, n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]}?" if near else ""
     raise InputError(
-        f"{folder}: no neutral named '{neutral}' among the {len(names)} meshes there ({_listed(names)}): name the rest mesh "
+        f"{folder}: no neutral named '{neutral}' among the {len(names)} meshes there ({listed(names)}): name the rest mesh "
         f"with rig.neutral=NAME{hint}"
     )
 
@@ -96,9 +94,5 @@ def _matches(name: str, path: Path, globs: Sequence[str]) -> bool:
 def _check_globs(field: str, globs: Sequence[str], named: list[tuple[str, Path]], folder: Path) -> None:
     for glob in globs:
         if not any(_matches(name, path, [glob]) for name, path in named):
-            names = _listed([name for name, _ in named])
+            names = listed([name for name, _ in named])
             raise InputError(f"rig.{field}: '{glob}' matches none of the {len(named)} shapes in {folder} ({names})")
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:LISTED]) + (", ..." if len(names) > LISTED else "")

@@ -2,7 +2,7 @@
 
 `a50` is the in-between of `a` at half its weight. `a_b`, `a_b_c` ... are combinations: `a` and `b` (and `c`) at weight 1.
 The parts of a combination may be in-betweens (`a50_b`), and a combination may have in-betweens of its own
-(`a_b50`, where there is no shape `b50`: both at half). Every other name is a primary shape, whatever it contains (`brow_up_L`).
+(`a_b50`, where there is no shape `b50`: both at half). Every other name is a primary shape, underscores included (`brow_up_L`).
 """
 
 import difflib
@@ -67,10 +67,10 @@ def read_names(names: Iterable[str]) -> Convention:
     Raises:
         InputError: two shapes are combinations of the same shapes.
     """
-    found = Convention()
+    shapes = Convention()
     combined: dict[frozenset[str], str] = {}
     for name in sorted(names, key=lambda name: (name.count("_"), len(name), name)):
-        members = _members(name, found)
+        members = _members(name, shapes)
         digits = INBETWEEN.fullmatch(name)
         owner, position = (digits[1], int(digits[2]) / 100) if digits and digits[2] != "00" else ("", 0.0)
         if members:
@@ -80,15 +80,15 @@ def read_names(names: Iterable[str]) -> Convention:
                     f"shapes '{twin}' and '{name}' both combine {' and '.join(members)}: keep one of them, or leave one out "
                     "with rig.exclude"
                 )
-            found.combinations[name] = members
-        elif owner in found.primaries:
-            found.inbetweens[name] = (owner, position)
-        elif owner in found.combinations and all(member in found.primaries for member in found.combinations[owner]):
-            found.combination_inbetweens[name] = (owner, position)
+            shapes.combinations[name] = members
+        elif owner in shapes.primaries:
+            shapes.inbetweens[name] = (owner, position)
+        elif owner in shapes.combinations and all(member in shapes.primaries for member in shapes.combinations[owner]):
+            shapes.combination_inbetweens[name] = (owner, position)
         else:
-            found.primaries.append(name)
-    found.primaries.sort()
-    return found
+            shapes.primaries.append(name)
+    shapes.primaries.sort()
+    return shapes
 
 
 def misspelt_notes(found: Convention) -> list[str]:

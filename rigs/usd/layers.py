@@ -35,13 +35,13 @@ def refuse_layers_elsewhere(file: str) -> list[str]:
                 raise RefusedError(
                     f"{file}: it refers to {asset[:80]!r}, expected layers in its own folder: flatten it with usdcat --flatten"
                 )
-            found = [str(target)] if target.is_file() else []
+            paths = [str(target)] if target.is_file() else []
             packed = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
             if Ar.IsPackageRelativePath(packed):
-                found.append(packed)
-            elif not found:
+                paths.append(packed)
+            elif not paths:
                 missing.append(asset)
-            waiting += [one for one in found if one not in seen]
+            waiting += [one for one in paths if one not in seen]
     return missing
 
 

@@ -82,7 +82,7 @@ class PosedMesh:
         return shown or any(_varies(UsdGeom.Imageable(one).GetVisibilityAttr()) for one in _upwards(self.prim))
 
     def hidden_times(self, times: np.ndarray) -> np.ndarray:
-        """Those of `times` at which it is invisible."""
+        """The times among `times` at which the mesh is invisible."""
         if not any(_varies(UsdGeom.Imageable(one).GetVisibilityAttr()) for one in _upwards(self.prim)):
             return times[:0]
         image = UsdGeom.Imageable(self.prim)

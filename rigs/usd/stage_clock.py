@@ -22,7 +22,7 @@ DRIFT = 0.1  # greatest drift in frames between a measured and a common rate
 
 
 class UnusableStageError(Exception):
-    """A stage cannot be read; the message tells the user why, without the file's name."""
+    """A stage cannot be read; the message is for the user, without the file's name."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def grid_of(samples: np.ndarray, rate: float, clock: StageClock, notes: list[str
     authored = authored if authored is not None and _is_rate(authored) else None
     whole = 1.0 if FRAME_RATES[0] <= rate <= FRAME_RATES[1] else None
     spaced = rate / authored if authored else None
-    if whole and spaced and abs(spaced - whole) < SAME_RATE:  # 24 and 23.976 are both said of one clock
+    if whole and spaced and abs(spaced - whole) < SAME_RATE:  # 24 and 23.976 are both names of one clock
         spaced = None
     steps = sorted({step for step in (whole, spaced) if step}, reverse=True)
     fitting = [step for step in steps if is_on(samples, step)]

@@ -93,7 +93,7 @@ def test_names_that_do_not_fit(rig, controls, tmp_path):
         tmp_path / "rest.csv", [*names, "still", "comment"], np.c_[controls, np.ones(FRAMES), np.full(FRAMES, "x")]
     )
     assert "left out: still, comment" in clip_of(resting, rig)[1][0]
-    with pytest.raises(InputError, match=r"none of its columns \(a, b, ...\) is a control of rig 'toy'.*timecodes"):
+    with pytest.raises(InputError, match=r"none of its columns \(a, b\) is a control of rig 'toy'.*timecodes"):
         clip_of(write_csv(tmp_path / "other.csv", ["a", "b"], controls[:, :2]), rig)
 
 
@@ -115,7 +115,7 @@ def test_values_beyond_their_limits_are_said_and_brought_back(rig, controls, tmp
         ({"controls": np.zeros((0, 7))}, "no frames"),
         ({"fps": np.array([1.0, 2.0])}, "fps is"),
         ({"frame_numbers": np.zeros(FRAMES, int)}, "do not rise"),
-        ({"names": np.array(["bump0"] * 7)}, "'bump0' stands twice"),
+        ({"names": np.array(["bump0"] * 7)}, "'bump0' is there twice"),
         ({"names": np.array([object()] * 7)}, "names"),
     ],
 )
@@ -151,7 +151,7 @@ def test_a_file_beside_the_curves_that_contradicts_them_is_said(rig, controls, t
     )
     for content, said in (
         ('{"fps": 25.0}', ""),
-        ('{"fps": 60}', "60 frames a second, and its rows lie 25"),
+        ('{"fps": 60}', "60 frames a second, its rows have 25"),
         ("[", "ignored"),
     ):
         (tmp_path / "take.json").write_text(content)

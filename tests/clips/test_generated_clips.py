@@ -132,7 +132,7 @@ def check(kind: str, folder: Path, random: np.random.Generator) -> None:
     try:
         sequence = open_sequence(path, RIG, reading_options(missing_frames=missing))
     except InputError as refusal:  # of a name in which a dash may be a sign
-        assert "a dash stands before" in str(refusal) and made.numbers[-1] < 0
+        assert "a dash precedes" in str(refusal) and made.numbers[-1] < 0
         return
     if scrambled and kind != "mdd":  # which has no faces to tell by
         with pytest.raises(InputError, match="edges of the clip"):

@@ -159,7 +159,7 @@ def test_what_lies_behind_the_frames_of_the_header_is_said(write, frames, more, 
     times = {"times": np.arange(8) / 24} if write is mdd else {}
     extra = b"\0" * (frames * 12 * MESHES.shape[1] + more)
     sequence = write(tmp_path / f"a.{write.__name__}", **times, more=extra)
-    assert f"{len(extra):,} bytes behind the 8 frames" in said(sequence) and len(sequence) == 8
+    assert f"{len(extra):,} bytes after the 8 frames" in said(sequence) and len(sequence) == 8
     assert (f"enough for {frames} frames more" in said(sequence)) == bool(frames)
     path = tmp_path / f"a.{write.__name__}"
     path.write_bytes(path.read_bytes()[: -len(extra) - 1])

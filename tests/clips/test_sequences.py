@@ -75,7 +75,7 @@ def test_a_dash_is_no_sign_where_it_only_parts_the_number(tmp_path):
 
 def test_a_dash_behind_a_space_may_be_either_and_is_asked_about(tmp_path):
     folder = touch(tmp_path / "shot", "take -0003.obj", "take -0002.obj", "take -0001.obj")
-    with pytest.raises(InputError, match=r"a dash stands .*/take -%04d.obj' where it is part of .*/take %04d.obj' where it is"):
+    with pytest.raises(InputError, match=r"dash precedes .*/take -%04d.obj' where it is part of .*/take %04d.obj' where it is"):
         numbers(folder)
     assert numbers(folder / "take -%04d.obj") == [1, 2, 3] and numbers(folder / "take %04d.obj") == [-3, -2, -1]
     touch(folder, "take 0000.obj")

@@ -152,7 +152,7 @@ def test_a_rig_that_has_no_arkit_shapes_is_told_what_it_may_take(tmp_path):
         ("0.5000000000", "0,5", "line 2: 64 values, expected 63"),
         ("Timecode", "Time", "none of its columns"),
         ("JawOpen", "jawopen,JawOpen", "are one shape"),
-        ("JawOpen", "TongueOut", "'TongueOut' stands twice"),
+        ("JawOpen", "TongueOut", "'TongueOut' is there twice"),
     ],
 )
 def test_what_cannot_be_meant_is_named(before, after, says, tmp_path):
@@ -177,7 +177,7 @@ def test_decimal_commas_in_a_file_of_commas_are_named(tmp_path):
 def test_weights_beyond_their_range_are_said(tmp_path):
     take = write_take(tmp_path / "take.csv", {"jawOpen": np.linspace(-0.2, 1.5, FRAMES)}, CODES)
     recording = read_live_link(take)
-    assert "weights lie beyond 0 to 1" in recording.facts.notes[0] and "jawOpen is 1.5" in recording.facts.notes[0]
+    assert "weights are beyond 0 to 1" in recording.facts.notes[0] and "jawOpen is 1.5" in recording.facts.notes[0]
     assert float(recording.weights.max()) == 1.5
     assert not read_live_link(write_take(tmp_path / "b.csv", {"jawOpen": np.full(FRAMES, 1.003)}, CODES)).facts.notes
 

@@ -39,7 +39,7 @@ def measured(effects, found, true, is_clip=False):
 
 
 def test_controls_that_the_mesh_cannot_tell_apart_count_as_one(effects):
-    assert effects.same == (("one", "twin", "opposite"),) and effects.still == ("still",)
+    assert effects.merged == (("one", "twin", "opposite"),) and effects.without_effect == ("still",)
     assert effects.names == ("one = twin = opposite", "alike", "far")
     exact = measured(effects, [[0.0, 1.0, 0.0, 0.0, 0.2, 0.9]], [[0.6, 0.0, 0.1, 0.0, 0.2, 0.0]])
     assert (exact.precision, exact.recall) == (1, 1) and exact.error < 1e-3

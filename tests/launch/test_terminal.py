@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from riginv.launch.help import explained_keys
+from riginv.launch.command import explained_keys
 from riginv.launch.terminal import exit_on_broken_pipe
 from tests.conftest import ROOT
 

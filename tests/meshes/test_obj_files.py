@@ -177,7 +177,8 @@ def test_an_array_of_an_npz_is_chosen_by_name(tmp_path):
     write_npz(tmp_path / "a.npz", meshes, rig.faces.numpy())
     np.savez(tmp_path / "b.npz", raw=meshes, smooth=meshes + 1, normals=meshes[:, :, :2])
     with pytest.raises(
-        InputError, match=r"no array of vertices.*found raw, smooth, and any of these 2 could be it: reading.mesh="
+        InputError,
+        match="no array of vertices.*found raw, smooth, and any of these 2 could be it: choose one with reading.mesh=NAME",
     ):
         open_sequence(str(tmp_path / "b.npz"), rig, ReadingOptions())
     sequence = open_sequence(str(tmp_path / "b.npz"), rig, ReadingOptions(mesh="smooth"))

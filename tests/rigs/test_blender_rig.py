@@ -188,7 +188,7 @@ scene.unit_settings.scale_length = 0.01
 
 
 BROKEN = {
-    "two meshes": ("cube('a'); shape(cube('b'), 'x', (1, 0, 0))", {}, "say which with rig.mesh=NAME: 'a', 'b'"),
+    "two meshes": ("cube('a'); shape(cube('b'), 'x', (1, 0, 0))", {}, "choose one with rig.mesh=NAME: 'a', 'b'"),
     "other mesh": ("shape(cube('a'), 'x', (1, 0, 0))", {"mesh": "head"}, "there is no mesh 'head'; it has 'a'"),
     "no mesh": ("add('empty')", {}, "it holds no mesh"),
     "nothing moves": ("cube('a')", {}, "nothing moves the mesh 'a'"),

@@ -181,7 +181,7 @@ def write_text(text: bytes) -> Callable[[bytes], bytes]:
         (write_text(b'{"a":' * 200_000), "its JSON cannot be read"),
         (write_text(b'{"asset": {"version": "2.0"}, "scene": ' + b"9" * 6000 + b"}"), "its JSON cannot be read"),
         (write_text(b'{"asset": {"version": "2.0"}, "scene": 1e400}'), "scene is inf"),
-        (lambda data: data[:-40], "as its header says: the file is truncated"),
+        (lambda data: data[:-40], "by its header: the file is truncated"),
         (lambda data: data[:12] + struct.pack("<I", 2**31) + data[16:], "a part of 2147483648 bytes starts at byte 20"),
         (lambda data: data[:4] + struct.pack("<I", 1) + data[8:], "a .glb of version 1, expected 2"),
         (lambda data: data[:16] + b"JUNK" + data[20:], "without its JSON part"),

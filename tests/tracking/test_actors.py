@@ -89,7 +89,7 @@ def test_the_controls_of_another_actor_are_found(how, moving, run, rig, tmp_path
     [
         (["actor.neutral=none.obj"], "none.obj: no frames"),
         (["actor.neutral={clip}"], "40 meshes, expected one"),
-        (["actor.neutral={order}"], "the vertices stand in another order"),
+        (["actor.neutral={order}"], "the vertices are in another order"),
         (["actor.neutral={mixed}"], "from the rig on average, expected at most"),
         (["actor.neutral={other}"], "cannot be brought onto the mesh"),
         (["actor.neutral={few}"], "fewer than 50 points"),

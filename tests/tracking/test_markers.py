@@ -80,7 +80,7 @@ def test_eliminated_motion_equals_the_dense_solve(toy_rig):
     objective = objective_of(toy_rig, placed(toy_rig, 12), True)
     points = turned(objective.placement.points(toy_rig(played(toy_rig, 2))))
     near = objective.derivatives(torch.full((2, 7), 0.4), pack(points, torch.ones(points.shape[:2])))
-    moved = near.found.points[:, :, None] + 0 * torch.eye(3)
+    moved = near.residuals.points[:, :, None] + 0 * torch.eye(3)
     rows = torch.cat([torch.linalg.cross(torch.eye(3).expand_as(moved), moved), torch.eye(3).expand_as(moved)], dim=2)
     both = torch.cat([near.columns, rows.transpose(2, 3).flatten(1, 2)], dim=2).double()
     dense = both.mT @ both

@@ -128,7 +128,7 @@ def test_processes_that_srun_has_started_know_each_other(monkeypatch):
     process = process_of(composed("trainer=slurm"))
     assert (process.rank, process.count, process.must_start_others, process.shows) == (5, 8, False, False)
     assert process.environment.local_rank() == 1 and not process.environment.auto_requeue
-    with pytest.raises(InputError, match="8 processes were started, trainer.devices=3 x trainer.num_nodes=2 asks for 6"):
+    with pytest.raises(InputError, match="8 processes were started, trainer.devices=3 x trainer.num_nodes=2 is 6"):
         process_of(composed("trainer=slurm", "trainer.devices=3"))
     monkeypatch.delenv("SLURM_NTASKS_PER_NODE")
     with pytest.raises(InputError, match="ntasks-per-node"):

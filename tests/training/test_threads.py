@@ -33,7 +33,7 @@ def test_beside_busy_processes_one_thread_is_chosen(unlimited):
     try:
         workers.cores.free()
         time.sleep(1.0)
-        assert workers.look() == 1
+        assert workers.update_count() == 1
         assert workers.describe().startswith("1 thread of ")
     finally:
         for process in busy:
@@ -62,13 +62,13 @@ def test_its_own_threads_do_not_count_as_others(unlimited):
 
 
 def test_the_number_can_be_asked_for(unlimited, monkeypatch):
-    assert Workers(2).look() == 2 and Workers(2).describe() == "2 threads, as asked for"
-    assert Workers(3, most=2).look() == 2
+    assert Workers(2).update_count() == 2 and Workers(2).describe() == "2 threads, as configured"
+    assert Workers(3, most=2).update_count() == 2
     monkeypatch.setenv("RIGINV_THREADS", "2")
-    assert Workers().look() == 2
+    assert Workers().update_count() == 2
     monkeypatch.delenv("RIGINV_THREADS")
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    assert Workers().look() == 1
+    assert Workers().update_count() == 1
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])

@@ -22,7 +22,7 @@ METRES = 0.001  # per mm
 
 
 def main(folder: str, wanted: str) -> None:
-    """Read, find each curve its place, key it, and set the scene's frames."""
+    """Read the curves, key each on its control, and set the scene's frames."""
     with open(os.path.join(folder, "curves.json"), encoding="utf-8") as file:
         facts = json.load(file)
     with open(os.path.join(folder, "curves.csv"), encoding="utf-8", newline="") as file:
@@ -49,12 +49,12 @@ def own_name(column: str) -> str:
     return column[1:] if column[:1] == "'" and column[1:2] in ("=", "+", "-", "@") else column
 
 
-def places_of(facts: dict, wanted: str) -> dict:
+def places_of(facts: dict, target_name: str) -> dict:
     """For each control the datablock and the path that it is keyed on."""
-    name = wanted or f"{facts['rig']} controls"
+    name = target_name or f"{facts['rig']} controls"
     target = bpy.data.objects.get(name)
-    if wanted and target is None:
-        raise SystemExit(f"there is no object named '{wanted}'")
+    if target_name and target is None:
+        raise SystemExit(f"there is no object named '{target_name}'")
     meshes = [item for item in bpy.data.objects if item.type == "MESH" and item.data.shape_keys]
     meshes.sort(key=lambda item: item is not target)
     places = {}

@@ -72,8 +72,8 @@ def compile_library(out: Path, level: str) -> None:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS)
         if done.returncode or not beside.is_file():
-            said = (done.stderr or done.stdout).strip().splitlines()
-            raise CompilationError(f"{' '.join(compiler)} failed: {said[-1] if said else f'exit code {done.returncode}'}")
+            output = (done.stderr or done.stdout).strip().splitlines()
+            raise CompilationError(f"{' '.join(compiler)} failed: {output[-1] if output else f'exit code {done.returncode}'}")
         os.replace(beside, out)
     except (OSError, subprocess.SubprocessError) as error:
         raise CompilationError(f"{' '.join(compiler)} failed: {error}") from None

@@ -1,4 +1,4 @@
-"""What tools without rig logic do: blendshape weights by linear least squares, then controls by a table."""
+"""The method of tools without rig logic: blendshape weights by linear least squares, then controls by a table."""
 
 import torch
 from torch import Tensor
@@ -27,7 +27,7 @@ class BlendshapeWeights(Method):
     """
 
     source = (
-        "What capture tools do that know the shapes but not the rig (linear blendshape solvers with non-negative least "
+        "What capture tools do that have the shapes but not the rig (linear blendshape solvers with non-negative least "
         "squares or a ridge). No paper: the correctives are ignored, as such tools must; both bounds hold, not only the "
         "lower; the lookup inverts the curve of the one control that drives a shape and the fewest others, and knows no "
         "macros beside it."

@@ -29,7 +29,7 @@ class ClusteredGaussianProcesses(Method):
 
     source = (
         "Rackovic, Soares, Jakovetic, Desnica, Ljubobratovic: Clustering of the blendshape facial model (EUSIPCO 2021, "
-        "arXiv 2110.15313): two-fold clustering, then one Gaussian process for each cluster. Changed: clusters come of "
+        "arXiv 2110.15313): two-fold clustering, then one Gaussian process for each cluster. Changed: clusters come from "
         "what each control of the rig does at full, where theirs come of the blendshapes, so that any rig has them; a "
         "control of several clusters takes their mean, weighted by how much it moves each (our choice); the process is "
         "that of our Holden baseline; what of a mesh lies outside the rig's mesh space is dropped."

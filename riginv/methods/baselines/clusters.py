@@ -29,7 +29,7 @@ class Cluster(NamedTuple):
 
 
 def control_reach(rig: RigInMeshSpace) -> Tensor:
-    """How far each control moves each vertex at most, on its own, mm, `(vertex, control)`."""
+    """The largest displacement of each vertex by each control alone, mm, `(vertex, control)`."""
     sides = Sides(rig.source)
     reach = torch.zeros(rig.space.vertex_count, len(rig.source.controls))
     for side, weights in enumerate(torch.eye(len(sides), dtype=torch.float64)):

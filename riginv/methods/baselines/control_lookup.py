@@ -27,7 +27,7 @@ class Entry(NamedTuple):
 
 
 class ControlLookup:
-    """Which shape tells which control, and by which curve; measured from the rig, one control at a time.
+    """The control that each shape determines, and the curve between the two; measured from the rig, one control at a time.
 
     Each shape is assigned to the side that drives it and the fewest other shapes. A control takes the mean over its shapes;
     without any it stays neutral; of its two sides the one with the greater weight is used.
@@ -56,11 +56,11 @@ class ControlLookup:
     def __call__(self, weights: Tensor) -> Tensor:
         """Weights of the primary shapes `(mesh, shape)` to controls `(mesh, control)`, within the limits."""
         total = weights.new_zeros(len(weights), len(self.sides))
-        told = weights.new_zeros(len(self.sides))
+        counts = weights.new_zeros(len(self.sides))
         for shape, side, curve in self.entries:
             total[:, side] += _where(curve, weights[:, shape].contiguous())
-            told[side] += 1
-        found = total / told.clamp_min(1)
+            counts[side] += 1
+        found = total / counts.clamp_min(1)
         for group in self.sides.groups:
             if len(group) == 2:
                 up, down = found[:, group[0]].clone(), found[:, group[1]].clone()
@@ -69,7 +69,7 @@ class ControlLookup:
 
 
 def _where(curve: Tensor, values: Tensor) -> Tensor:
-    """Where a curve over [0, 1] that never falls first reaches each value; 1 where it never does."""
+    """The first position in [0, 1] at which a curve that never falls reaches each value; 1 where it never does."""
     place = torch.searchsorted(curve, values).clamp(1, len(curve) - 1)
     before, after = curve[place - 1], curve[place]
     fraction = ((values - before) / (after - before).clamp_min(torch.finfo(values.dtype).eps)).clamp(0, 1)

@@ -15,7 +15,7 @@ BATCH_SIZE = 256  # meshes at a time
 
 
 class GramDescent:
-    """One weight after another, each at its own minimum while the others rest, for many meshes at once.
+    """Coordinate descent: one weight after another is set to its minimum with the others fixed, for many meshes at once.
 
     The mesh is B phi(w) with phi the products of weights, so K = B^T B and b = B^T z hold all that the squared distance
     |B phi - z|^2 depends on: no step touches a vertex. phi is linear in every single weight, so each minimum is exact.
@@ -46,7 +46,9 @@ class GramDescent:
         """Weights `(mesh, side)` after so many visits to every group, from the weights given."""
         weights, target = weights.clone(), coordinates @ self.model.deltas.T
         for _ in range(iterations):
-            misfit = self.model.features(weights) @ self.gram - target  # anew each time, so that rounding does not pile up
+            misfit = (
+                self.model.features(weights) @ self.gram - target
+            )  # computed again each time, so that rounding errors do not accumulate
             for group in self.groups:
                 if len(group) == 1:
                     self._visit(group[0], weights, misfit)
@@ -85,7 +87,7 @@ class GramDescent:
         return ((others @ self.blocks[side]) * others).sum(dim=1)
 
     def _least(self, derivative: Tensor, bend: Tensor) -> Tensor:
-        """Where derivative w + bend w^2 / 2 is least within [0, 1]; 0 for a weight that does nothing."""
+        """The minimum in [0, 1] of derivative w + bend w^2 / 2; 0 for a weight that does nothing."""
         return torch.where(bend > self.least, (-derivative / bend.clamp_min(self.least)).clamp(0, 1), 0.0)
 
     def _others(self, side: int, weights: Tensor) -> Tensor:

@@ -48,7 +48,7 @@ class GaussianProcess:
 
 
 class PrincipalComponents:
-    """A linear map from mesh coordinates to a few numbers that tell samples apart.
+    """A linear map from mesh coordinates to a few numbers that distinguish samples.
 
     Args:
         samples: `(sample, coordinate)`.

@@ -81,7 +81,7 @@ class Majoriser:
 
 
 def _least(first: Tensor, second: Tensor, fourth: Tensor) -> Tensor:
-    """Where a v + b v^2 + c v^4 is least, for b, c >= 0: the one root of a + 2 b v + 4 c v^3; 0 where b and c vanish."""
+    """The minimum of a v + b v^2 + c v^4, for b, c >= 0: the one root of a + 2 b v + 4 c v^3; 0 where b and c vanish."""
     tiny = torch.finfo(first.dtype).tiny ** 0.5
     straight = torch.where(second > tiny, -first / (2 * second).clamp_min(tiny), 0.0)
     p, q = second / (2 * fourth.clamp_min(tiny)), first / (4 * fourth.clamp_min(tiny))

@@ -1,4 +1,4 @@
-"""The squared distance of an approximate rig from a mesh, as the solvers of `riginv.solvers` want it."""
+"""The squared distance of an approximate rig from a mesh, as an objective for the solvers of `riginv.solvers`."""
 
 from collections.abc import Callable, Sequence
 
@@ -28,7 +28,7 @@ class ModelObjective:
         self.neutral = torch.zeros(len(model.sides), dtype=torch.float64)
 
     def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
-        """The results of tasks that ask this objective, one after the other."""
+        """The results of tasks that evaluate this objective, one after the other."""
         return [task() for task in tasks]
 
     def cost(self, weights: Tensor, coordinates: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from riginv.rig.interface import RigBackend
 
 
 class Sides:
-    """The two directions of every control from neutral; a control that is neutral at a limit has one.
+    """The two directions of every control from neutral; a control whose neutral value is a limit has one.
 
     Attributes:
         control: whose side it is, `(side,)`.

@@ -21,7 +21,7 @@ def training_poses(rig: RigInMeshSpace, sampler: MeshSampler, count: int, seed: 
         InputError: there are fewer than three poses, or the sampler draws meshes without their controls.
     """
     if count < 3:
-        raise InputError(f"a regression on {count} poses was asked for, expected at least 3")
+        raise InputError(f"a regression on {count} poses was requested, expected at least 3")
     generator = generator_at(seed, "baseline poses")
     batches = [sampler.sample(min(BATCH_SIZE, count - start), generator) for start in range(0, count, BATCH_SIZE)]
     if "controls" not in batches[0]:

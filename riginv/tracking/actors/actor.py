@@ -38,7 +38,7 @@ class Actor:
 
     @property
     def sentence(self) -> str:
-        """How far the actor is from the rig."""
+        """A sentence on the distance of the actor from the rig."""
         mean, worst = float(self.distance_mm.mean()), float(self.distance_mm.max())
         size = "" if self.scale == 1 else f", displacements {self.scale:g} times the rig's"
         return f"{mean:.3g} mm from the rig on average, {worst:.3g} mm at most (neutral: {self.source}){size}"
@@ -57,7 +57,7 @@ class Actor:
 class ActorRig(FixedControlsRig):
     """A rig with an actor's neutral: neutral + scale times the rig's displacements.
 
-    Mesh coordinates are those of the rig, so that whatever was trained on the rig serves the actor.
+    Mesh coordinates are those of the rig, so that networks trained on the rig serve the actor.
     """
 
     def __init__(self, rig: LinearRig, actor: Actor) -> None:

@@ -15,7 +15,7 @@ MESH, FIELD, PICTURE = "actor.obj", "actor.npz", "actor.png"
 
 
 def write_actor(folder: Path, actor: Actor, faces: Tensor, picture: bool) -> list[str]:
-    """Write `actor.obj`, `actor.npz` and, if wanted, `actor.png`; returns their names.
+    """Write `actor.obj`, `actor.npz` and optionally `actor.png`; returns their names.
 
     The .npz has `offset` and `neutral`, `(vertex, 3)`, in mm, y up, and `scale`.
     """

@@ -24,7 +24,7 @@ from riginv.tracking.stability import has_root_controls, stability_weights
 from riginv.tracking.static_controls import spread_frames
 
 SOLVE = "solve"
-SPARSITY = 3e-5  # mm^2, an L1 penalty: it says which pose is the neutral one
+SPARSITY = 3e-5  # mm^2, an L1 penalty, without which the neutral pose would be ambiguous
 FRAMES, FRAMES_TO_ALIGN = 60, 16  # frames spread over the clip, to solve for an offset, and for a rotation alone
 STEPS, STEPS_TO_ALIGN = 40, 12
 
@@ -70,7 +70,7 @@ class _Finder:
         self.counts = torch.ones(len(self.rest), dtype=torch.bool) if weights is None else weights > 0
 
     def solved(self) -> Actor:
-        """The neutral that goes best with the fewest controls over the whole clip."""
+        """The neutral that fits the whole clip best with the sparsest controls."""
         frames = self._frames(FRAMES, self.rest)
         known = torch.isfinite(frames).all(dim=2, keepdim=True)
         mean = torch.where(known, frames, 0.0).sum(dim=0) / known.sum(dim=0).clamp_min(1)

@@ -113,7 +113,7 @@ def in_rig_space(given: GivenNeutral, rest: Tensor, stability: Tensor, moves: bo
     if distance > FARTHEST * size:
         raise InputError(
             f"actor.neutral: {given.source} lies {distance:.3g} mm from the rig on average, expected at most "
-            f"{FARTHEST * size:.3g} mm: its vertices stand in another order, or it is another mesh"
+            f"{FARTHEST * size:.3g} mm: its vertices are in another order, or it is another mesh"
         )
     return neutral
 

@@ -33,7 +33,7 @@ class MarkerParts:
     """The parts of an inversion of markers.
 
     Attributes:
-        clip: the markers that the map has, in the file's unit, and the frames that were asked for.
+        clip: the markers that the map has, in the file's unit, and the requested frames.
         points: these in mm, y up, `(frame, marker, 3)`; NaN in gaps and in excluded frames.
         units: of the clip.
         objective: of the solvers.
@@ -51,7 +51,7 @@ class MarkerParts:
     notes: list[str]
 
     def describe(self) -> ClipDescription:
-        """What was read of the clip."""
+        """The description of the clip."""
         clip, numbers = self.clip, self.clip.frame_numbers
         flat = self.points[torch.isfinite(self.points).all(dim=2).sum(dim=1).argmax()].numpy()
         size = np.nan_to_num(np.nanmax(flat, axis=0) - np.nanmin(flat, axis=0))
@@ -117,7 +117,7 @@ def _check(options: TrackingOptions, constraints: ControlConstraints) -> None:
 
 
 def chosen_frames(clip: MarkerClip, frames: FrameOptions) -> tuple[MarkerClip, Tensor]:
-    """The frames that were asked for, and which of them are excluded, `(frame,)`.
+    """The requested frames, and a mask of those that are excluded, `(frame,)`.
 
     Raises:
         InputError: there are none.

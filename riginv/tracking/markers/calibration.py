@@ -48,7 +48,7 @@ def _step(objective: MarkerObjective, units: Tensor, packed: Tensor, offsets: Te
     """The change `(marker,)` of the offsets; 0 for those that are not free."""
     near, priors = objective.derivatives(units, packed), objective.linearise(units, packed)
     count = len(free)
-    weighted = near.found.weights.sqrt()[..., None] * normals(near.found.corners)[0]
+    weighted = near.residuals.weights.sqrt()[..., None] * normals(near.residuals.corners)[0]
     by_offset = torch.zeros(len(units), count, 3, count).to(weighted)
     by_offset[:, torch.arange(count), :, torch.arange(count)] = weighted.transpose(0, 1)
     by_offset = by_offset.flatten(1, 2)

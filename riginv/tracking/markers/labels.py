@@ -1,4 +1,4 @@
-"""Labels of markers that were exchanged, and stray markers: found by a robust fit, and mended or left out."""
+"""Labels of markers that were exchanged, and stray markers: found by a robust fit, and corrected or left out."""
 
 from typing import NamedTuple
 
@@ -56,9 +56,9 @@ def mend_labels(objective: MarkerObjective, points: Tensor, units: Tensor, noise
     if not len(rows):
         return Labelled(points, swapped, stray, units)
     units[rows] = _robust(objective, points, units, rows, typical, numbers)
-    found = objective.residuals(units[rows], _packed(points[rows]))
-    rotation, translation = found.motion
-    expected = found.points @ rotation.mT + translation[:, None]
+    labels = objective.residuals(units[rows], _packed(points[rows]))
+    rotation, translation = labels.motion
+    expected = labels.points @ rotation.mT + translation[:, None]
     for row, aims in zip(rows.tolist(), expected):
         points[row], swapped[row] = _exchange(points[row], aims, limit)
     stray[rows] = (points[rows] - expected).norm(dim=2) > limit  # comparisons with NaN are false

@@ -1,4 +1,4 @@
-"""Where to put markers: the points of a rig's skin that tell most about its whole mesh."""
+"""A layout of markers: the points of a rig's skin that determine its whole mesh best."""
 
 import numpy as np
 import torch

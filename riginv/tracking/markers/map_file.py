@@ -10,14 +10,13 @@ import yaml
 
 from riginv.clips.markers import MarkerClip
 from riginv.clips.options import ReadingOptions
-from riginv.errors import InputError, in_short
+from riginv.errors import InputError, in_short, listed
 from riginv.rig.interface import RigBackend
 from riginv.runs.files import read_text, read_yaml, write_text
 from riginv.tracking.markers.objective import FEWEST
 from riginv.tracking.markers.placement import Placement, at_vertices
 
 KEYS = ("vertex", "triangle", "barycentric", "offset_mm")
-LISTED = 4  # names in a message
 
 
 def read_map(path: Path, rig: RigBackend) -> Placement:
@@ -40,7 +39,7 @@ def read_map(path: Path, rig: RigBackend) -> Placement:
 
 
 def _check_names(path: Path) -> None:
-    """Raise InputError where a marker stands twice: YAML itself would keep the last."""
+    """Raise InputError where a marker is there twice: YAML itself would keep the last."""
     try:
         document = yaml.compose(read_text(path), Loader=yaml.SafeLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -84,7 +83,7 @@ def _is_number(value: Any) -> bool:
 
 
 def write_map(path: Path, placement: Placement, rig: RigBackend, comments: Mapping[str, str] | None = None) -> None:
-    """Write the places of markers as YAML, with a comment behind some."""
+    """Write the places of markers as YAML, some with a comment."""
     lines = ["# Markers on the rig's surface, for riginv.invert markers=FILE; a marker without offset_mm is calibrated."]
     lines += [yaml.safe_dump({"rig": rig.name}).strip(), "markers:"]
     for row, name in enumerate(placement.names):
@@ -121,26 +120,21 @@ def matched(
     missing = [name for name in placement.names if name not in names]
     if new and not reading.accepts_new:
         raise InputError(
-            f"{clip.path}: {_listed(new)} are not in the map {path}, which has {_listed(placement.names)}: add them, or leave "
-            f"them out with reading.unknown=ignore_new"
+            f"{clip.path}: {listed(map(repr, new))} are not in the map {path}, which has {listed(map(repr, placement.names))}: "
+            f"add them, or leave them out with reading.unknown=ignore_new"
         )
     if missing and not reading.accepts_missing:
         raise InputError(
-            f"{clip.path}: {_listed(missing)} of the map {path} are not in the clip, which has {_listed(names)}: mend the "
-            f"map, or do without them with reading.unknown=ignore_missing"
+            f"{clip.path}: {listed(map(repr, missing))} of the map {path} are not in the clip, which has "
+            f"{listed(map(repr, names))}: mend the map, or do without them with reading.unknown=ignore_missing"
         )
     if new:
-        notes.append(f"markers that the map lacks were left out: {_listed(new)}")
+        notes.append(f"markers that the map lacks were left out: {listed(map(repr, new))}")
     if missing:
-        notes.append(f"markers of the map that the clip lacks: {_listed(missing)}")
-    kept = [row for row, name in enumerate(placement.names) if name in names]
-    if len(kept) < FEWEST:
-        raise InputError(f"{clip.path}: {len(kept)} of its markers are in the map {path}, expected {FEWEST} at least")
-    shared = placement.subset(kept)
+        notes.append(f"markers of the map that the clip lacks: {listed(map(repr, missing))}")
+    rows = [row for row, name in enumerate(placement.names) if name in names]
+    if len(rows) < FEWEST:
+        raise InputError(f"{clip.path}: {len(rows)} of its markers are in the map {path}, expected {FEWEST} at least")
+    shared = placement.subset(rows)
     columns = [names.index(name) for name in shared.names]
     return clip.select(shared.names, clip.points[:, columns], clip.frame_numbers), shared, notes
-
-
-def _listed(names: list[str] | tuple[str, ...]) -> str:
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(map(repr, names[:LISTED])) + more

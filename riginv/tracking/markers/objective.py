@@ -171,13 +171,13 @@ class Derivatives(NamedTuple):
         residual: `(frame, 3 marker)`.
         columns: derivatives by the controls, `(frame, 3 marker, control)`.
         rigid: an orthonormal basis of the derivatives by rigid motion, `(frame, 3 marker, 6)`; without motion none.
-        found: without weights.
+        residuals: the same residuals, unweighted.
     """
 
     residual: Tensor
     columns: Tensor
     rigid: Tensor
-    found: Residuals
+    residuals: Residuals
 
 
 def rigid_columns(points: Tensor, roots: Tensor) -> Tensor:

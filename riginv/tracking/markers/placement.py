@@ -1,4 +1,4 @@
-"""Where markers are on a rig's surface: points of its triangles, with an offset along the normal."""
+"""Positions of markers on a rig's surface: points of its triangles, with an offset along the normal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -55,7 +55,7 @@ def at_vertices(rig: RigBackend, names: Sequence[str], vertices: Sequence[int], 
 
 
 def _triangle_at(rig: RigBackend, vertex: int) -> tuple[Tensor, int]:
-    """The largest triangle at a vertex, and which of its corners the vertex is; the vertex thrice where it has none."""
+    """The largest triangle at a vertex, and which of its corners the vertex is; three times the vertex where it has none."""
     rows = (rig.faces == vertex).any(dim=1).nonzero()[:, 0]
     if not len(rows):
         return torch.tensor([vertex] * 3), 0

@@ -138,7 +138,7 @@ def _angle(one: Motion, other: Motion) -> float:
 def _pose(
     rig: LinearRig, names: tuple[str, ...], points: np.ndarray, skin: np.ndarray, hits: Hits
 ) -> tuple[Hits, Motion, TriangleMesh]:
-    """Controls and closest points in turns: the closest points on the pose, its motion, and the posed skin."""
+    """Controls and closest points, solved alternately: the closest points, the rigid motion, and the posed skin."""
     constraints, options = resolve_constraints(rig, ControlOptions()), TrackingOptions(noise_mm=POSE_NOISE_MM)
     prior, seen = default_prior(rig), pack(torch.from_numpy(points).to(rig.dtype)[None], torch.ones(1, len(points)))
     units, motion, mesh = prior.mean.to(rig.dtype)[None], Motion.identity(), TriangleMesh(rig.rest_vertices.numpy(), skin)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from riginv.animation.animation import OUTSIDE_REACH, FrameErrors, MarkerErrors
 from riginv.animation.table import write_rows
+from riginv.errors import listed
 from riginv.rig.interface import RigBackend
 from riginv.tracking.markers.tracking import MarkerTrack
 from riginv.tracking.options import FlagOptions
@@ -14,7 +15,6 @@ from riginv.tracking.rigid import remove_motion
 
 TABLE, RESIDUALS = "markers.csv", "marker_residuals.csv"
 BATCH_SIZE = 64  # meshes
-LISTED = 5
 FEW = 0.5  # fraction of the markers below which a frame is flagged
 POOR = 2.0  # times the median of the markers' means, from which a marker is named
 
@@ -63,13 +63,13 @@ def marker_remarks(errors: FrameErrors) -> list[str]:
     poor = [marker for marker in errors.markers if marker.mean_mm > POOR * float(means.nanmedian())]
     poor.sort(key=lambda marker: -marker.mean_mm)
     if poor:
-        names = ", ".join(f"{marker.name} ({marker.mean_mm:.2g} mm)" for marker in poor[:LISTED])
+        names = listed(f"{marker.name} ({marker.mean_mm:.2g} mm)" for marker in poor)
         found.append(f"markers that fit worst: {names}: is each where the map has it?")
     for word, counts in (("exchanged back", "swapped"), ("left out", "stray")):
         some = sorted((marker for marker in errors.markers if getattr(marker, counts)), key=lambda one: -getattr(one, counts))
         if some:
-            names = ", ".join(f"{marker.name} in {getattr(marker, counts)} frames" for marker in some[:LISTED])
-            found.append(f"labels {word}: {names}" + (f" and {len(some) - LISTED} more" if len(some) > LISTED else ""))
+            names = listed(f"{marker.name} in {getattr(marker, counts)} frames" for marker in some)
+            found.append(f"labels {word}: {names}")
     seen = sum(marker.seen for marker in errors.markers) / len(errors.markers)
     found.append(f"{seen:.0%} of the markers were observed; between them the mesh is the prior's guess: its error is not known")
     return found

@@ -73,17 +73,17 @@ def track_markers(
             f"no frame has {FEWEST} markers of the map: there is nothing to fit; does the clip have the right labels?"
         )
     advance("each frame", 0)
-    found = solve_frames(objective, packed, 1, options.steps, MORE_STEPS, rounds=0, key_distance=KEY_DISTANCE)
+    solution = solve_frames(objective, packed, 1, options.steps, MORE_STEPS, rounds=0, key_distance=KEY_DISTANCE)
     advance("labels and offsets", 0)
-    labelled = mend_labels(objective, points, found.units, noise_mm, numbers)
-    packed, found.units = pack(labelled.points, labelled.weights), labelled.units
+    labelled = mend_labels(objective, points, solution.units, noise_mm, numbers)
+    packed, solution.units = pack(labelled.points, labelled.weights), labelled.units
     if bool(objective.placement.calibrated.any()):
-        objective = objective.at_offsets(calibrate(objective, packed, found.units, noise_mm))
-        more = refine_meshes(objective, packed, found.units, REFINE_STEPS)
-        labelled = mend_labels(objective, points, torch.where(known[:, None], more.units, found.units), noise_mm, numbers)
-        packed, found.units = pack(labelled.points, labelled.weights), labelled.units
-    found.skipped = ~torch.isfinite(packed).all(dim=1)
-    units = smoothed(found, options.blur if is_smooth else 0.0, numbers)
+        objective = objective.at_offsets(calibrate(objective, packed, solution.units, noise_mm))
+        refits = refine_meshes(objective, packed, solution.units, REFINE_STEPS)
+        labelled = mend_labels(objective, points, torch.where(known[:, None], refits.units, solution.units), noise_mm, numbers)
+        packed, solution.units = pack(labelled.points, labelled.weights), labelled.units
+    solution.skipped = ~torch.isfinite(packed).all(dim=1)
+    units = smoothed(solution, options.blur if is_smooth else 0.0, numbers)
     if is_smooth:
         advance("the whole clip", 0)
         steps = (options.smoothness, options.clip_steps, 0)
@@ -98,7 +98,7 @@ def track_markers(
         torch.where(seen.weights > 0, seen.residual.norm(dim=2), torch.nan),
         labelled.swapped,
         labelled.stray,
-        ~found.skipped,
+        ~solution.skipped,
     )
 
 

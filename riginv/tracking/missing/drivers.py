@@ -104,7 +104,7 @@ class Factors:
         return result
 
     def candidates(self, values: Float[Tensor, "frame factor"], most: int) -> list[Driver]:
-        """In-betweens, and products of up to `most` factors, that a clip calls for and that the rig has no shape for."""
+        """In-betweens, and products of up to `most` factors, that a clip uses and for which the rig has no shape."""
         plain = range(len(self.sides) + len(self.coefficients))
         found: dict[tuple[int, ...], None] = {(number,): None for number in self.hats}
         for row in values[evenly(FRAMES, len(values))][:, list(plain)]:
@@ -126,7 +126,7 @@ class Factors:
 
     @torch.no_grad()
     def likelihoods(self, drivers: list[Driver], voters: Int[Tensor, " voter"]) -> Float[Tensor, "driver voter"]:
-        """How likely each driver is to call for a shape at each vertex: simple ones, where all factors move the mesh."""
+        """The prior probability of each driver at each vertex: higher for few factors that all move the mesh there."""
         rig = self.rig
         ends = [rig.upper[number] if sign > 0 else rig.lower[number] for number, sign in self.sides]
         poses = rig.neutral_controls.repeat(len(ends), 1)

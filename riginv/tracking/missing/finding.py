@@ -1,4 +1,4 @@
-"""Alternation of shapes and controls: shapes explain what the rig cannot do, controls are solved again with the shapes."""
+"""Alternation of shapes and controls: shapes are fitted to the residual, then controls are solved again with the shapes."""
 
 from dataclasses import dataclass
 

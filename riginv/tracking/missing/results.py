@@ -41,7 +41,7 @@ def rows_of(missing: Missing, frame_numbers: Tensor) -> list[dict[str, Any]]:
 
 
 def sentence(missing: Missing) -> str:
-    """What the shapes would do, in one sentence."""
+    """The effect of all shapes on the error, in one sentence."""
     before, after = float(missing.before_mm.mean()), float(missing.after_mm.mean())
     count, percent = len(missing.shapes), 100 * (1 - after / max(before, 1e-12))
     shapes = "1 shape" if count == 1 else f"{count} shapes"

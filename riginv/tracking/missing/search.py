@@ -1,4 +1,4 @@
-"""Which drivers call for a shape, and the shapes: orthogonal matching pursuit in which each vertex votes for its driver."""
+"""Search for missing shapes and their drivers: orthogonal matching pursuit in which each vertex votes for its driver."""
 
 from collections.abc import Callable
 

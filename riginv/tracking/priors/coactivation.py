@@ -1,6 +1,6 @@
-"""Which ARKit shapes a face moves together: actions, expressions and mouth shapes of speech, as weights of both sides.
+"""ARKit shapes that a face moves together: actions, expressions and mouth shapes of speech, as weights of both sides.
 
-A name without a side stands for both. The actions follow the units of the Facial Action Coding System (Ekman and Friesen,
+A name without a side means both. The actions follow the units of the Facial Action Coding System (Ekman and Friesen,
 1978) that ARKit's shapes are modelled on; the mouth shapes are the usual fifteen visemes.
 """
 

@@ -1,7 +1,7 @@
 """The default prior: generated performances in which controls are co-activated, from a rig's expressions and names.
 
 Sources, as far as a rig has them: its named expressions, controls with ARKit's names (`riginv.tracking.priors.coactivation`),
-and controls that differ in their side alone. Draws of independent controls say nothing of what goes together.
+and controls that differ in their side alone. Independent draws of controls would contain no correlations.
 """
 
 import re
@@ -46,7 +46,7 @@ def default_prior(rig: RigBackend, draws: int = DRAWS) -> ControlPrior:
 
 
 def _actions(rig: RigBackend) -> np.ndarray:
-    """What goes together, `(action, control)` as fractions of the way from neutral to a limit; negative to the lower one."""
+    """The controls of each action, `(action, control)`, as fractions from neutral (0) to the upper (1) or lower (-1) limit."""
     number = {name: index for index, name in enumerate(rig.control_names)}
     plain = {_plain(name): index for name, index in number.items()}
     found = []
@@ -77,7 +77,7 @@ def _plain(name: str) -> str:
 
 
 def _strengths(rng: np.random.Generator, draws: int, actions: int, together: float) -> np.ndarray:
-    """How strong each action is, `(draw, action)` in [0, 1]: mostly 0."""
+    """Random strengths of actions, `(draw, action)` in [0, 1]: mostly 0."""
     active = rng.random((draws, actions)) < together / max(actions, 1)
     return active * rng.beta(1.2, 1.2, (draws, actions))
 
@@ -102,7 +102,7 @@ class PoseLibrary:
     """Poses to start from: each of a rig's actions, and each control on its own.
 
     Attributes:
-        aims: where the controls that a pose moves are to stand, in fractions of their ranges, `(pose, control)`.
+        aims: target values of the controls that a pose moves, in fractions of their ranges, `(pose, control)`.
         moved: which these are, `(pose, control)`.
     """
 

@@ -49,7 +49,7 @@ class ScanParts:
     notes: list[str]
 
     def describe(self) -> ClipDescription:
-        """What was read of the clip; its size is that of the first scan."""
+        """The description of the clip; its size is that of the first scan."""
         numbers, size, points = self.frame_numbers.numpy(), (0.0, 0.0, 0.0), 0
         for row in (row for row in self.rows if row >= 0):
             scan = self.scans.scan(row)

@@ -1,4 +1,4 @@
-"""How well a state explains a scan: distances in both directions, coverage, unexplained points."""
+"""The quality of a fit to a scan: distances in both directions, coverage, unexplained points."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ DEGREES = 60.0
 
 
 class Quality(NamedTuple):
-    """How well a state explains a scan.
+    """The quality of a state as a fit to a scan.
 
     Attributes:
         objective: robust mean squared distance in both directions plus the prior's cost, mm^2, to compare states.
@@ -34,7 +34,7 @@ class Quality(NamedTuple):
 
 
 def quality(fit: SurfaceFit, target: Target, state: State) -> Quality:
-    """How well a state explains a scan."""
+    """The quality of a state as a fit to a scan."""
     posed = fit.surface.posed(fit.coefficients(state.units))
     pairs = match(fit.surface, posed, target, state.motion, SCALE_MM, DEGREES)
     return quality_of_pairs(fit, pairs, state)

@@ -6,10 +6,10 @@ import torch
 
 from riginv.animation.animation import FrameErrors
 from riginv.animation.table import write_rows
+from riginv.errors import listed
 from riginv.tracking.surfaces.tracking import ScanTrack
 
 TABLE = "scans.csv"
-LISTED = 12  # controls in a remark
 
 
 def frame_errors(track: ScanTrack, numbers: torch.Tensor) -> FrameErrors:
@@ -22,9 +22,7 @@ def remarks_of(track: ScanTrack) -> list[str]:
     """Sentences for the user."""
     found = list(track.notes)
     if track.open_controls:
-        names, more = ", ".join(track.open_controls[:LISTED]), len(track.open_controls) - LISTED
-        names += f" and {more} more" if more > 0 else ""
-        found.append(f"the scans do not determine {names}: they stay where the prior has them")
+        found.append(f"the scans do not determine {listed(track.open_controls)}: they stay where the prior has them")
     seen = float(track.seen.nanmedian())
     found.append(f"the scans see {seen:.0%} of the rig's skin; truth is not known: distances are those of the two surfaces")
     return found

@@ -16,7 +16,7 @@ from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
 from riginv.tracking.surfaces.uncertainty import Uncertainty, open_controls, uncertainty
 
 AMBIGUOUS, NO_SCAN = "ambiguous", "no_scan"
-SAMPLED_FRAMES = 24  # that tell which controls the scans do not determine
+SAMPLED_FRAMES = 24  # at which the undetermined controls are searched
 
 
 @dataclass(frozen=True)
@@ -71,58 +71,60 @@ def track_scans(
         cleaned = None if scan is None else scan.cleaned()
         return None if cleaned is None else solver.target(cleaned.surface(units.mm, units.axes.double().numpy()))
 
-    found: list[SolvedScan | None] = []
+    solutions: list[SolvedScan | None] = []
     for row in range(len(frames)):
-        target, before = load(row), next((each for each in reversed(found[-3:]) if each is not None), None)
-        found.append(None if target is None else solver.solve(target, before))
+        target, before = load(row), next((solution for solution in reversed(solutions[-3:]) if solution is not None), None)
+        solutions.append(None if target is None else solver.solve(target, before))
         advance("each frame", 1)
-    given = [each is not None for each in found]
-    _check(scans, [each for each in found if each is not None], solver)
-    if smoothness is not None and len(found) > 2:
-        solved = smooth_scans(solver, load, found, smoothness, lambda done: advance("the whole clip", done))
+    has_scan = [solution is not None for solution in solutions]
+    _check(scans, [solution for solution in solutions if solution is not None], solver)
+    if smoothness is not None and len(solutions) > 2:
+        solved = smooth_scans(solver, load, solutions, smoothness, lambda done: advance("the whole clip", done))
     else:
-        solved = nearest_known(found)
-    unsure: dict[int, Uncertainty] = {}
+        solved = nearest_known(solutions)
+    uncertainties: dict[int, Uncertainty] = {}
     for row in np.unique(np.linspace(0, len(solved) - 1, SAMPLED_FRAMES).astype(int)).tolist():
         if (target := load(row)) is not None:
-            unsure[row] = uncertainty(solver, target, solved[row])
-    return _result(solver, solved, given, unsure)
+            uncertainties[row] = uncertainty(solver, target, solved[row])
+    return _result(solver, solved, has_scan, uncertainties)
 
 
-def _check(scans: ScanSequence, found: list[SolvedScan], solver: ScanSolver) -> None:
-    if not found:
+def _check(scans: ScanSequence, solutions: list[SolvedScan], solver: ScanSolver) -> None:
+    if not solutions:
         raise InputError(f"{scans.path}: no frame holds a scan of 50 points or more: there is nothing to fit")
-    if all("lost" in solver.flags(each) for each in found):
-        distance = min(each.quality.explained for each in found)
+    if all("lost" in solver.flags(solution) for solution in solutions):
+        distance = min(solution.quality.explained for solution in solutions)
         raise InputError(
-            f"{scans.path}: none of its {len(found)} scans can be brought onto rig '{solver.rig.name}' (at most {distance:.0%} "
-            f"of a scan's points come near it): is it a scan of this rig's actor, in the unit that was taken, with normals "
-            f"that point outwards? reading.unit and reading.up say what the numbers mean"
+            f"{scans.path}: none of its {len(solutions)} scans can be brought onto rig '{solver.rig.name}' (at most "
+            f"{distance:.0%} of a scan's points come near it): is it a scan of this rig's actor, in the unit that was read, "
+            f"with normals that point outwards? set reading.unit and reading.up"
         )
 
 
-def _result(solver: ScanSolver, found: list[SolvedScan], given: list[bool], unsure: dict[int, Uncertainty]) -> ScanTrack:
+def _result(
+    solver: ScanSolver, solutions: list[SolvedScan], has_scan: list[bool], uncertainties: dict[int, Uncertainty]
+) -> ScanTrack:
     fit, settings = solver.fit_of(1.0), solver.settings
-    rows = np.array(sorted(unsure))
+    rows = np.array(sorted(uncertainties))
     flags: list[list[str]] = []
     notes: list[str] = []
-    for row, (each, there) in enumerate(zip(found, given)):
-        near = unsure[int(rows[np.abs(rows - row).argmin()])]
+    for row, (solution, scanned) in enumerate(zip(solutions, has_scan)):
+        near = uncertainties[int(rows[np.abs(rows - row).argmin()])]
         ambiguous = [AMBIGUOUS] if near.skin_mm > settings.ambiguous_mm else []
-        flags.append([*solver.flags(each), *ambiguous] if there else [NO_SCAN])
-    turned = sum(each.turned for each in found)
-    if turned:
-        notes.append(f"{turned} scans had to be turned by right angles to be found: reading.up=z may say why")
-    values = [each.quality[1:5] if there else [torch.nan] * 4 for each, there in zip(found, given)]
+        flags.append([*solver.flags(solution), *ambiguous] if scanned else [NO_SCAN])
+    rotated = sum(solution.turned for solution in solutions)
+    if rotated:
+        notes.append(f"{rotated} scans were rotated by right angles to fit: is reading.up=z missing?")
+    values = [solution.quality[1:5] if scanned else [torch.nan] * 4 for solution, scanned in zip(solutions, has_scan)]
     scan_mm, rig_mm, seen, explained = torch.tensor(values).float().T
     return ScanTrack(
-        torch.stack([fit.controls(each.state.units) for each in found]),
-        torch.stack([torch.from_numpy(each.state.motion.matrix).float() for each in found]),
+        torch.stack([fit.controls(solution.state.units) for solution in solutions]),
+        torch.stack([torch.from_numpy(solution.state.motion.matrix).float() for solution in solutions]),
         scan_mm,
         rig_mm,
         seen,
         explained,
         flags,
-        open_controls(solver, list(unsure.values())),
+        open_controls(solver, list(uncertainties.values())),
         notes,
     )

@@ -1,4 +1,4 @@
-"""What a scan does not determine: controls that stay at the prior, and the posterior deviation of the mesh."""
+"""Uncertainty of a fit to a scan: controls that stay at the prior, and the posterior deviation of the mesh."""
 
 from typing import NamedTuple
 

@@ -128,38 +128,38 @@ def _similarity(
 ) -> tuple[float, Motion]:
     mesh = TriangleMesh(rest, faces)
     sampled = outer[farthest_points(rest[outer], SAMPLES)]
-    found = Aligner(mesh, outer, sampled, np.ones(len(rest))).align(Target.of(scan, SAMPLES), thorough=True)
-    if found.distance_mm > TOO_FAR_MM:
+    start = Aligner(mesh, outer, sampled, np.ones(len(rest))).align(Target.of(scan, SAMPLES), thorough=True)
+    if start.distance_mm > TOO_FAR_MM:
         raise InputError(
-            f"the scan cannot be brought onto the mesh: its points stay {found.distance_mm:.1f} mm away and more: is it the "
-            f"same part of a person, in the unit that was taken, with normals that point outwards?"
+            f"the scan cannot be brought onto the mesh: its points stay {start.distance_mm:.1f} mm away and more: is it the "
+            f"same part of a person, in the unit that was read, with normals that point outwards?"
         )
-    scale, motion, target = 1.0, found.motion, Target.of(scan, SAMPLES)
+    scale, motion, target = 1.0, start.motion, Target.of(scan, SAMPLES)
     for _ in range(settings.similarity_rounds):
         hits, weights = _attract(mesh, sampled, scan, motion, scale, settings)
-        ours, theirs, normals = motion.apply(scale * rest[sampled]), hits.points, hits.normals
+        mesh_points, scan_points, normals = motion.apply(scale * rest[sampled]), hits.points, hits.normals
         back = mesh.closest(motion.undo(target.points) / scale)
-        other = motion.apply(scale * back.points)
+        back_points = motion.apply(scale * back.points)
         cosine = (back.normals @ motion.rotation.T * target.normals).sum(axis=1)
         good = (cosine > np.cos(np.radians(settings.degrees))) & ~back.on_border
-        distance = np.linalg.norm(other - target.points, axis=1)
+        distance = np.linalg.norm(back_points - target.points, axis=1)
         further = np.where(good, 1 / (1 + (distance / SCALE_MM) ** 2) ** 2, 0.0)
-        pairs = ((ours, other), (theirs, target.points), (normals, target.normals), (weights, further))
-        joined = [np.concatenate(both) for both in pairs]
+        pairs = ((mesh_points, back_points), (scan_points, target.points), (normals, target.normals), (weights, further))
+        joined = [np.concatenate(parts) for parts in pairs]
         scale, motion = _similarity_step(joined[0], joined[1], joined[2], joined[3], scale, motion)
     return scale, motion
 
 
 def _similarity_step(
-    ours: np.ndarray, theirs: np.ndarray, normals: np.ndarray, weights: np.ndarray, scale: float, motion: Motion
+    mesh_points: np.ndarray, scan_points: np.ndarray, normals: np.ndarray, weights: np.ndarray, scale: float, motion: Motion
 ) -> tuple[float, Motion]:
     """One step of weighted least squares of distances along normals, in rotation, shift and scale."""
-    centre = np.average(ours, axis=0, weights=weights + 1e-12)
-    offset = ours - centre
+    centre = np.average(mesh_points, axis=0, weights=weights + 1e-12)
+    offset = mesh_points - centre
     rows = np.concatenate([np.cross(offset, normals), normals, (offset * normals).sum(axis=1, keepdims=True)], axis=1)
     square = rows.T @ (weights[:, None] * rows)
     change = np.linalg.solve(
-        square + 1e-6 * np.diag(square.diagonal()), rows.T @ (weights * ((theirs - ours) * normals).sum(1))
+        square + 1e-6 * np.diag(square.diagonal()), rows.T @ (weights * ((scan_points - mesh_points) * normals).sum(1))
     )
     small, factor = Rotation.from_rotvec(change[:3]).as_matrix(), float(np.exp(change[6]))
     return scale * factor, Motion(small @ motion.rotation, factor * small @ (motion.shift - centre) + centre + change[3:6])

@@ -95,7 +95,7 @@ def _cyclic(sampling: Sampling, fps: float | None) -> Frames | None:
             f"Its samples are {period:g} s apart, which can hardly be meant: each was read as a frame (reading.fps=...)."
         )
     elif fps and abs(rate / fps - 1) > NEAR:
-        notes.append(f"The archive says {fps:g} frames a second, and its samples are {rate:g} a second: these were read.")
+        notes.append(f"The archive states {fps:g} frames a second, and its samples are {rate:g} a second: these were read.")
     return Frames(np.arange(count) + int(number), (start + np.arange(count)) * period, _common(rate), source, tuple(notes))
 
 

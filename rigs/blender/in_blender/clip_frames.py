@@ -28,7 +28,7 @@ def archive_rate(file: str, requested: float | None) -> float:
 
 
 def alembic_frames(file: str, requested: float | None) -> Frames:
-    """The frames of an archive: its own, or at the rate that the user requested for.
+    """The frames of an archive: its own, or at the rate that the user requested.
 
     Raises:
         RefusedError: there are too many.
@@ -44,12 +44,12 @@ def alembic_frames(file: str, requested: float | None) -> Frames:
     frames = _whole_frames(file, scene.frame_start, scene.frame_end, DEFAULT_FPS, "")
     if len(frames.numbers) == 1:
         return frames._replace(fps=0.0)
-    note = f"Blender does not tell when its samples stand: {DEFAULT_FPS:g} frames a second were played (reading.fps=...)."
+    note = f"Blender does not provide the times of its samples: {DEFAULT_FPS:g} frames a second were played (reading.fps=...)."
     return frames._replace(fps=0.0, notes=(note,))
 
 
 def fbx_frames(file: str, take: Take | None, requested: float | None) -> Frames:
-    """The frames of a take, at the file's rate or the one that the user requested for.
+    """The frames of a take, at the file's rate or the one that the user requested.
 
     Raises:
         RefusedError: there are too many.
@@ -66,7 +66,9 @@ def fbx_frames(file: str, take: Take | None, requested: float | None) -> Frames:
     elif not _is_on(keys, rate):
         finer = 1 / float(np.median(np.diff(keys)))
         if _is_on(keys, finer) and SLOWEST <= finer <= FASTEST:
-            notes.append(f"The FBX says {rate:g} frames a second, and its keys stand at {finer:.6g} a second: these were read.")
+            notes.append(
+                f"The FBX states {rate:g} frames a second, and its keys stand at {finer:.6g} a second: these were read."
+            )
             rate, source = finer, "the spacing of its keys"
         else:
             notes.append(f"Keys stand between the FBX's {rate:g} frames a second (reading.fps=... reads at another rate).")

@@ -174,7 +174,7 @@ def free_channels(armature: bpy.types.Object, bone: bpy.types.PoseBone, driven: 
         ),
         ("scale", "scale", bone.lock_scale, "", 1.0, (1.0, 1.0), 1.0),  # only where something limits it
     ]
-    found = []
+    channels = []
     for kind, path, locks, unit, factor, unlimited, neutral in kinds:
         for index in range(3):
             if kind in closed or locks[index] or (armature, f"{base}.{path}", index) in driven:
@@ -182,8 +182,8 @@ def free_channels(armature: bpy.types.Object, bone: bpy.types.PoseBone, driven: 
             lower, upper = limits(active, kind, index, factor, unlimited)
             if lower < upper:
                 name = f"{bone.name}.{kind}_{AXES[index]}"
-                found.append(Control(name, armature, bone, path, index, (lower, upper), neutral, unit, factor))
-    return found
+                channels.append(Control(name, armature, bone, path, index, (lower, upper), neutral, unit, factor))
+    return channels
 
 
 def limits(constraints: list, kind: str, index: int, factor: float, unlimited: tuple[float, float]) -> tuple[float, float]:

@@ -9,13 +9,13 @@ def choose_meshes(shown: list[Any], moving: list[Any], vertex_count: int | None,
     """The only mesh that moves, or the one mesh, or all together, that have the vertices of a rig.
 
     Args:
-        shown: what is drawn; each with `path` and `vertex_count`.
+        shown: visible meshes, each with `path` and `vertex_count`.
         moving: those of them that move.
         vertex_count: of the rig that the clip is for, where it is known.
-        notes: for how they were chosen.
+        notes: receives a note on the selection.
 
     Returns:
-        Meshes in the order of `shown`; empty: it is not clear which are meant.
+        Meshes in the order of `shown`; empty: the selection is not clear.
     """
     pools = [pool for pool in (moving, shown) if pool]
     for pool in pools:
@@ -28,16 +28,16 @@ def choose_meshes(shown: list[Any], moving: list[Any], vertex_count: int | None,
 
 
 def unclear(meshes: list[Any], moving: list[Any]) -> str:
-    """Message that asks the user to name meshes."""
+    """The message for a selection that is not clear, with the names to choose from."""
     which = "those that move" if len(moving) > 1 else "its meshes"
     return (
-        f"expected one mesh, say which with reading.mesh=NAME or reading.mesh=[NAME,NAME]; {which} are: "
+        f"expected one mesh, choose with reading.mesh=NAME or reading.mesh=[NAME,NAME]; {which} are: "
         f"{listing([f'{mesh.path} ({mesh.vertex_count} vertices)' for mesh in (moving if len(moving) > 1 else meshes)])}"
     )
 
 
 def listing(names: list[str]) -> str:
-    """Names for a message, the first of many."""
+    """As `riginv.errors.listed`, which Blender's Python cannot import."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more if names else "none"
 

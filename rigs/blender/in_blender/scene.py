@@ -5,6 +5,7 @@ from typing import Any
 import bpy
 import numpy as np
 from controls import discover, drivers_of
+from mesh_choice import listing
 from worker import RefusedError
 
 ROOTS = ("Scene", "WindowManager", "WorkSpace", "Screen", "Library")  # datablocks that use everything
@@ -95,13 +96,13 @@ def choose_mesh(file: str, name: str | None) -> bpy.types.Object:
     """The named mesh object, or the only one there is."""
     shown = {bone.custom_shape for thing in bpy.data.objects if thing.pose for bone in thing.pose.bones}
     meshes = {thing.name: thing for thing in bpy.data.objects if thing.type == "MESH" and thing not in shown}
-    listed = ", ".join(f"'{other}'" for other in list(meshes)[:12]) + (", ..." if len(meshes) > 12 else "")
+    listed = listing([f"'{other}'" for other in meshes])
     if not meshes:
         raise RefusedError(f"{file}: it holds no mesh")
     if name is not None and name not in meshes:
         raise RefusedError(f"{file}: there is no mesh '{name}'; it has {listed}")
     if name is None and len(meshes) > 1:
-        raise RefusedError(f"{file}: it holds {len(meshes)} meshes; say which with rig.mesh=NAME: {listed}")
+        raise RefusedError(f"{file}: it holds {len(meshes)} meshes; choose one with rig.mesh=NAME: {listed}")
     return meshes[name] if name is not None else next(iter(meshes.values()))
 
 

@@ -23,7 +23,7 @@ class SceneMesh:
         self.vertex_count = len(self.world_points())
 
     def world_points(self) -> np.ndarray:
-        """The vertices `(vertex, 3)` in the world at the frame that the scene is at, y up, in Blender's units."""
+        """The vertices `(vertex, 3)` in the world at the present frame, y up, in Blender's units."""
         evaluated = self.thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
         mesh = evaluated.to_mesh()
         vertices = np.empty(len(mesh.vertices) * 3, np.float32)
@@ -59,7 +59,7 @@ class SceneMeshes:
         return [mesh for mesh in self.all if mesh.path in names]
 
     def moving(self, names: list[str], frames: np.ndarray) -> list[SceneMesh]:
-        """Those of the named meshes, or of all, that differ between some frames of Blender's."""
+        """The named meshes, or without names all, that differ between some of Blender's frames."""
         candidates = self.named(names) if names else self.all
         first: dict[str, np.ndarray] = {}
         moving: set[str] = set()

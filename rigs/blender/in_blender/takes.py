@@ -63,13 +63,13 @@ def import_takes(file: str) -> list[Take]:
 
 
 def stop() -> None:
-    """Nothing is animated by an action."""
+    """Remove all actions, so that nothing is animated."""
     for datablock, _, _ in _playing():
         datablock.animation_data.action = None
 
 
 def curves_of(action: bpy.types.Action) -> list[bpy.types.FCurve]:
-    """All curves of an action, in whatever layers and slots."""
+    """All curves of an action, in all layers and slots."""
     if hasattr(action, "fcurves"):
         return list(action.fcurves)
     bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
@@ -77,7 +77,7 @@ def curves_of(action: bpy.types.Action) -> list[bpy.types.FCurve]:
 
 
 def _watching(original: Callable[..., None], importer: Any, takes: list[Take]) -> Callable[..., None]:
-    """The importer's function that reads all stacks, called for each by itself, so that it is known which did what."""
+    """The importer's function that reads all stacks, called for each separately, so that the actions of each are known."""
 
     def read(stack_template: Any, layer_template: Any, stacks: dict[Any, Any], *rest: Any) -> None:
         for key, stack in stacks.items():
@@ -90,7 +90,7 @@ def _watching(original: Callable[..., None], importer: Any, takes: list[Take]) -
 
 
 def _playing() -> list[tuple[bpy.types.ID, bpy.types.Action, Any]]:
-    """What is animated by which action."""
+    """The animated objects, and the action of each."""
     found = []
     for datablock in (*bpy.data.objects, *bpy.data.shape_keys, *bpy.data.materials, *bpy.data.cameras):
         animation = datablock.animation_data

@@ -21,11 +21,11 @@ COMMANDS = ("load", "describe", "evaluate")
 
 
 class RefusedError(Exception):
-    """A request cannot be met; the message tells the user why."""
+    """A request cannot be met; the message is for the user."""
 
 
 class Channel:
-    """Messages on what were standard input and output; prints of others go to standard error."""
+    """Messages over the original standard input and output; prints go to standard error."""
 
     def __init__(self) -> None:
         self.incoming, self.outgoing = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
@@ -60,7 +60,7 @@ class Channel:
 def serve(scene: Any) -> None:
     """Answer requests until a `quit` request or the end of the input."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, SIGKILL: amid an evaluation nobody notices that the parent died
+        ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, SIGKILL: during an evaluation the end of the parent is not noticed
     channel = Channel()
     while True:
         header, arrays = channel.receive()

@@ -1,3 +1,3 @@
-"""Rigs of other kinds as DNA files: what each kind is made of, in the terms of the format."""
+"""Export of other rigs as DNA files."""
 
 from rigs.dna.exports.choice import draft_of as draft_of

@@ -28,10 +28,10 @@ def draft_of(rig: RigBackend) -> Draft:
     User-defined rigs may implement a method `dna_draft() -> Draft`.
 
     Raises:
-        InputError: the format cannot represent the rig; the message says why.
+        InputError: the format cannot represent the rig; the message has the reason.
     """
     if hasattr(rig, "dna_draft"):
-        return rig.dna_draft()  # type: ignore[operator]  # any attribute of a module may be a tensor, says torch
+        return rig.dna_draft()  # type: ignore[operator]  # torch annotates attributes of modules as tensors
     for kind, writer in WRITERS.items():
         if isinstance(rig, kind):
             return writer(rig)
@@ -45,8 +45,8 @@ def draft_of(rig: RigBackend) -> Draft:
     if isinstance(rig, LinearRig) and _is_plain(rig):
         return _plain_draft(rig)
     raise InputError(
-        f"rig '{rig.name}' ({type(rig).__name__}) cannot be written: it does not tell what its logic is made of; {HOLDS}: give "
-        f"its class a method dna_draft() that says so (docs/dna.md)"
+        f"rig '{rig.name}' ({type(rig).__name__}) cannot be written: its class does not describe its logic; {HOLDS}: give "
+        f"it a method dna_draft() (docs/dna.md)"
     )
 
 

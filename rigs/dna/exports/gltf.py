@@ -21,7 +21,7 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     """A draft of an avatar: its morph targets, and its joints where they are controls.
 
     Raises:
-        InputError: the format cannot represent the rig; the message says why.
+        InputError: the format cannot represent the rig; the message has the reason.
     """
     resting = [control.name for control in rig.controls if control.neutral]
     if resting:
@@ -79,7 +79,7 @@ def _check_binding(rig: GltfRig, points: np.ndarray, weights: np.ndarray, frames
     linear = frames[..., :3]
     if np.abs(linear @ linear.transpose(0, 2, 1) - np.eye(3)).max() > 1e-4:
         raise InputError(
-            f"rig '{rig.name}': its joints stand in a space that is scaled, where a DNA file's do not: apply the scales of its "
+            f"rig '{rig.name}': its joints are in a scaled space, where a DNA file's do not: apply the scales of its "
             f"nodes and export it again"
         )
     for number, frame in enumerate(frames):

@@ -1,19 +1,17 @@
 """Drafts of DNA files from folders of shapes."""
 
-from riginv.errors import InputError
+from riginv.errors import InputError, listed
 from rigs.dna.draft import Draft
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
 from rigs.shapes import ShapesRig
 from rigs.shapes.names import Convention
-
-LISTED = 6  # names in a message, at most
 
 
 def draft_of_shapes(rig: ShapesRig) -> Draft:
     """A draft of a folder of shapes: in-betweens are hat functions, combinations products of weights and hats.
 
     Raises:
-        InputError: the format cannot represent the rig; the message says why.
+        InputError: the format cannot represent the rig; the message has the reason.
     """
     shapes = rig.shapes
     if shapes.combinations and rig.logic.combine.__name__ != "combination_weights":
@@ -23,7 +21,7 @@ def draft_of_shapes(rig: ShapesRig) -> Draft:
     if shapes.combination_inbetweens:
         names = list(shapes.combination_inbetweens)
         raise InputError(
-            f"rig '{rig.name}': {len(names)} in-betweens of combinations ({', '.join(names[:LISTED])}), where a DNA file holds "
+            f"rig '{rig.name}': {len(names)} in-betweens of combinations ({listed(names)}), where a DNA file holds "
             f"in-betweens of single shapes alone: leave them out with rig.exclude"
         )
     hats = _hats(shapes)

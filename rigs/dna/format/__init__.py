@@ -1,4 +1,4 @@
-"""DNA files as they are: layers read, kept and written back byte for byte; nothing here evaluates them."""
+"""The DNA file format: reading and writing of layers, byte for byte, without evaluation."""
 
 from rigs.dna.format.container import DnaFile, Layer, read_dna, write_dna
 

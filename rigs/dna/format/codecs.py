@@ -154,7 +154,7 @@ class Record(Codec):
         end = size if cursor.absolute_sizes else cursor.position + size
         value = self.kind(**{name: codec.read(cursor) for name, codec in self.fields.items()})
         if cursor.position != end:
-            raise cursor.damaged(f"a {self.kind.__name__} ends at byte {cursor.position:,}, its size says byte {end:,}")
+            raise cursor.damaged(f"a {self.kind.__name__} ends at byte {cursor.position:,}, by its size at byte {end:,}")
         return value
 
     def write(self, writer: Writer, value: Any) -> None:

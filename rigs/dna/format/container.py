@@ -117,7 +117,7 @@ def read_dna(path: str | Path) -> DnaFile:
     """Read a DNA file of any version from 2.1 on.
 
     Raises:
-        InputError: it cannot be read, or is damaged or truncated; the message says where.
+        InputError: it cannot be read, or is damaged or truncated; the message has the position.
     """
     path = Path(path)
     check_regular(path)

@@ -107,7 +107,7 @@ class RadialBasisOutputs:
 
 @dataclass(frozen=True)
 class Representation:
-    """Of a joint; rotation 0 Euler angles, 1 quaternion."""
+    """The representation of a joint's rotation: 0 Euler angles, 1 quaternion."""
 
     translation: Short
     rotation: Short

@@ -15,7 +15,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Axes:
-    """Where the axes point: 0 left, 1 right, 2 up, 3 down, 4 front, 5 back."""
+    """The directions of the axes: 0 left, 1 right, 2 up, 3 down, 4 front, 5 back."""
 
     x: Short
     y: Short
@@ -119,7 +119,7 @@ class Psds:
 
 @dataclass(frozen=True)
 class Controls:
-    """How the controls follow one another."""
+    """The dependencies between controls."""
 
     psd_count: Short
     table: Conditions
@@ -147,7 +147,7 @@ class JointGroup:
 
 @dataclass(frozen=True)
 class Joints:
-    """How the joints follow the controls."""
+    """The dependencies of joints on controls."""
 
     attribute_count: Short
     control_count: Short
@@ -156,7 +156,7 @@ class Joints:
 
 @dataclass(frozen=True)
 class Channels:
-    """Which controls are the weights of which blendshape channels; each level of detail uses the first few."""
+    """The controls that are the weights of blendshape channels; each level of detail uses the first few."""
 
     counts: Shorts
     inputs: Shorts

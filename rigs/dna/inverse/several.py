@@ -81,13 +81,13 @@ class SharedOutputs:
         lower, upper = np.zeros(variables), np.ones(variables)
         lower[:segments], upper[:segments] = np.minimum(self.ends[:, 0], 0.0), np.maximum(self.ends[:, 1], 0.0)
         upper[2 * segments : 2 * segments + count] = np.inf
-        found = milp(cost, integrality=binary, bounds=Bounds(lower, upper), constraints=LinearConstraint(matrix, lows, highs))
-        if found.x is None:
+        program = milp(cost, integrality=binary, bounds=Bounds(lower, upper), constraints=LinearConstraint(matrix, lows, highs))
+        if program.x is None:
             return None
         values, chosen, first = [], [], 0
         for size in self.sizes:
-            segment = first + int(found.x[segments + first : segments + first + size].argmax())
-            values.append(float(np.clip(found.x[segment], *self.ends[segment])))
+            segment = first + int(program.x[segments + first : segments + first + size].argmax())
+            values.append(float(np.clip(program.x[segment], *self.ends[segment])))
             chosen.append(segment - first)
             first += size
         return values, chosen

@@ -83,17 +83,17 @@ class TableInverse:
         for _ in range(SWEEPS):
             before = values.copy()
             for number, control in enumerate(controls):
-                others = self._sums(controls, outputs, values, segments, without=number)
+                rest = self._sums(controls, outputs, values, segments, without=number)
                 rows = np.searchsorted(outputs, control.outputs)
-                values[:, number], segments[:, number], _ = best_value(control, others[:, rows], target[:, control.outputs])
+                values[:, number], segments[:, number], _ = best_value(control, rest[:, rows], target[:, control.outputs])
             if np.abs(values - before).max(initial=0.0) < SAME:
                 break
         errors = _errors(self._sums(controls, outputs, values, segments), target[:, outputs])
         program = SharedOutputs(controls, outputs)
         for frame in np.flatnonzero(errors > REACHED).tolist():
-            found = program.solve(target[frame, outputs])
-            if found is not None:
-                self._take_better(controls, outputs, target[frame : frame + 1, outputs], values, segments, frame, found)
+            solution = program.solve(target[frame, outputs])
+            if solution is not None:
+                self._take_better(controls, outputs, target[frame : frame + 1, outputs], values, segments, frame, solution)
         return values, segments
 
     def _take_better(

@@ -117,7 +117,7 @@ class Layout:
         return InputError(f"{self.where}: {found}: the file is damaged, or was written wrongly; export it again")
 
     def of_lod(self, what: str, counts: np.ndarray, lod: int, most: int) -> int:
-        """Number of rows, of `most`, that a level of detail uses; all where the file does not say.
+        """Number of rows, of `most`, that a level of detail uses; all where the file does not limit them.
 
         Raises:
             InputError: more than there are.

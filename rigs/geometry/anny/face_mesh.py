@@ -69,7 +69,7 @@ def build_face_mesh(base: BaseMesh) -> FaceMesh:
 
 
 def as_it_is(base: BaseMesh, quads: np.ndarray) -> tuple[sparse.csr_array, np.ndarray]:
-    """Carrier and triangles of a component with the vertices of the base mesh."""
+    """The carrier and the triangles of a component with the vertices of the base mesh, unchanged."""
     used, triangles = np.unique(triangulate(quads, base.vertices), return_inverse=True)
     return selection(used, len(base.vertices)), triangles.reshape(-1, 3)
 
@@ -85,7 +85,7 @@ def subdivided(base: BaseMesh, quads: np.ndarray) -> tuple[sparse.csr_array, np.
 def refined_skin(base: BaseMesh, vertex_count: int) -> tuple[sparse.csr_array, np.ndarray]:
     """The carrier and the triangles of skin and mouth cavity, with exactly `vertex_count` vertices.
 
-    Positions are those of one step of Loop subdivision; of its new vertices only those on the longest edges stand.
+    Positions are those of one step of Loop subdivision; of its new vertices only those on the longest edges are kept.
     """
     outer, cavity = base.select("body/head", "body/body"), base.select("body/mouth_cavity")
     distance = np.concatenate([np.zeros(len(cavity)), distance_from_face(base.vertices[outer].mean(axis=1))])
