@@ -27,7 +27,7 @@ class LevenbergMarquardt(Method):
         more_steps: for frames that start from a neighbour's answer.
         descent_steps: of gradient descent, to the second start.
         prior, sparsity: as in `Objective`.
-        fewer_controls: whether `with_fewer_controls` follows.
+        fewer_controls: whether `with_fewer_controls` follows; in `Clip` before the curves are smoothed.
     """
 
     source = (
@@ -108,10 +108,7 @@ class Clip(LevenbergMarquardt):
         if not meshes.fps:
             return super().invert(meshes)
         coordinates = self.coordinates(meshes)
-        if self.network is not None:
-            start = self.objective.units(self.network.invert(meshes))
-        else:
-            start = smoothed(self.frames(coordinates, rounds=0), self.blur, meshes.frame_numbers)
+        start = self._start(meshes, coordinates)
         found = solve_clip(
             self.objective,
             coordinates,
@@ -122,6 +119,20 @@ class Clip(LevenbergMarquardt):
             numbers=meshes.frame_numbers,
         )
         return self.objective.to_controls(found)
+
+    def _start(self, meshes: MeshSet, coordinates: Tensor) -> Tensor:
+        """The curves to start from: the frames' own solutions, smoothed, or a network's."""
+        if self.network is None:
+            found = self.frames(coordinates, rounds=0)
+        else:
+            found = Solution.at_neutral(self.objective, len(coordinates))
+            found.units = self.objective.units(self.network.invert(meshes))
+            if not self.fewer_controls:
+                return found.units
+            found.skipped = ~torch.isfinite(coordinates).all(dim=1)
+        if self.fewer_controls:
+            found.units = with_fewer_controls(self.objective, coordinates, found.units)
+        return smoothed(found, self.blur, meshes.frame_numbers)
 
 
 class Refined(Network):

@@ -71,8 +71,6 @@ def build_parts(
     weights = vertex_weights(true_rig, options.vertices)
     if method == "network":
         _refuse_for_network(constraints, options.solver)
-    if method == "clip":
-        options.refuse_fewer_controls("method=clip")
     plain_rig, evaluated_rig = rig, true_rig
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)

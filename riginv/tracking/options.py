@@ -100,7 +100,7 @@ class SolverOptions:
         steps: linearisations of each frame, at most, without a network.
         prior: mm^2 of mean squared error for a control that leaves neutral by its whole range.
         sparsity: the same as an L1 penalty.
-        fewer_controls: of `method=refined` and `levenberg_marquardt`: whether `with_fewer_controls` follows.
+        fewer_controls: whether `with_fewer_controls` follows; with `method=clip` before the curves are smoothed.
         smoothness: of `method=clip`: mm^2 for a second difference of a whole range.
         clip_steps: of `method=clip`: Gauss-Newton steps on the whole clip.
         mean_steps: of `method=clip`: further steps that minimise distances in place of their squares.
@@ -195,9 +195,9 @@ class TrackingOptions:
         return self.noise_mm or (0.3 if self.correspondence == "markers" else 0.1)
 
     def refuse_fewer_controls(self, setting: str) -> None:
-        """Raise InputError for `solver.fewer_controls` with a setting that solves no frame on its own."""
+        """Raise InputError for `solver.fewer_controls` with what it is not made for."""
         if self.solver.fewer_controls:
-            raise InputError(f"solver.fewer_controls is for method=refined or levenberg_marquardt, not {setting}: leave it out")
+            raise InputError(f"solver.fewer_controls is for meshes of the rig's own topology, not {setting}: leave it out")
 
     def resolved_method(self, has_network: bool) -> Method:
         """The method, or the default one for what is given.

@@ -128,6 +128,9 @@ def test_what_does_not_suit_the_rig_is_left_out_and_said_so(run):
     refused(run("compare", *TOY, box, "methods=[direct]", "mesh_space.samples=60", folder="other"), "direct: no gradient")
 
 
+FEWER = ("refined", "levenberg_marquardt", "clip")
+
+
 def test_a_trained_network_is_compared_and_refined(run):
     bundle = run("train", folder="trained").folder / "bundle"
     config = ["methods=[network,refined]", f"methods.network.bundle={bundle}", f"methods.refined.bundle={bundle}"]
@@ -141,6 +144,12 @@ def test_a_trained_network_is_compared_and_refined(run):
     assert refined["rig_poses/mean_vertex_error_mm"] < 0.5 * plain["rig_poses/mean_vertex_error_mm"]
     assert plain["rig_poses/optimum_mean_vertex_error_mm"] == refined["rig_poses/optimum_mean_vertex_error_mm"]
     assert plain["rig_poses/optimum_ratio"] > refined["rig_poses/optimum_ratio"]
+    fewer = run("evaluate", f"bundle={bundle}", *TOY, "refine=5", "fewer_controls=true", folder="fewer").metrics
+    assert fewer["rig_poses/active_controls"] <= refined["rig_poses/active_controls"]
+    assert fewer["rig_poses/mean_vertex_error_mm"] < 1.05 * refined["rig_poses/mean_vertex_error_mm"] + 1e-3
+    config = [f"methods={list(FEWER)}".replace("'", ""), *(f"methods.{name}.fewer_controls=true" for name in FEWER)]
+    rows = rows_of(run("compare", *TOY, *config, f"methods.refined.bundle={bundle}", folder="compared"))
+    assert all(float(rows[name, "rig_poses"]["control_precision"]) > 0.6 for name in FEWER)
 
 
 class Liar(Method):
