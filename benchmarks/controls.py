@@ -31,17 +31,17 @@ def sets_of(rig: RigBackend) -> list[MeshSet]:
 
 
 def main() -> None:
-    """Print the accuracy of the network alone, and with Levenberg-Marquardt steps after it."""
+    """Print the accuracy of the network alone, with Levenberg-Marquardt steps after it, and with fewer controls after these."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bundle")
-    parser.add_argument("--refine", type=int, nargs="*", default=[0, 5])
+    parser.add_argument("--refine", type=int, nargs="*", default=[5])
     given = parser.parse_args()
-    for refine in given.refine:
-        inverse = load_inverse(given.bundle, refine=refine)
+    for refine, fewer in [(0, False), *((refine, fewer) for refine in given.refine for fewer in (False, True))]:
+        inverse = load_inverse(given.bundle, refine=refine, fewer_controls=fewer)
         effects, metrics = ControlEffects.of_rig(inverse.rig), {"true_rig": inverse.rig.name}
         for meshes in sets_of(inverse.rig):
             metrics |= evaluate_inverse(inverse, inverse.rig, meshes).with_accuracy(effects).metrics
-        print_results(metrics, f"{given.bundle}, refine={refine}")
+        print_results(metrics, f"{given.bundle}, refine={refine}, fewer_controls={str(fewer).lower()}")
 
 
 if __name__ == "__main__":

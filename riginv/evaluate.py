@@ -38,6 +38,7 @@ class EvaluateConfig:
     capture: str | None
     refine: NonNegativeInt
     poses: PositiveInt
+    fewer_controls: bool = False
     resume: bool = False
 
 
@@ -55,7 +56,7 @@ def evaluate(config: DictConfig) -> None:
 def evaluate_bundle(settings: EvaluateConfig, bundle: str) -> tuple[str, RigBackend, list[EvaluationResult]]:
     """Evaluate the model of a bundle: a title, the true rig and the results."""
     rig = settings.rig.build() if settings.rig else None
-    model = load_model(bundle, rig, settings.refine)
+    model = load_model(bundle, rig, settings.refine, settings.fewer_controls)
     trained_on = model.rig if isinstance(model, Inverse) else model
     true_rig, clip = build_true_rig(settings.true_rig, rig or trained_on), None
     if isinstance(model, Inverse):
@@ -64,6 +65,7 @@ def evaluate_bundle(settings: EvaluateConfig, bundle: str) -> tuple[str, RigBack
     if settings.capture and not isinstance(model, Inverse):
         show_lines([], ["capture= was left out: a surrogate is evaluated on random poses, a clip evaluates an inverse"])
     title = bundle + (f" + {settings.refine} steps" if settings.refine else "")
+    title += ", fewer controls" if settings.fewer_controls else ""
     return title, true_rig, evaluate_model(model, true_rig, settings.poses, clip)
 
 

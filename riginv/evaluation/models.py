@@ -24,21 +24,24 @@ def surrogate_config(folder: str | Path) -> dict[str, str]:
     return {"_target_": "rigs.surrogate.SurrogateRig", "bundle": str(folder)}
 
 
-def load_model(folder: str | Path, rig: RigBackend | None = None, refine: int = 0) -> Inverse | LinearRig:
+def load_model(
+    folder: str | Path, rig: RigBackend | None = None, refine: int = 0, fewer_controls: bool = False
+) -> Inverse | LinearRig:
     """Load what a bundle holds: an inverse, or a surrogate as a rig.
 
     Args:
         rig: the rig that an inverse was trained on, for one that is not part of riginv.
-        refine: as in `load_inverse`.
+        refine, fewer_controls: as in `load_inverse`.
 
     Raises:
         InputError: the bundle is missing or damaged, does not fit the rig, or is no inverse that could be refined.
     """
     if read_bundle(folder).description["kind"] == "forward":
-        if refine:
-            raise InputError(f"refine={refine} is for an inverse; {folder} holds a surrogate: leave refine out")
+        if refine or fewer_controls:
+            key = f"refine={refine}" if refine else "fewer_controls=true"
+            raise InputError(f"{key} is for an inverse; {folder} holds a surrogate: leave it out")
         return build(surrogate_config(folder), kind=LinearRig, only=OURS)
-    return load_inverse(folder, rig, refine)
+    return load_inverse(folder, rig, refine, fewer_controls)
 
 
 def evaluate_model(

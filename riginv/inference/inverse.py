@@ -20,6 +20,7 @@ from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes
+from riginv.solvers.fewer_controls import with_fewer_controls
 from riginv.solvers.objective import Objective
 
 
@@ -63,14 +64,18 @@ class Inverse(nn.Module):
     Args:
         refine: steps of Levenberg-Marquardt that follow the network, mesh by mesh.
         trained_seconds: the duration of its training, s.
+        fewer_controls: whether controls that the mesh does not need are set to neutral (`with_fewer_controls`).
 
     Attributes:
         network: from mesh coordinates to controls; holds its rig and its mesh space.
     """
 
-    def __init__(self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0) -> None:
+    def __init__(
+        self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0, fewer_controls: bool = False
+    ) -> None:
         super().__init__()
         self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
+        self.fewer_controls = fewer_controls
         space = network.rig.space
         self.encoder = QuickEncoder(
             space, network.rig.source.has_blendshapes and space.directions.numel() >= MIN_SIZE_FOR_BFLOAT16
@@ -93,12 +98,15 @@ class Inverse(nn.Module):
                 f"meshes of shape {tuple(vertices.shape)} were given, rig '{self.rig.name}' needs "
                 f"(mesh, {space.vertex_count}, 3): the same vertices in the same order"
             )
-        if not self.refine:
+        if not (self.refine or self.fewer_controls):
             return self.network(self.encoder(vertices))
         coordinates = space.encode(vertices)
         controls = self.network(coordinates)
         start = self.objective.units(controls)
-        return self.objective.to_controls(refine_meshes(self.objective, coordinates, start, self.refine).units)
+        found = refine_meshes(self.objective, coordinates, start, self.refine).units
+        if self.fewer_controls:
+            found = with_fewer_controls(self.objective, coordinates, found)
+        return self.objective.to_controls(found)
 
     @functools.cached_property
     def objective(self) -> Objective:
@@ -106,7 +114,7 @@ class Inverse(nn.Module):
         return Objective(self.network.rig)
 
 
-def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int = 0) -> Inverse:
+def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int = 0, fewer_controls: bool = False) -> Inverse:
     """Load the inverse of a bundle.
 
     Args:
@@ -114,6 +122,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
         rig: the rig, for one that is not part of riginv; else the bundle's own description builds it. An inverse that was
             trained through a surrogate contains the surrogate; `rig` is then only compared with it.
         refine: steps of Levenberg-Marquardt that follow the network, through the rig that it was trained on.
+        fewer_controls: whether controls that the mesh does not need are set to neutral afterwards.
 
     Raises:
         InputError: the bundle is missing, damaged, of another type or made for another rig.
@@ -130,7 +139,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
     network = build(bundle.description["network"], RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
     network.load_own_weights(bundle.weights)
     trained_seconds = float(bundle.description["training"].get("seconds", 0.0))
-    return Inverse(network, refine, trained_seconds).eval().requires_grad_(False)
+    return Inverse(network, refine, trained_seconds, fewer_controls).eval().requires_grad_(False)
 
 
 def bundle_rig(bundle: Bundle) -> RigBackend:

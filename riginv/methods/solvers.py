@@ -12,6 +12,7 @@ from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.clip import smoothed, solve_clip
 from riginv.solvers.every_mesh import refine_meshes, solve_frames, solve_meshes
+from riginv.solvers.fewer_controls import with_fewer_controls
 from riginv.solvers.levenberg_marquardt import Solution
 from riginv.solvers.objective import PRIOR, Objective
 
@@ -26,6 +27,7 @@ class LevenbergMarquardt(Method):
         more_steps: for frames that start from a neighbour's answer.
         descent_steps: of gradient descent, to the second start.
         prior, sparsity: as in `Objective`.
+        fewer_controls: whether `with_fewer_controls` follows; in `Clip` before the curves are smoothed.
     """
 
     source = (
@@ -43,11 +45,12 @@ class LevenbergMarquardt(Method):
         descent_steps: NonNegativeInt = 60,
         prior: NonNegativeFloat = PRIOR,
         sparsity: NonNegativeFloat = 0.0,
+        fewer_controls: bool = False,
     ) -> None:
         super().__init__(rig)
         self.starts, self.key_starts, self.steps, self.more_steps = starts, key_starts, steps, more_steps
         self.descent_steps = descent_steps if rig.source.differentiable else 0
-        self.objective = Objective(rig, prior, sparsity)
+        self.objective, self.fewer_controls = Objective(rig, prior, sparsity), fewer_controls
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)
@@ -59,7 +62,8 @@ class LevenbergMarquardt(Method):
             found = self.frames(coordinates)
         else:
             found = solve_meshes(self.objective, coordinates, self.starts, self.steps, descent_steps=self.descent_steps)
-        return self.objective.to_controls(found.units)
+        units = with_fewer_controls(self.objective, coordinates, found.units) if self.fewer_controls else found.units
+        return self.objective.to_controls(units)
 
     def frames(self, coordinates: Tensor, rounds: int = 3) -> Solution:
         """The frames of a clip, each for itself; `rounds` as in `solve_frames`."""
@@ -104,10 +108,7 @@ class Clip(LevenbergMarquardt):
         if not meshes.fps:
             return super().invert(meshes)
         coordinates = self.coordinates(meshes)
-        if self.network is not None:
-            start = self.objective.units(self.network.invert(meshes))
-        else:
-            start = smoothed(self.frames(coordinates, rounds=0), self.blur, meshes.frame_numbers)
+        start = self._start(meshes, coordinates)
         found = solve_clip(
             self.objective,
             coordinates,
@@ -119,6 +120,20 @@ class Clip(LevenbergMarquardt):
         )
         return self.objective.to_controls(found)
 
+    def _start(self, meshes: MeshSet, coordinates: Tensor) -> Tensor:
+        """The curves to start from: the frames' own solutions, smoothed, or a network's."""
+        if self.network is None:
+            found = self.frames(coordinates, rounds=0)
+        else:
+            found = Solution.at_neutral(self.objective, len(coordinates))
+            found.units = self.objective.units(self.network.invert(meshes))
+            if not self.fewer_controls:
+                return found.units
+            found.skipped = ~torch.isfinite(coordinates).all(dim=1)
+        if self.fewer_controls:
+            found.units = with_fewer_controls(self.objective, coordinates, found.units)
+        return smoothed(found, self.blur, meshes.frame_numbers)
+
 
 class Refined(Network):
     """The output of a network, and a few steps of Levenberg-Marquardt from there, mesh by mesh.
@@ -126,15 +141,26 @@ class Refined(Network):
     Args:
         bundle: the bundle of an inverse, or the run that holds it.
         steps: linearisations.
+        fewer_controls: whether `with_fewer_controls` follows.
     """
 
     source = "riginv: a trained network as the start of Levenberg-Marquardt"
 
-    def __init__(self, rig: RigInMeshSpace, bundle: str, steps: PositiveInt = 5, prior: NonNegativeFloat = PRIOR) -> None:
+    def __init__(
+        self,
+        rig: RigInMeshSpace,
+        bundle: str,
+        steps: PositiveInt = 5,
+        prior: NonNegativeFloat = PRIOR,
+        fewer_controls: bool = False,
+    ) -> None:
         super().__init__(rig, bundle)
-        self.steps, self.objective = steps, Objective(rig, prior)
+        self.steps, self.objective, self.fewer_controls = steps, Objective(rig, prior), fewer_controls
 
     @torch.no_grad()
     def invert(self, meshes: MeshSet) -> Tensor:
-        start = self.objective.units(super().invert(meshes))
-        return self.objective.to_controls(refine_meshes(self.objective, self.coordinates(meshes), start, self.steps).units)
+        start, coordinates = self.objective.units(super().invert(meshes)), self.coordinates(meshes)
+        found = refine_meshes(self.objective, coordinates, start, self.steps).units
+        if self.fewer_controls:
+            found = with_fewer_controls(self.objective, coordinates, found)
+        return self.objective.to_controls(found)

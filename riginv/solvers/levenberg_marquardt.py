@@ -1,15 +1,16 @@
 """Levenberg-Marquardt on many meshes at once, each with its own damping, acceptance and convergence."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from riginv.solvers.box_step import box_step, damping_diagonal, predicted_change
-from riginv.solvers.objective import Linearised, Objective
+from riginv.solvers.objective import Linearised, Result
 
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-7, 1e6
 TOLERANCE = 1e-4  # a step that reduces the objective by less than this fraction counts as idle
@@ -37,6 +38,18 @@ class Pace(NamedTuple):
 FAR, NEAR = Pace(), Pace(1e-4, 0.3, LEAST_GAIN)  # the start is anywhere, or near the solution
 
 
+class Minimised(Protocol):
+    """What Levenberg-Marquardt minimises: an `Objective`, or variables of one; see there."""
+
+    neutral: Tensor
+    squared_mm: float
+
+    def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]: ...
+    def cost(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Tensor: ...
+    def prior_cost(self, units: Tensor) -> Tensor: ...
+    def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised: ...
+
+
 @dataclass
 class Solution:
     """The solver's result for every mesh.
@@ -56,7 +69,7 @@ class Solution:
     skipped: Tensor
 
     @classmethod
-    def at_neutral(cls, objective: Objective, count: int) -> "Solution":
+    def at_neutral(cls, objective: Minimised, count: int) -> "Solution":
         """The solution before any step: neutral controls and unknown costs."""
         units = objective.neutral.expand(count, -1).clone()
         no, zero = (units.new_zeros(count, dtype=dtype) for dtype in (torch.bool, torch.long))
@@ -77,7 +90,7 @@ class Solution:
 
 
 def levenberg_marquardt(
-    objective: Objective,
+    objective: Minimised,
     coordinates: Float[Tensor, "mesh coordinate"],
     start: Float[Tensor, "mesh control"],
     steps: int,
@@ -105,7 +118,7 @@ def levenberg_marquardt(
 
 @torch.no_grad()
 def _solve(
-    objective: Objective,
+    objective: Minimised,
     steps: int,
     tolerance: float,
     pace: Pace,
@@ -145,7 +158,7 @@ def _solve(
 
 
 def _improve(
-    objective: Objective, near: Linearised, at: Tensor, target: tuple[Tensor, ...], damping: Tensor, longest: float
+    objective: Minimised, near: Linearised, at: Tensor, target: tuple[Tensor, ...], damping: Tensor, longest: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Try a step, again with more damping where it fails: the new controls, costs and dampings."""
     moved, cost, damping = at.clone(), near.cost.clone(), damping.clone()

@@ -109,7 +109,8 @@ def build_parts(
 
 
 def _refuse_for_network(constraints: ControlConstraints, solver: SolverOptions) -> None:
-    key = constraints.solver_only or ("solver.sparsity" if solver.sparsity else "")
+    given = {"solver.sparsity": solver.sparsity, "solver.fewer_controls": solver.fewer_controls}
+    key = constraints.solver_only or next((key for key, value in given.items() if value), "")
     if key:
         raise InputError(f"{key} is for solvers, and method=network is none: add refine=5, or method=clip")
 
@@ -159,7 +160,8 @@ def build_solver(
     )
     network = NetworkEstimator(inverse, constraints, rig) if inverse is not None and method != "levenberg_marquardt" else None
     steps = (options.refine or REFINE_STEPS) if network else solver.steps
-    return SolverEstimator(objective, network, steps, solver.key_starts, solver.descent_steps)
+    starts = solver.key_starts, solver.descent_steps
+    return SolverEstimator(objective, network, steps, *starts, solver.fewer_controls)
 
 
 def _learned_prior(

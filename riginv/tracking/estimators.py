@@ -8,6 +8,7 @@ from torch import Tensor
 from riginv.inference.inverse import Inverse
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import EXACT, refine_meshes, solve_frames, solve_from_guess
+from riginv.solvers.fewer_controls import with_fewer_controls
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import Objective
 from riginv.tracking.actors.actor import ActorRig
@@ -76,6 +77,7 @@ class SolverEstimator(ControlEstimator):
         start: estimates the start; None: frames are solved from scratch and from their neighbours.
         steps: linearisations, at most.
         key_starts, descent_steps: as in `solve_frames`.
+        fewer_controls: whether `with_fewer_controls` follows.
     """
 
     def __init__(
@@ -85,9 +87,10 @@ class SolverEstimator(ControlEstimator):
         steps: int,
         key_starts: int = 2,
         descent_steps: int = 60,
+        fewer_controls: bool = False,
     ) -> None:
         self.objective, self.start, self.steps, self.key_starts = objective, start, steps, key_starts
-        rig = objective.rig.source
+        self.fewer_controls, rig = fewer_controls, objective.rig.source
         assert isinstance(rig, FixedControlsRig)
         self.rig = rig
         self.descent_steps = descent_steps if self.rig.differentiable else 0
@@ -113,7 +116,11 @@ class SolverEstimator(ControlEstimator):
             found = solve_from_guess(self.objective, coordinates, self._first_guess(vertices), self.steps)
         else:
             found = solve_frames(self.objective, coordinates, self.key_starts, self.steps, descent_steps=self.descent_steps)
-        return self.controls(found.units)
+        return self._selected(coordinates, found.units)
+
+    def _selected(self, coordinates: Tensor, units: Tensor) -> Tensor:
+        """All controls of a solution, those that a mesh does not need at neutral if that is wanted."""
+        return self.controls(with_fewer_controls(self.objective, coordinates, units) if self.fewer_controls else units)
 
     def _first_guess(self, vertices: Tensor) -> Tensor:
         """The rig's own guess, as fractions of the ranges."""
@@ -122,7 +129,8 @@ class SolverEstimator(ControlEstimator):
 
     def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates = self.space.encode(vertices)
-        return self.controls(refine_meshes(self.objective, coordinates, self.units(controls), UPDATE_STEPS).units)
+        found = refine_meshes(self.objective, coordinates, self.units(controls), UPDATE_STEPS)
+        return self._selected(coordinates, found.units)
 
     def is_exact(self, coordinates: Tensor, controls: Tensor) -> bool:
         """Whether controls `(frame, control)` that began as the rig's own guess make nearly all known meshes exactly."""

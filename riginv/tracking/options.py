@@ -100,6 +100,7 @@ class SolverOptions:
         steps: linearisations of each frame, at most, without a network.
         prior: mm^2 of mean squared error for a control that leaves neutral by its whole range.
         sparsity: the same as an L1 penalty.
+        fewer_controls: whether `with_fewer_controls` follows; with `method=clip` before the curves are smoothed.
         smoothness: of `method=clip`: mm^2 for a second difference of a whole range.
         clip_steps: of `method=clip`: Gauss-Newton steps on the whole clip.
         mean_steps: of `method=clip`: further steps that minimise distances in place of their squares.
@@ -110,6 +111,7 @@ class SolverOptions:
     steps: PositiveInt = 30
     prior: NonNegativeFloat = 1e-6
     sparsity: NonNegativeFloat = 0.0
+    fewer_controls: bool = False
     smoothness: NonNegativeFloat = 1.5
     clip_steps: PositiveInt = 4
     mean_steps: NonNegativeInt = 0
@@ -191,6 +193,11 @@ class TrackingOptions:
     def noise_of_measurements_mm(self) -> float:
         """`noise_mm`, or its default."""
         return self.noise_mm or (0.3 if self.correspondence == "markers" else 0.1)
+
+    def refuse_fewer_controls(self, setting: str) -> None:
+        """Raise InputError for `solver.fewer_controls` with what it is not made for."""
+        if self.solver.fewer_controls:
+            raise InputError(f"solver.fewer_controls is for meshes of the rig's own topology, not {setting}: leave it out")
 
     def resolved_method(self, has_network: bool) -> Method:
         """The method, or the default one for what is given.

@@ -82,6 +82,30 @@ def test_two_wrong_controls_that_do_not_cancel_are_not_confused(effects):
     assert not added.confused
 
 
+class Sided(LinearRig):
+    """A control whose two sides move two shapes, one control for the first of these shapes, and one for another."""
+
+    def __init__(self) -> None:
+        toy = ToyRig()
+        controls = [Control("side", lower=-1.0), Control("left"), Control("far")]
+        super().__init__("sided", controls, toy.rest_vertices, toy.faces, toy.basis[[0, 3, 5]], ["left", "right", "far"])
+
+    def coefficients(self, controls: torch.Tensor) -> torch.Tensor:
+        side, left, far = controls.unbind(dim=1)
+        return torch.stack([(-side).clamp_min(0) + left, side.clamp_min(0), far], dim=1)
+
+
+def test_one_side_of_a_control_may_do_what_another_control_does():
+    effects = ControlEffects.of_rig(Sided())
+    assert effects.merged == (("side-", "left"),) and effects.names == ("side+", "side- = left", "far")
+    found, true = [[-0.4, 0.1, 0.0], [0.6, 0.0, 0.0]], [[0.0, 0.5, 0.0], [0.6, 0.0, 0.0]]
+    exact = measured(effects, found, true)
+    assert (exact.precision, exact.recall) == (1, 1) and exact.error < 1e-6 and not exact.confused
+    other_side = measured(effects, [[-0.6, 0.0, 0.0]], [[0.6, 0.0, 0.0]])
+    assert (other_side.precision, other_side.recall) == (0, 0)
+    assert ControlEffects.of_rig(ToyRig()).names == ToyRig().control_names  # no side is another control
+
+
 def test_a_rig_that_gives_meshes_alone_has_the_same_effects():
     box, toy = ControlEffects.of_rig(BlackBox()), ControlEffects.of_rig(ToyRig())
     assert torch.allclose(box.gram, toy.gram, rtol=1e-3, atol=1e-3) and box.names == toy.names

@@ -13,12 +13,13 @@ from riginv.methods.baselines.holden_network import HoldenNetwork
 from riginv.methods.direct import Neutral
 from riginv.methods.evaluation import Clocked, evaluated_row
 from riginv.methods.network import Network
-from riginv.methods.solvers import Refined
+from riginv.methods.solvers import Clip, LevenbergMarquardt, Refined
 from riginv.rig.mesh_sets import PosedRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from tests.config.test_bad_input import refused
 from tests.conftest import ROOT
 from tests.solvers.test_solvers import poses
+from tests.support.clips import performance, write_npz
 
 TOY = ["rig=toy", f"--config-dir={ROOT / 'tests/conf'}", "poses=12"]
 COLUMNS = (
@@ -128,7 +129,7 @@ def test_what_does_not_suit_the_rig_is_left_out_and_said_so(run):
     refused(run("compare", *TOY, box, "methods=[direct]", "mesh_space.samples=60", folder="other"), "direct: no gradient")
 
 
-def test_a_trained_network_is_compared_and_refined(run):
+def test_a_trained_network_is_compared_and_refined(run, toy, tmp_path):
     bundle = run("train", folder="trained").folder / "bundle"
     config = ["methods=[network,refined]", f"methods.network.bundle={bundle}", f"methods.refined.bundle={bundle}"]
     rows = rows_of(run("compare", *TOY, *config))
@@ -141,6 +142,35 @@ def test_a_trained_network_is_compared_and_refined(run):
     assert refined["rig_poses/mean_vertex_error_mm"] < 0.5 * plain["rig_poses/mean_vertex_error_mm"]
     assert plain["rig_poses/optimum_mean_vertex_error_mm"] == refined["rig_poses/optimum_mean_vertex_error_mm"]
     assert plain["rig_poses/optimum_ratio"] > refined["rig_poses/optimum_ratio"]
+    capture = write_npz(tmp_path / "take.npz", performance(toy.source, 8), toy.source.faces.numpy())
+    fewer = run(
+        "evaluate", f"bundle={bundle}", *TOY, "refine=5", "fewer_controls=true", f"capture={capture}", folder="fewer"
+    ).metrics
+    assert fewer["rig_poses/active_controls"] <= refined["rig_poses/active_controls"]
+    few_again = Refined(toy, str(bundle), fewer_controls=True).invert(take(toy.source))
+    assert_fewer(toy.source, few_again, Refined(toy, str(bundle)).invert(take(toy.source)))
+
+
+@pytest.mark.parametrize("method", [LevenbergMarquardt, Clip])
+def test_solvers_with_fewer_controls(method, toy):
+    options = {"smoothness": 1e-3} if method is Clip else {}
+    few, all_of_them = (method(toy, fewer_controls=fewer, **options) for fewer in (True, False))
+    assert_fewer(toy.source, few.invert(take(toy.source)), all_of_them.invert(take(toy.source)))
+
+
+def take(rig):
+    """Frames in which the macro of the toy rises, which does what two others do together."""
+    curve = torch.zeros(8, len(rig.controls))
+    curve[:, 6] = torch.linspace(0.2, 0.9, 8)
+    meshes = PosedRig("take", rig, curve)
+    meshes.fps = 24.0
+    return meshes
+
+
+def assert_fewer(rig, few, all_of_them):
+    assert int((few.abs() > 0.02).sum()) <= min(8, int((all_of_them.abs() > 0.02).sum()))
+    assert float((few[:, 6] - take(rig).controls[:, 6]).abs().max()) < 0.02
+    assert float((rig(few) - rig(take(rig).controls)).norm(dim=2).mean()) < 0.05
 
 
 class Liar(Method):

@@ -79,6 +79,12 @@ def test_sequences_of_files_and_keys_and_another_rate(method, run, rig, tmp_path
     assert rows(tmp_path / "curves/frames.csv")[0]["frame"] == "1001" and len(rows(tmp_path / "curves/curves.csv")) == 39
 
 
+def active(path) -> int:
+    """The number of values of the controls in a table of curves that are not nearly neutral."""
+    names = ToyRig().control_names
+    return sum(abs(float(row[name])) > 0.02 for row in rows(path) for name in names)
+
+
 def test_a_trained_network_inverts_alone_and_refined(run, rig, clip, tmp_path):
     assert run("train").code == 0
     bundle = (f"bundle={tmp_path / 'run'}", *TOY, f"clip={clip}", *PLAIN)
@@ -90,10 +96,19 @@ def test_a_trained_network_inverts_alone_and_refined(run, rig, clip, tmp_path):
         assert facts["method"] == name and len(facts["bundle"]) == 64
         errors[name] = np.mean([float(row["mean_error_mm"]) for row in rows(tmp_path / name / "frames.csv")])
     assert errors["refined"] < errors["network"] and errors["clip"] < errors["network"]
+    for name, options in (("refined", ["refine=8"]), ("clip", ["method=clip", "solver.smoothness=0.01"])):
+        fewer = run("invert", *bundle, f"out=fewer_{name}", "solver.fewer_controls=true", *options)
+        assert fewer.code == 0, fewer.text
+        some, all_of_them = (active(tmp_path / f"{folder}/curves.csv") for folder in (f"fewer_{name}", name))
+        assert some <= all_of_them
+        error = np.mean([float(row["mean_error_mm"]) for row in rows(tmp_path / f"fewer_{name}/frames.csv")])
+        assert error < max(1.05 * errors[name], errors[name] + 1e-3)
     held = run("invert", *bundle, "out=held", "controls.freeze=[bump*]")
     assert held.code == 0 and all(float(row["bump0"]) == 0 for row in rows(tmp_path / "held/curves.csv"))
     refused = run("invert", *bundle, "out=refused", "controls.symmetric=[[bump0,bump1]]")
     assert refused.code == 1 and "controls.symmetric is for solvers" in refused.text
+    refused = run("invert", *bundle, "out=refused", "solver.fewer_controls=true")
+    assert refused.code == 1 and "solver.fewer_controls is for solvers" in refused.text
 
 
 @pytest.mark.parametrize(

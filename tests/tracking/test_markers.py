@@ -226,6 +226,7 @@ def test_markers_are_inverted_from_the_command_line(run, toy_rig, tmp_path):
         (["correspondence=markers", "markers=map.yaml", "method=network"], "needs a trained network"),
         (["correspondence=markers", "markers=none.yaml"], "no such file|cannot be read"),
         (["correspondence=markers", "markers=map.yaml", "controls.static=[side]"], "controls.static"),
+        (["correspondence=markers", "markers=map.yaml", "solver.fewer_controls=true"], "not markers: leave it out"),
     ],
 )
 def test_a_command_that_cannot_be_done_leaves_nothing_behind(run, toy_rig, tmp_path, more, said):

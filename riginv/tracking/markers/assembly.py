@@ -110,6 +110,7 @@ def build_objective(
 
 def _check(options: TrackingOptions, constraints: ControlConstraints) -> None:
     """Raise InputError for options that are not supported for markers."""
+    options.refuse_fewer_controls("markers")
     if options.method not in (None, "clip", "levenberg_marquardt"):
         raise InputError(f"method={options.method} is not for markers: leave it out, or method=levenberg_marquardt")
     if bool(constraints.static.any()):
