@@ -22,6 +22,7 @@ from rigs.shapes import ShapesRig
 from tests.rigs.dna.files import draft, shared
 from tests.support import sculpts
 from tests.support.avatars import AvatarWriter, cube, face_avatar
+from tests.support.creatures import CREATURES, write_creature
 from tests.support.toys import ToyRig
 
 
@@ -108,6 +109,9 @@ def test_what_a_file_cannot_hold_is_refused_by_name(face, tmp_path):
     resting = GltfRig(str(avatar.write(tmp_path / "rest.glb")), default_weights=True)
     with pytest.raises(InputError, match="target 'fat' rests at another weight than 0"):
         draft_of(resting)
+    fox = write_creature(tmp_path / "fox.glb", CREATURES["fox"](), frames=4)  # its animation scales joints, which rest at 1
+    with pytest.raises(InputError, match="expected angles alone: use rig.joint_translation=false rig.joint_scale=false"):
+        draft_of(GltfRig(str(fox), joints=True))
 
 
 def test_the_command_says_how_far_the_two_are_apart(run, tmp_path):
