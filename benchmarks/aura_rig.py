@@ -11,8 +11,8 @@ from riginv.animation.table import write_rows
 from riginv.rig.arkit import LIVE_LINK_SHAPES
 
 FPS = 30.0
-# ARKit's shapes, of the left side, and the controls of Aura that do the same; R and Right stand for L and Left on the other.
-SAME = {
+# ARKit's shapes of the left side, and the control of Aura that does the same; the right side is alike.
+LEFT = {
     "EyeBlinkLeft": "eyesClosed_L",
     "EyeLookDownLeft": "eyesLookDown_L",
     "EyeLookUpLeft": "eyesLookUp_L",
@@ -30,7 +30,7 @@ SAME = {
     "CheekSquintLeft": "cheekRaiser_L",
     "NoseSneerLeft": "noseWrinkler_L",
 }
-BOTH = {
+OTHERS = {
     "EyeLookInLeft": "eyesLookRight_L",
     "EyeLookOutLeft": "eyesLookLeft_L",
     "EyeLookInRight": "eyesLookLeft_R",
@@ -51,8 +51,8 @@ BOTH = {
     "BrowInnerUp": "innerBrowRaiser_L innerBrowRaiser_R",
     "CheekPuff": "cheekPuff_L cheekPuff_R",
 }
-PAIRS = {arkit: names.split() for arkit, names in {**SAME, **BOTH}.items()} | {
-    arkit.replace("Left", "Right"): [name[:-1] + "R"] for arkit, name in SAME.items()
+PAIRS = {arkit: names.split() for arkit, names in {**LEFT, **OTHERS}.items()} | {
+    arkit.replace("Left", "Right"): [name[:-1] + "R"] for arkit, name in LEFT.items()
 }
 
 
