@@ -136,7 +136,7 @@ class Workers:
         """The number of threads and how it was chosen, in a few words."""
         threads = f"{self.count} thread{'s' if self.count > 1 else ''}"
         if self.chosen is not None:
-            return f"{threads}, as asked for"
+            return f"{threads}, as configured"
         cores = f"{self.cores.count} core{'s' if self.cores.count > 1 else ''}"
         return f"{threads} of {cores} (free cores are counted every {SECONDS:g} s)"
 

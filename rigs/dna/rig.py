@@ -14,6 +14,7 @@ from riginv.geometry.kinematics import Skeleton
 from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.jacobian import Jacobian, forward_jacobian
+from riginv.rig.size import extent
 from rigs.dna.control_sets import Kind, control_set
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
@@ -106,12 +107,12 @@ class DnaRig(RigBackend):
         return {control.name: {control.name: control.upper} for control in self.controls[::step]}
 
     def _describe(self, content: DnaFile, lod: int) -> str:
-        size = " x ".join(f"{length:.3g}" for length in (self.rest_vertices.amax(0) - self.rest_vertices.amin(0)).tolist())
+        size = extent((self.rest_vertices.amax(0) - self.rest_vertices.amin(0)).tolist())
         layout = self.model.layout
         return (
             f"{self.name}: DNA 2.{content.version}, level of detail {lod} of {layout.lod_count}: {len(self.controls)} "
             f"controls, {len(self.model.joints)} joints, {len(self.model.channels)} blendshape channels, {len(self.parts)} "
-            f"meshes, {len(self.rest_vertices):,} vertices, {size} mm"
+            f"meshes, {len(self.rest_vertices):,} vertices, {size}"
         )
 
     def _remarks(self, ends_in: LinearMap | None) -> list[str]:

@@ -23,13 +23,14 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     Raises:
         InputError: the format cannot represent the rig; the message has the reason.
     """
-    resting = [control.name for control in rig.controls if control.neutral]
+    _check_controls(rig)
+    count = len(rig.targets)
+    resting = [control.name for control in rig.controls[:count] if control.neutral]
     if resting:
         raise InputError(
             f"rig '{rig.name}': target '{resting[0]}' rests at another weight than 0, where a DNA file's controls rest at 0: "
             f"use rig.default_weights=false"
         )
-    count = len(rig.targets)
     basis = rig.basis.double().numpy(force=True)
     rest = rig.rest_vertices.double().numpy(force=True)
     faces, motion = triangles(rig.faces.numpy(force=True)), rig.joint_motion
@@ -39,7 +40,6 @@ def draft_of_gltf(rig: GltfRig) -> Draft:
     draft = blendshape_draft(rig.name, rest, faces, {name: Drive(name) for name in rig.targets}, shapes)
     if motion is None:
         return draft
-    _check_controls(rig)
     draft.sequence = SEQUENCE
     frames = motion.rest.double().numpy(force=True)
     points = basis[rows * count :][: NUMBERS * len(frames)].reshape(len(frames), 3, 4, *rest.shape)

@@ -22,6 +22,7 @@ from rigs.shapes import ShapesRig
 from tests.rigs.dna.files import draft, shared
 from tests.support import sculpts
 from tests.support.avatars import AvatarWriter, cube, face_avatar
+from tests.support.creatures import CREATURES, write_creature
 from tests.support.toys import ToyRig
 
 
@@ -87,7 +88,7 @@ def test_a_class_of_a_user_may_say_what_it_is_made_of(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m.dna"]
 
 
-def test_what_a_file_cannot_hold_is_refused_by_name(face, tmp_path):
+def test_what_a_file_cannot_hold_is_refused_by_name(face, tmp_path, caplog):
     for name, rig, message in (
         ("face", face, "rig 'face' cannot be written: its weights follow controls along Bezier curves, .* screen each other"),
         ("toy", ToyRig(), r"rig 'toy' \(ToyRig\) cannot be written: .*a method dna_draft\(\)"),
@@ -106,6 +107,14 @@ def test_what_a_file_cannot_hold_is_refused_by_name(face, tmp_path):
     resting = GltfRig(str(avatar.write(tmp_path / "rest.glb")), default_weights=True)
     with pytest.raises(InputError, match="target 'fat' rests at another weight than 0"):
         draft_of(resting)
+    fox = write_creature(tmp_path / "fox.glb", CREATURES["fox"](), frames=4)  # its animation scales joints, which rest at 1
+    with pytest.raises(InputError, match="expected angles alone: use rig.joint_translation=false rig.joint_scale=false"):
+        draft_of(GltfRig(str(fox), joints=True))
+    plain = GltfRig(str(fox), joints=True, joint_translation=False, joint_scale=False, joint_limit_deg=60.0)
+    write_rig(plain, draft_of(plain), tmp_path / "fox.dna")
+    with caplog.at_level("INFO"):
+        DnaRig(str(tmp_path / "fox.dna"), unit_mm=10.0)
+    assert "1,232 vertices, 0.289 x 0.918 x 1.56 m" in caplog.text
 
 
 def test_the_command_says_how_far_the_two_are_apart(run, tmp_path):
