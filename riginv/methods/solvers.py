@@ -72,7 +72,7 @@ class Clip(LevenbergMarquardt):
     """A whole clip at once, with smooth curves; meshes that are no clip are solved one by one.
 
     Args:
-        smoothness: as in `solve_clip`.
+        smoothness, full_smoothness_mm: as in `solve_clip`.
         clip_steps: Gauss-Newton steps on the whole clip.
         mean_steps: as many after these, in which every vertex counts by its distance and not by the square.
         blur: standard deviation of the Gaussian that smooths the frames' own answers to a start, frames.
@@ -92,10 +92,12 @@ class Clip(LevenbergMarquardt):
         blur: NonNegativeFloat = 3.0,
         mean_steps: NonNegativeInt = 0,
         bundle: str | None = None,
+        full_smoothness_mm: NonNegativeFloat = 0.02,
         **solver: Any,
     ) -> None:
         super().__init__(rig, **solver)
         self.smoothness, self.clip_steps, self.blur, self.mean_steps = smoothness, clip_steps, blur, mean_steps
+        self.full_smoothness_mm = full_smoothness_mm
         self.network = Network(rig, bundle) if bundle else None
         if self.network:
             self.trained_seconds, self.fingerprint = self.network.trained_seconds, self.network.fingerprint
@@ -105,9 +107,10 @@ class Clip(LevenbergMarquardt):
             return super().invert(meshes)
         coordinates = self.coordinates(meshes)
         if self.network is not None:
-            start = self.objective.units(self.network.invert(meshes))
+            start = own = self.objective.units(self.network.invert(meshes))
         else:
-            start = smoothed(self.frames(coordinates, rounds=0), self.blur, meshes.frame_numbers)
+            frames = self.frames(coordinates, rounds=0)
+            start, own = smoothed(frames, self.blur, meshes.frame_numbers), frames.units
         found = solve_clip(
             self.objective,
             coordinates,
@@ -116,6 +119,8 @@ class Clip(LevenbergMarquardt):
             self.clip_steps,
             self.mean_steps,
             numbers=meshes.frame_numbers,
+            full_smoothness_mm=self.full_smoothness_mm,
+            own=own,
         )
         return self.objective.to_controls(found)
 

@@ -101,6 +101,7 @@ class SolverOptions:
         prior: mm^2 of mean squared error for a control that leaves neutral by its whole range.
         sparsity: the same as an L1 penalty.
         smoothness: of `method=clip`: mm^2 for a second difference of a whole range.
+        full_smoothness_mm: of `method=clip`: as in `solve_clip`.
         clip_steps: of `method=clip`: Gauss-Newton steps on the whole clip.
         mean_steps: of `method=clip`: further steps that minimise distances in place of their squares.
         blur: of `method=clip`: standard deviation, in frames, of the smoothing of the initial curves.
@@ -111,6 +112,7 @@ class SolverOptions:
     prior: NonNegativeFloat = 1e-6
     sparsity: NonNegativeFloat = 0.0
     smoothness: NonNegativeFloat = 1.5
+    full_smoothness_mm: NonNegativeFloat = 0.02
     clip_steps: PositiveInt = 4
     mean_steps: NonNegativeInt = 0
     blur: NonNegativeFloat = 3.0
