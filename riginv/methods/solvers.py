@@ -76,7 +76,7 @@ class Clip(LevenbergMarquardt):
     """A whole clip at once, with smooth curves; unrelated meshes are solved one by one.
 
     Args:
-        smoothness: as in `solve_clip`.
+        smoothness, full_smoothness_mm: as in `solve_clip`.
         clip_steps: Gauss-Newton steps on the whole clip.
         mean_steps: as many after these, in which every vertex counts by its distance and not by the square.
         blur: standard deviation of the Gaussian that smooths the frames' own answers to a start, frames.
@@ -96,10 +96,12 @@ class Clip(LevenbergMarquardt):
         blur: NonNegativeFloat = 3.0,
         mean_steps: NonNegativeInt = 0,
         bundle: str | None = None,
+        full_smoothness_mm: NonNegativeFloat = 0.02,
         **solver: Any,
     ) -> None:
         super().__init__(rig, **solver)
         self.smoothness, self.clip_steps, self.blur, self.mean_steps = smoothness, clip_steps, blur, mean_steps
+        self.full_smoothness_mm = full_smoothness_mm
         self.network = Network(rig, bundle) if bundle else None
         if self.network:
             self.trained_seconds, self.fingerprint = self.network.trained_seconds, self.network.fingerprint
@@ -108,7 +110,7 @@ class Clip(LevenbergMarquardt):
         if not meshes.fps:
             return super().invert(meshes)
         coordinates = self.coordinates(meshes)
-        start = self._start(meshes, coordinates)
+        start, own = self._start(meshes, coordinates)
         found = solve_clip(
             self.objective,
             coordinates,
@@ -117,22 +119,24 @@ class Clip(LevenbergMarquardt):
             self.clip_steps,
             self.mean_steps,
             numbers=meshes.frame_numbers,
+            full_smoothness_mm=self.full_smoothness_mm,
+            own=own,
         )
         return self.objective.to_controls(found)
 
-    def _start(self, meshes: MeshSet, coordinates: Tensor) -> Tensor:
-        """The curves to start from: the frames' own solutions, smoothed, or a network's."""
+    def _start(self, meshes: MeshSet, coordinates: Tensor) -> tuple[Tensor, Tensor]:
+        """The curves to start from, the frames' own solutions, smoothed, or a network's; and these before they are smoothed."""
         if self.network is None:
             found = self.frames(coordinates, rounds=0)
         else:
             found = Solution.at_neutral(self.objective, len(coordinates))
             found.units = self.objective.units(self.network.invert(meshes))
             if not self.fewer_controls:
-                return found.units
+                return found.units, found.units
             found.skipped = ~torch.isfinite(coordinates).all(dim=1)
         if self.fewer_controls:
             found.units = with_fewer_controls(self.objective, coordinates, found.units)
-        return smoothed(found, self.blur, meshes.frame_numbers)
+        return smoothed(found, self.blur, meshes.frame_numbers), found.units
 
 
 class Refined(Network):

@@ -6,16 +6,21 @@ from functools import partial
 import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
+from torch.nn.functional import max_pool1d
 
 from riginv.solvers.band import second_difference_bands, second_differences, spans, usual_steps
 from riginv.solvers.band_step import band_box_step
 from riginv.solvers.box_step import FLOOR
+from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.levenberg_marquardt import LEAST_DAMPING, MOST_DAMPING, START_DAMPING, Solution
 from riginv.solvers.objective import Linearised, Objective
 
 WINDOW, LOOKAHEAD = 192, 48  # frames that are kept of a window, and those that are solved beyond them
 BATCH_SIZE = 64
 TRIES = 4  # of increasing damping on one linearisation
+OWN_STEPS = 10  # to a frame's own solution, at most
+LEAST_SMOOTHNESS = 1e-4  # as a fraction, for frames that the rig makes exactly: controls without effect remain smooth
+NEARBY = 8  # frames on either side of one that the rig cannot make, which are smoothed like it
 
 
 def solve_clip(
@@ -30,6 +35,8 @@ def solve_clip(
     tolerance: float = 1e-4,
     weights: Float[Tensor, " frame"] | None = None,
     numbers: Shaped[Tensor, " frame"] | None = None,
+    full_smoothness_mm: float = 0.0,
+    own: Float[Tensor, "frame control"] | None = None,
 ) -> Float[Tensor, "frame control"]:
     """Minimise the objective of all frames plus half of `smoothness` times the squared second differences of the controls.
 
@@ -48,6 +55,9 @@ def solve_clip(
         weights: of each frame's distance: lower for less reliable frames, 0: interpolated. None: 1.
         numbers: frame numbers, ascending, for second differences by time, with none across long gaps; None: no frame
             is missing.
+        full_smoothness_mm: root mean square distance of a frame's own solution at which it is smoothed in full; below, in
+            proportion to the squared distance, since fast motion that the rig makes exactly is not noise. 0: all in full.
+        own: near each frame's own solution, which is sought from there; None: from the start.
 
     Returns:
         Controls `(frame, control)`, as fractions of their ranges.
@@ -56,6 +66,7 @@ def solve_clip(
     weights = units.new_ones(len(units)) if weights is None else weights.to(units)
     frame_steps = usual_steps(torch.arange(len(units)) if numbers is None else numbers).to(units.device)
     by_mean_distance = objective.by_mean_distance() if mean_steps else None
+    fractions = torch.ones_like(weights)
     for first in range(0, len(units), window):
         stop = min(first + window + lookahead, len(units))
         if len(units) - stop <= lookahead:
@@ -64,6 +75,11 @@ def solve_clip(
         scaled = smoothness * objective.squared_mm
         before, steps_between = units[fixed_from:first], frame_steps[fixed_from : stop - 1]
         frames = _Window(objective, coordinates[rows], weights[rows], before, scaled, steps_between)
+        if full_smoothness_mm:
+            alone, fractions[rows] = frames.own_solutions((units if own is None else own)[rows], full_smoothness_mm)
+            fraction = max_pool1d(fractions[None, fixed_from:stop], 2 * NEARBY + 1, 1, NEARBY)[0]
+            units[rows] = torch.lerp(alone, units[rows], fraction[first - fixed_from :, None])
+            frames.scale_smoothness(fraction)
         units[rows] = frames.solve(units[rows], steps, tolerance)
         if by_mean_distance is not None:
             frames.objective = by_mean_distance
@@ -86,9 +102,23 @@ class _Window:
         self.objective, self.before, self.smoothness, self.weights = objective, before.clone(), smoothness, weights
         self.finite = torch.isfinite(coordinates).all(dim=1)
         self.coordinates = torch.where(self.finite[:, None], coordinates, 0.0)
-        differences = second_differences(steps)
-        self.differences = differences.to(coordinates)
-        self.bands = [smoothness * band for band in second_difference_bands(len(coordinates), len(before), differences)]
+        self._set_differences(second_differences(steps))
+
+    def _set_differences(self, differences: Tensor) -> None:
+        self.differences = differences.to(self.coordinates)
+        bands = second_difference_bands(len(self.coordinates), len(self.before), differences)
+        self.bands = [self.smoothness * band for band in bands]
+
+    def own_solutions(self, at: Tensor, full_mm: float) -> tuple[Tensor, Tensor]:
+        """Each frame's own solution from `at`, and the fraction of the smoothness that suits its distance, `(frame,)`."""
+        own = refine_meshes(self.objective, self.coordinates, at, OWN_STEPS)
+        squared_mm = 2 * (own.cost - self.objective.prior_cost(own.units)) / self.objective.squared_mm
+        fractions = (squared_mm / full_mm**2).clamp(LEAST_SMOOTHNESS, 1)
+        return own.units, torch.where(self.finite & (self.weights >= 1), fractions, 1.0)
+
+    def scale_smoothness(self, fractions: Tensor) -> None:
+        """Scale the smoothness at these frames and those before them by fractions `(frame,)`."""
+        self._set_differences(fractions[1:-1].double().sqrt()[:, None] * self.differences.double())
 
     def solve(self, at: Tensor, steps: int, tolerance: float) -> Tensor:
         damping = torch.full((len(at),), START_DAMPING, dtype=at.dtype)

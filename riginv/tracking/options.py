@@ -102,6 +102,7 @@ class SolverOptions:
         sparsity: the same as an L1 penalty.
         fewer_controls: whether `with_fewer_controls` follows; with `method=clip` before the curves are smoothed.
         smoothness: of `method=clip`: mm^2 for a second difference of a whole range.
+        full_smoothness_mm: of `method=clip`: as in `solve_clip`.
         clip_steps: of `method=clip`: Gauss-Newton steps on the whole clip.
         mean_steps: of `method=clip`: further steps that minimise distances in place of their squares.
         blur: of `method=clip`: standard deviation, in frames, of the smoothing of the initial curves.
@@ -113,6 +114,7 @@ class SolverOptions:
     sparsity: NonNegativeFloat = 0.0
     fewer_controls: bool = False
     smoothness: NonNegativeFloat = 1.5
+    full_smoothness_mm: NonNegativeFloat = 0.02
     clip_steps: PositiveInt = 4
     mean_steps: NonNegativeInt = 0
     blur: NonNegativeFloat = 3.0

@@ -105,7 +105,15 @@ def invert_smoothly(
     advance("the whole clip", 0)
     begin = smoothed(start, options.blur, clip.frame_numbers)
     steps = (options.smoothness, options.clip_steps, options.mean_steps)
-    smooth = solve_clip(estimator.objective, coordinates, begin, *steps, numbers=clip.frame_numbers)
+    smooth = solve_clip(
+        estimator.objective,
+        coordinates,
+        begin,
+        *steps,
+        numbers=clip.frame_numbers,
+        full_smoothness_mm=options.full_smoothness_mm,
+        own=start.units,
+    )
     return _evaluated(estimator.controls(smooth), converged, results, clip, inverter, evaluator, window, advance)
 
 

@@ -204,6 +204,34 @@ def test_a_clip_becomes_smooth_at_little_cost(toy):
     assert objective.cost(found, coordinates).mean() < 1.3 * frames.cost.mean()
 
 
+@pytest.mark.parametrize("window", [1000, 50])
+def test_fast_motion_that_the_rig_makes_is_kept_and_noise_is_smoothed(toy, window):
+    objective, exact = Objective(toy), slice(0, 50)  # the frames next to noisy ones are smoothed like them
+    controls, noisy = moving(toy, 120)
+    controls[30] = controls[30].roll(1)  # a jump for one frame
+    coordinates, own = torch.cat([toy(controls[:60]), noisy[60:]]), objective.units(controls)
+    start = own.unfold(0, 5, 1).mean(dim=2)[torch.arange(120).clamp(2, 117) - 2]
+
+    def solve(full_smoothness_mm):
+        return solve_clip(objective, coordinates, start, 0.1, window=window, full_smoothness_mm=full_smoothness_mm, own=own)
+
+    plain, adapted = solve(0.0), solve(0.02)
+    cost = [float(objective.cost(found[exact], coordinates[exact]).max()) for found in (plain, adapted)]
+    assert cost[1] < 1e-3 * cost[0]
+    away = [float((toy(objective.to_controls(found)) - toy(controls)).norm(dim=1)[30]) for found in (plain, adapted)]
+    assert away[1] < 0.01 * away[0]
+    torch.testing.assert_close(adapted[80:], plain[80:], atol=2e-3, rtol=0)  # what is noise is smoothed as before
+
+
+def test_broken_frames_are_interpolated_between_exact_ones(toy):
+    objective = Objective(toy)
+    controls, _ = moving(toy, 40)
+    coordinates = toy(controls)
+    coordinates[20] = torch.nan
+    found = solve_clip(objective, coordinates, objective.units(controls), 0.1, full_smoothness_mm=0.02)
+    torch.testing.assert_close(toy(objective.to_controls(found)), toy(controls), atol=0.05, rtol=0)
+
+
 @pytest.mark.parametrize(("frames", "before"), [(1, 0), (2, 0), (3, 0), (7, 0), (1, 2), (2, 2), (7, 1), (7, 2)])
 def test_a_banded_system_is_solved(frames, before):
     generator, controls = generator_at(0, "band"), 4

@@ -7,8 +7,11 @@ from rigs.shapes import ShapesRig
 from rigs.shapes.names import Convention
 
 
-def draft_of_shapes(rig: ShapesRig) -> Draft:
+def draft_of_shapes(rig: ShapesRig, drives: dict[str, Drive] | None = None) -> Draft:
     """A draft of a folder of shapes: in-betweens are hat functions, combinations products of weights and hats.
+
+    Args:
+        drives: of each primary shape, for a rig with other controls; default: each shape is a control.
 
     Raises:
         InputError: the format cannot represent the rig; the message has the reason.
@@ -32,7 +35,7 @@ def draft_of_shapes(rig: ShapesRig) -> Draft:
         return [hats[part] if part in hats else Factor(part, part) for part in parts]
 
     found = [Shape(name, factors(name), deltas[name]) for name in shapes.names]
-    drives = {name: Drive(name) for name in shapes.primaries}
+    drives = drives or {name: Drive(name) for name in shapes.primaries}
     rest = rig.rest_vertices.double().numpy(force=True)
     return blendshape_draft(rig.name, rest, triangles(rig.faces.numpy(force=True)), drives, found)
 

@@ -1,0 +1,1 @@
+"""A studio's face: a folder of shapes behind an animator's controls."""
