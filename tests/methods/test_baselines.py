@@ -102,11 +102,11 @@ def test_it_beats_neutral_within_the_limits_and_repeats_itself(name, toy):
 
 @every_baseline
 def test_a_rig_without_full_rank_and_a_control_that_does_nothing_are_survived(name, dull):
-    check_rig(dull.rig)
+    check_rig(dull.source)
     poses = poses_of(dull, 40)
     controls = prepared(name, dull).invert(poses)
     assert torch.isfinite(controls).all()
-    assert (controls >= dull.rig.lower).all() and (controls <= dull.rig.upper).all()
+    assert (controls >= dull.source.lower).all() and (controls <= dull.source.upper).all()
     assert share_left(controls, dull, poses) < 0.5
     if name not in ("holden_network", "gaussian_process"):  # which answer with a mean of what they have seen
         torch.testing.assert_close(controls[:, 7], torch.ones(40), atol=1e-3, rtol=0)

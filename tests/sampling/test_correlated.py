@@ -47,7 +47,7 @@ def row() -> RigInMeshSpace:
 
 
 def test_places_are_where_controls_act(row):
-    torch.testing.assert_close(control_positions(row), row.rig.rest_vertices, atol=1e-3, rtol=0)
+    torch.testing.assert_close(control_positions(row), row.source.rest_vertices, atol=1e-3, rtol=0)
 
 
 def test_neighbours_go_together_and_far_ones_do_not(row):
@@ -92,9 +92,9 @@ def test_a_mixture_holds_what_belongs_to_the_rig():
 
 def test_a_surrogate_of_millimetres_works_in_shares_and_spreads(row):
     torch.manual_seed(0)
-    network = ControlMLP(row.rig, hidden=[8])
+    network = ControlMLP(row.source, hidden=[8])
     controls = torch.rand(500, 8, generator=generator_at(0, "row")) * 30 - 20
-    network.set_scales(row.rig, controls)
+    network.set_scales(row.source, controls)
     torch.testing.assert_close(network.spread, controls.square().mean(dim=0).sqrt())
     raw = network.raw(controls / 15)
     torch.testing.assert_close(network(controls), raw * network.spread)

@@ -100,7 +100,7 @@ def test_a_terminal_shows_names_as_they_are(capsys, name):
     metrics = {f"poses/{key}": 1.0 for key, _ in tables.COLUMNS} | {"true_rig": name}
     tables.print_results(metrics, name)
     out = capsys.readouterr().out
-    assert f"Evaluated on the true rig, {name}, which" in out
+    assert f"Evaluated on the true rig, {name}, posed" in out
 
 
 @pytest.mark.parametrize("name", ["\x1b]0;owned\x07", "a\nb", "\x9b2J", "a\u2028b", "\ud800"])

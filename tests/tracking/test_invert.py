@@ -161,7 +161,7 @@ def test_a_clip_that_breaks_midway_leaves_nothing(run, rig, tmp_path):
 
 def test_neither_a_rig_nor_a_bundle(run, clip):
     outcome = run("invert", f"clip={clip}", "out=o")
-    assert outcome.code == 1 and "give bundle=DIR" in outcome.text
+    assert outcome.code == 1 and "add rig=NAME, or bundle=DIR" in outcome.text
 
 
 def test_a_rig_without_gradients_goes_through_its_surrogate_and_judges_itself(run, clip, tmp_path):
