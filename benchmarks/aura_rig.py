@@ -1,6 +1,6 @@
 """Meta's Aura (Apache-2.0) as a folder of shapes, and performances carried between it and ARKit's shapes by name."""
 
-import json
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from riginv.animation.live_link import timecode
 from riginv.animation.table import write_rows
 from riginv.rig.arkit import LIVE_LINK_SHAPES
 
-FPS = 30.0
+EXAMPLE = Path(__file__).parent.parent / "examples/studio_face"
 # ARKit's shapes of the left side, and the control of Aura that does the same; the right side is alike.
 LEFT = {
     "EyeBlinkLeft": "eyesClosed_L",
@@ -66,29 +66,25 @@ class Aura(NamedTuple):
 
 def write_aura(source: Path, folder: Path, take: Path | None) -> Aura:
     """Write the folder `aura` of shapes, cm, and the performances; `take`: a recording of ARKit's shapes."""
-    logic = json.loads((source / "logic.json").read_text())
-    arrays, out = np.load(source / "shapes.npz"), folder / "aura"
-    points = np.c_[arrays["rest"], np.ones(len(arrays["rest"]))]
-    deltas = np.einsum("vb,kibj,vj->kvi", arrays["weights"], arrays["transforms"], points, optimize=True)
-    out.mkdir(exist_ok=True)
-    lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in arrays["rest"].tolist()]
-    lines += ["f " + " ".join(str(corner + 1) for corner in quad) for quad in arrays["quads"].tolist()]
-    (out / "neutral.obj").write_text("\n".join(lines) + "\n")
-    names = [shape["name"] for shape in logic["aura_shapes"]]
-    np.savez(out / "deltas.npz", **dict(zip(names, deltas.astype(np.float32))))
-    controls = np.clip(np.load(source / "animation.npz")["controls"].astype(np.float32), 0, 1)
-    np.savez(folder / "aura_animation.npz", controls=controls, names=np.array(logic["controls"]), fps=FPS)
+    sys.path.insert(0, str(EXAMPLE))
+    from studio_face.convert import FPS, convert
+
+    if not (folder / "aura").exists():
+        convert(source / "shapes.npz", source / "logic.json", source / "animation.npz", folder / "aura")
+    animation = "aura/takes/shapes.npz"
+    with np.load(folder / animation) as curves:
+        controls, names = curves["controls"], curves["names"].tolist()
     weights = np.zeros((len(controls), len(LIVE_LINK_SHAPES)))
     for arkit, parts in PAIRS.items():
-        columns = [logic["controls"].index(part) for part in parts]
+        columns = [names.index(part) for part in parts]
         weights[:, LIVE_LINK_SHAPES.index(arkit)] = controls[:, columns].mean(axis=1)
     rows = [[timecode(number / FPS), len(LIVE_LINK_SHAPES), *row] for number, row in enumerate(weights.tolist())]
     write_rows(folder / "aura_as_recording.csv", ["Timecode", "BlendShapeCount", *LIVE_LINK_SHAPES], rows)
     if take is None:
-        return Aura("aura_animation.npz", "aura_as_recording.csv", "")
+        return Aura(animation, "aura_as_recording.csv", "")
     recorded = np.genfromtxt(take, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    found = np.zeros((len(recorded), len(logic["controls"])), np.float32)
+    played = np.zeros((len(recorded), len(names)), np.float32)
     for arkit, parts in PAIRS.items():
-        found[:, [logic["controls"].index(part) for part in parts]] = np.clip(recorded[arkit], 0, 1)[:, None]
-    np.savez(folder / "take_for_aura.npz", controls=found, names=np.array(logic["controls"]), fps=FPS)
-    return Aura("aura_animation.npz", "aura_as_recording.csv", "take_for_aura.npz")
+        played[:, [names.index(part) for part in parts]] = np.clip(recorded[arkit], 0, 1)[:, None]
+    np.savez(folder / "take_for_aura.npz", controls=played, names=np.array(names), fps=FPS)
+    return Aura(animation, "aura_as_recording.csv", "take_for_aura.npz")

@@ -236,7 +236,18 @@ def _wrong_line(path: Path, data: bytes, line: re.Match, expected: str, reason: 
     return InputError(f"{path}, line {number}: found {found!r}, expected {expected}: {reason or 'truncated? export it again'}")
 
 
-def obj_text(vertices: np.ndarray, faces: np.ndarray) -> str:
-    """A Wavefront OBJ of vertices `(vertex, 3)` and faces `(face, 3)`."""
-    lines = ["# millimetres, y up", *(f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in vertices.tolist())]
-    return "\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist())]) + "\n"
+def obj_text(
+    vertices: np.ndarray, faces: np.ndarray | list[list[int]], header: str = "# millimetres, y up\n", digits: str = ".5f"
+) -> str:
+    """A Wavefront OBJ.
+
+    Args:
+        vertices: `(vertex, 3)`.
+        faces: the vertices of each, of any number.
+        header: lines before the vertices.
+        digits: format of coordinates.
+    """
+    lines = ["v " + " ".join(f"{value:{digits}}" for value in vertex) for vertex in vertices.tolist()]
+    rows = faces.tolist() if isinstance(faces, np.ndarray) else faces
+    lines += ["f " + " ".join(str(corner + 1) for corner in face) for face in rows]
+    return header + "\n".join(lines) + "\n"

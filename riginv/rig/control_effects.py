@@ -48,7 +48,7 @@ class ControlEffects:
     def of_rig(cls, rig: RigBackend) -> "ControlEffects":
         """The effects of a rig's controls, by finite differences: for rigs without gradients, too."""
         measured = _Displacements.of_rig(rig)
-        sides = measured.told_apart()
+        sides = measured.distinct_sides()
         grams, valid = measured.grams_of(sides)
         gram = grams.sum(dim=0) / valid.sum(dim=0).clamp_min(1)
         mean_sizes, groups = gram.diagonal().sqrt(), measured.groups(sides)
@@ -117,7 +117,7 @@ class _Displacements(NamedTuple):
         inside = (neutral > rig.lower) & (neutral < rig.upper)
         return cls(_grams(rig, poses), (poses - neutral).cpu(), inside.nonzero()[:, 0].tolist())
 
-    def told_apart(self) -> list[_Side]:
+    def distinct_sides(self) -> list[_Side]:
         """All controls, those by their sides of which one side does what another control does."""
         whole = [_Side(control) for control in range(self.away.shape[1])]
         alone = {group[0] for group in self.groups(whole) if len(group) == 1}

@@ -58,8 +58,7 @@ class InverseModule(RigModule):
 
     def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         estimates = self.network.estimates(batch["coordinates"])
-        losses = [*(self.loss for _ in estimates[1:]), self.last_loss]
-        values, gradients = zip(*(value_and_gradient(loss, estimate) for loss, estimate in zip(losses, estimates)))
+        values, gradients = zip(*(value_and_gradient(*pair) for pair in zip(self._stage_losses(), estimates)))
         loss = _PrecomputedGradients.apply(sum(values), *gradients, *(estimate.raw for estimate in estimates))
         return loss, estimates[-1].detached_coordinates
 
@@ -68,10 +67,16 @@ class InverseModule(RigModule):
         if len(parts) == 1:
             return super().loss_on_threads(batch, weights, workers)
 
+        losses = self._stage_losses()
+
         def backward(estimate: Estimate, number: int) -> tuple[Tensor, Tensor]:
-            return value_and_gradient(self.last_loss if number == len(parts) - 1 else self.loss, estimate)
+            return value_and_gradient(losses[number], estimate)
 
         return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers)
+
+    def _stage_losses(self) -> list[nn.Module]:
+        """The loss of each stage's estimate."""
+        return [*(self.loss for _ in self.network.learned_parts()[1:]), self.last_loss]
 
 
 def value_and_gradient(loss: nn.Module, estimate: Estimate) -> tuple[Tensor, Tensor]:

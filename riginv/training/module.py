@@ -23,7 +23,7 @@ from riginv.runs.threads import Workers
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import all_reduce_means, check_normalisation, is_distributed
 from riginv.training.losses import root_mean_square_mm
-from riginv.training.parallel import can_be_halved, in_halves, worth_halving
+from riginv.training.parallel import can_be_halved, in_halves, worth_splitting
 
 OptimizerFactory = Callable[[Iterable[nn.Parameter]], Optimizer]
 ScheduleFactory = Callable[[Optimizer], LRScheduler | ReduceLROnPlateau]
@@ -80,7 +80,7 @@ class RigModule(L.LightningModule, ABC):
 
     def training_step(self, batch: PoseBatch, batch_idx: int) -> Tensor:
         weights = [weight for weight in self.network.parameters() if weight.requires_grad]
-        if self.workers is not None and self.can_use_threads and worth_halving(len(batch["coordinates"]), weights):
+        if self.workers is not None and self.can_use_threads and worth_splitting(len(batch["coordinates"]), weights):
             loss, coordinates = self.loss_on_threads(batch, weights, self.workers)
         else:
             loss, coordinates = self.loss_and_coordinates(batch)

@@ -28,7 +28,7 @@ def can_be_halved(network: nn.Module, losses: Sequence[nn.Module]) -> bool:
     return not normalised and all(getattr(loss, "mean_of_meshes", False) for loss in losses)
 
 
-def worth_halving(rows: int, weights: Sequence[nn.Parameter]) -> bool:
+def worth_splitting(rows: int, weights: Sequence[nn.Parameter]) -> bool:
     """Whether a batch is on a CPU and large enough for two threads."""
     return rows >= HALVES and weights[0].device.type == "cpu" and rows * sum(w.numel() for w in weights) >= WORTH_SPLITTING
 

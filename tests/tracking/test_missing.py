@@ -123,21 +123,18 @@ def test_curves_of_the_rig_are_refused(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_correctives_of_a_production_face_are_found_in_its_animation(tmp_path):
+def test_correctives_of_a_production_face_are_found_in_its_animation(tmp_path, monkeypatch):
     """Of 20 that were taken away, at random, and that move more than 1 mm; the controls of the animation are known."""
-    logic = json.loads(shared("aura/logic.json").read_text())
-    arrays, frames = np.load(shared("aura/shapes.npz")), np.load(shared("aura/animation.npz"))["controls"][::7]
-    points = np.c_[arrays["rest"], np.ones(len(arrays["rest"]))]
-    deltas = np.einsum("vb,kibj,vj->kvi", arrays["weights"], arrays["transforms"], points, optimize=True)
-    table = {shape["name"]: deltas[number].astype(np.float32) for number, shape in enumerate(logic["aura_shapes"])}
-    for folder in ("whole", "less"):
-        (tmp_path / folder).mkdir()
-        write_obj(tmp_path / folder / "neutral.obj", arrays["rest"], arrays["quads"].tolist())
-    np.savez(tmp_path / "whole/deltas.npz", **table)
+    monkeypatch.syspath_prepend(ROOT / "examples/studio_face")
+    from studio_face.convert import convert
+
+    convert(*(shared(f"aura/{name}") for name in ("shapes.npz", "logic.json", "animation.npz")), tmp_path / "whole")
+    table, take = np.load(tmp_path / "whole/deltas.npz"), np.load(tmp_path / "whole/takes/shapes.npz")
+    (tmp_path / "less").mkdir()
+    shutil.copy(tmp_path / "whole/neutral.obj", tmp_path / "less")
     whole = ShapesRig(str(tmp_path / "whole"), unit_mm=10)
-    given = [control if isinstance(control, str) else control["name"] for control in logic["controls"]]
-    columns = [given.index(name) for name in whole.control_names]
-    controls = torch.tensor(np.clip(frames.astype(np.float32), 0, 1)[:, columns])
+    columns = [take["names"].tolist().index(name) for name in whole.control_names]
+    controls = torch.tensor(take["controls"][::7, columns])
     largest = whole.basis.norm(dim=2).amax(dim=1) * whole.coefficients(controls).amax(dim=0)
     parts = {part for members in whole.shapes.combinations.values() for part in members}
     moving = [name for name, size in zip(whole.coefficient_names[72:], largest[72:]) if size > 1 and name not in parts]

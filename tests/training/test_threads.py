@@ -17,7 +17,7 @@ from riginv.sampling.controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
 from riginv.training.inverse import InverseModule
 from riginv.training.losses import RmsVertexDistanceLoss
-from riginv.training.parallel import can_be_halved, worth_halving
+from riginv.training.parallel import can_be_halved, worth_splitting
 from tests.training.test_modules import ADAM, CONSTANT, Cubes
 
 
@@ -141,4 +141,4 @@ def test_what_is_not_a_mean_over_meshes_is_computed_whole(toy):
     assert can_be_halved(staged, [RmsVertexDistanceLoss(162)]) and not can_be_halved(staged, [Cubes()])
     assert not can_be_halved(NormalisedInverse(toy, "batch", [8]), [])
     weights = list(staged.parameters())
-    assert not worth_halving(2, weights) and not worth_halving(1, weights) and worth_halving(10_000_000, weights)
+    assert not worth_splitting(2, weights) and not worth_splitting(1, weights) and worth_splitting(10_000_000, weights)

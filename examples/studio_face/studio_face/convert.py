@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from riginv.errors import InputError
-from riginv.runs.files import atomic_write, read_json, write_json
+from riginv.meshes.obj import obj_text
+from riginv.runs.files import atomic_write, read_json, write_json, write_text
 
 FPS = 30.0  # assumed: the animation does not say
 
@@ -27,7 +28,7 @@ def convert(shapes: Path, logic: Path, animation: Path, out: Path) -> None:
         curves = {"shapes": frames["controls"], "animator": frames["animator_controls"]}
     with atomic_write(out) as folder:
         (folder / "takes").mkdir(parents=True)
-        write_obj(folder / "neutral.obj", rest, quads)
+        write_text(folder / "neutral.obj", obj_text(rest, quads, header="", digits=".6f"))
         names = [shape["name"] for shape in facts["aura_shapes"]]
         np.savez(folder / "deltas.npz", **dict(zip(names, deltas.astype(np.float32))))
         table = {control_name(control): sides(control) for control in facts["animator_controls"]}
@@ -46,13 +47,6 @@ def control_name(control: dict[str, str]) -> str:
 def sides(control: dict[str, str | None]) -> dict[str, str]:
     """The shape on each side that has one."""
     return {side: control[side] for side in ("positive", "negative") if control[side]}
-
-
-def write_obj(path: Path, points: np.ndarray, polygons: np.ndarray) -> None:
-    """A mesh of vertices `(vertex, 3)` and polygons `(face, corner)`."""
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in points.tolist()]
-    lines += ["f " + " ".join(str(corner + 1) for corner in corners) + "\n" for corners in polygons.tolist()]
-    path.write_text("".join(lines), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from rich.table import Table
 from torch import Tensor
 
 from riginv.errors import InputError
+from riginv.meshes.obj import obj_text
 from riginv.meshes.reading import read_mesh
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import LinearRig
@@ -75,7 +76,7 @@ def write_missing(folder: Path, missing: Missing, rows: list[dict[str, Any]]) ->
         added = shape + (source.coefficients(pose)[0, near, None, None] * source.basis[near]).sum(dim=0)
         deltas[driver.name] = (added / source.unit_mm).cpu().numpy().astype(np.float32)
         names.append(f"{driver.name}.obj")
-        write_text(folder / names[-1], obj_text((sculpt / source.unit_mm).cpu().numpy(), polygons))
+        write_text(folder / names[-1], obj_text((sculpt / source.unit_mm).cpu().numpy(), polygons, header="", digits=".7g"))
         heat = heat_colors(shape.norm(dim=1), row["largest_mm"])
         pictures.append(camera.following(sculpt).picture(sculpt, source.faces, heat))
         labels.append(f"{driver.name}: red {row['largest_mm']:.1f} mm, frame {row['peak_frame']}")
@@ -100,9 +101,3 @@ def _polygons(rig: LinearRig) -> list[list[int]]:
         if polygons is not None:
             return [polygons.face(number).tolist() for number in range(len(polygons))]
     return torch.as_tensor(rig.faces).tolist()
-
-
-def obj_text(vertices: np.ndarray, polygons: list[list[int]]) -> str:
-    """A Wavefront OBJ of vertices `(vertex, 3)` and polygons."""
-    lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in vertices.tolist()]
-    return "\n".join([*lines, *("f " + " ".join(str(corner + 1) for corner in face) for face in polygons)]) + "\n"
