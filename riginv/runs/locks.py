@@ -79,12 +79,14 @@ def _locked(file: Path, of: Path) -> FileLock:
     try:
         lock.acquire()
     except Timeout:
+        owner = ""
         with suppress(OSError):
-            raise FolderInUseError(
-                f"{of} is in use by another process ({file.read_text(encoding='utf-8', errors='replace')[:80].strip()}): "
-                f"wait until it has ended, end it, or choose another place"
-            ) from None
-        raise FolderInUseError(f"{of} is in use by another process: wait until it has ended, or choose another place") from None
+            owner = file.read_text(encoding="utf-8", errors="replace")[:80].strip()
+        if owner:
+            problem = f"in use by another process ({owner}): wait until it has ended, end it, or choose another place"
+        else:  # a file system without locks fails in the same way
+            problem = "in use by another process, or its file system has no locks: wait, or choose another place"
+        raise FolderInUseError(f"{of} is {problem}") from None
     with suppress(OSError):  # for users who look into the file
         file.write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
     return lock
