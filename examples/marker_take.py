@@ -36,12 +36,18 @@ MOVES = {  # control: value at its height, and the frame
 }
 
 
-def make(folder: Path) -> None:
-    """Write take.trc and truth.npz."""
-    rig, rng = FaceRig(), np.random.default_rng(0)
+def performance(rig: FaceRig) -> torch.Tensor:
+    """The controls `(frame, control)` of the take."""
     controls = rig.neutral_controls.repeat(FRAMES, 1)
     for name, (value, middle) in MOVES.items():
         controls[:, rig.control_names.index(name)] = value * torch.exp(-(((torch.arange(FRAMES) - middle) / 8.0) ** 2))
+    return controls
+
+
+def make(folder: Path) -> None:
+    """Write take.trc and truth.npz."""
+    rig, rng = FaceRig(), np.random.default_rng(0)
+    controls = performance(rig)
     placement = suggest_layout(rig, default_prior(rig), MARKERS, NOISE_MM, OFFSET_MM)
     with torch.no_grad():
         points = placement.points(rig(controls)).double().numpy()

@@ -52,6 +52,7 @@ from riginv.tracking.surfaces.assembly import build_scan_parts
 from riginv.tracking.surfaces.results import frame_errors, remarks_of, write_scan_table
 from riginv.tracking.surfaces.scan_files import is_ragged
 from riginv.tracking.surfaces.tracking import track_scans
+from riginv.tracking.surfaces.views import ScanViews, write_scan_views
 
 Formats = Annotated[Sequence[str], Bound("a list: formats=[csv,glb]", lambda value: True)]
 
@@ -191,8 +192,12 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
             files += write_scan_table(folder, track, numbers)
             if parts.actor is not None:
                 files += write_actor(folder, parts.actor, rig.faces, settings.look.sheet)
+            shown, views = replace(animation, rig=posed_actor(true_rig, parts.actor)), ScanViews(parts, track)
+            looks = (settings.look, described, progress.advance)
+            names, view_notes = write_scan_views(folder, views, shown, errors, *looks)
     rows = ("scan's points from the rig", "rig's skin from the scan")
-    show(animation, errors, true_rig, out, files, [*remarks_of(track), *curve_notes], "mean surface distances", rows)
+    remarks = [*remarks_of(track), *curve_notes, *view_notes]
+    show(animation, errors, true_rig, out, [*files, *names], remarks, "mean surface distances", rows)
 
 
 def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend, out: Path) -> None:

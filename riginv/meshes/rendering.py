@@ -18,6 +18,7 @@ CLAY = np.array([0.80, 0.62, 0.53])
 KEY_LIGHT, FILL_LIGHT, RIM_LIGHT = np.array([-0.45, 0.55, 0.75]), np.array([0.7, 0.1, 0.5]), np.array([0.0, 0.6, -0.6])
 AMBIENT, KEY, FILL, RIM, SHINE, GAMMA = 0.16, 0.72, 0.28, 0.10, 0.12, 1.6
 HEAT_STOPS = np.array([[0.27, 0.33, 0.55], [0.35, 0.66, 0.62], [0.93, 0.86, 0.45], [0.85, 0.36, 0.22], [0.55, 0.05, 0.13]])
+UNKNOWN = np.full(3, 0.43)  # the colour of unknown distances
 HARD_EDGE = np.radians(30)
 FONT_SIZE, LINE, MARGIN, MOST_LINES, INK = 13, 16, 6, 3, (40, 40, 46)  # of labels
 BREAKS = re.compile(r"[^\s_]*[\s_]*")  # labels are wrapped after spaces and underscores
@@ -136,9 +137,10 @@ def shade(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def heat_colors(distances: Tensor, top: float) -> np.ndarray:
-    """Colours `(vertex, 3)` for distances `(vertex,)`: blue at 0, dark red from `top` upwards."""
+    """Colours `(vertex, 3)` for distances `(vertex,)`: blue at 0, dark red from `top` upwards, grey where they are NaN."""
     position = np.clip(distances.detach().cpu().numpy() / max(top, 1e-9), 0, 1) * (len(HEAT_STOPS) - 1)
-    return np.stack([np.interp(position, np.arange(len(HEAT_STOPS)), stop) for stop in HEAT_STOPS.T], axis=1)
+    colors = np.stack([np.interp(position, np.arange(len(HEAT_STOPS)), stop) for stop in HEAT_STOPS.T], axis=1)
+    return np.where(np.isnan(position)[:, None], UNKNOWN, colors)
 
 
 def grid(pictures: list[Image.Image], labels: list[str], columns: int) -> Image.Image:

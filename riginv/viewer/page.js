@@ -27,7 +27,7 @@ try {
   values = whole(await unpack("values"), controls.length);
   const colors = facts.colored ? await unpack("colors") : null;
   const faces = new Uint32Array((await unpack("faces")).buffer);
-  scene = makeScene($("view"), faces, colors, facts);
+  scene = makeScene($("view"), faces, colors, facts, facts.scans.length ? await unpack("scans") : null);
 } catch (error) {
   $("badge").textContent = `This page needs a browser with WebGL 2: ${error.message}`;
   return;
@@ -60,10 +60,10 @@ const here = () => Math.round(state.row);
 
 function draw() {
   const { low, next, part } = pose(state.row), row = here();
-  scene.pose(meshes, low * 2 * width, next * 2 * width, part, state);
+  scene.pose(meshes, low, next, part, state);
   scene.draw(state);
   const seconds = (numbers[row] - numbers[0]) / facts.fps;
-  $("now").textContent = `frame ${numbers[row]}   ${seconds.toFixed(2)} s   mean ${millimetres(errors.mean[row])}   max ${millimetres(errors.max[row])}`;
+  $("now").textContent = `frame ${numbers[row]}   ${seconds.toFixed(2)} s   ${facts.labels[0]} ${millimetres(errors.mean[row])}   ${facts.labels[1]} ${millimetres(errors.max[row])}`;
   document.body.dataset.frame = numbers[row];
   const between = part > 0.001 && part < 0.999;
   $("badge").textContent = [...errors.flags[row].map((flag) => flag.replaceAll("_", " ")), between ? "mesh interpolated between stored frames" : ""]
@@ -127,10 +127,10 @@ function drawTimeline() {
   pen.lineWidth = 1;
   const said = (text, color, left) => { pen.fillStyle = color; pen.fillText(text, left, 12); return left + pen.measureText(text).width + 16; };
   let left = EDGE;
-  for (const [name, values, most, color] of [["maximum", errors.max, facts.axis_mm[1], "#747c88"], ["mean", errors.mean, facts.axis_mm[0], "#d9634a"]]) {
+  for (const [name, values, most, color] of [[facts.labels[3], errors.max, facts.axis_mm[1], "#747c88"], [facts.labels[2], errors.mean, facts.axis_mm[0], "#d9634a"]]) {
     pen.strokeStyle = color;
     line(pen, w, (row) => height(values[row], most));
-    left = said(`${name} error, up to ${most.toPrecision(2)} mm`, color, left);
+    left = said(`${name}, up to ${most.toPrecision(2)} mm`, color, left);
   }
   if (flagged.length) said("with a flag", "#e3a857", left);
   playhead(pen, w, h);
@@ -176,7 +176,8 @@ function listFrames() {
       put(put(item, "span", "meter", ""), "i", "", "").style.width = `${100 * Math.min(1, errors.mean[row] / most)}%`;
       put(item, "span", "mm", millimetres(errors.mean[row]));
       const region = errors.region[row] ? `, ${errors.region[row] === "still" ? "where no shape moves it" : errors.region[row]}` : "";
-      put(item, "small", "", `max ${millimetres(errors.max[row])} at vertex ${errors.vertex[row]}${region}`);
+      const where = facts.scans.length ? "" : ` at vertex ${errors.vertex[row]}${region}`;
+      put(item, "small", "", `${facts.labels[1]} ${millimetres(errors.max[row])}${where}`);
       if (errors.flags[row].length) put(item, "em", "", errors.flags[row].join(", ").replaceAll("_", " "));
     }
   }
@@ -257,7 +258,7 @@ addEventListener("resize", () => { dirty = true; });
 document.addEventListener("click", (event) => event.target.closest("button")?.blur()); // the space bar plays, whatever was clicked
 
 document.title = `${facts.source} - riginv`;
-$("source").textContent = facts.source; $("about").textContent = facts.about; $("note").textContent = facts.note;
+$("source").textContent = facts.source; for (const item of document.querySelectorAll(".clip-name")) item.textContent = facts.labels[4]; $("about").textContent = facts.about; $("note").textContent = facts.note;
 for (const [name, value] of facts.figures) { const item = put($("figures"), "div", "", ""); put(item, "b", "", value); put(item, "span", "", name); }
 $("ramp").style.background = `linear-gradient(90deg, ${facts.heat.map(([r, g, b]) => `rgb(${r} ${g} ${b})`).join(", ")})`;
 listFrames(); listControls(); listClip(); tab("frames"); pressed();

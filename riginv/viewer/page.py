@@ -5,7 +5,7 @@ import gzip
 import html
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,12 +17,13 @@ from torch import Tensor
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.meshes.rendering import HEAT_STOPS
 from riginv.runs.files import write_text
+from riginv.viewer.scans import MAX_SCANS, Scans, drawn, scan_bytes
 from riginv.viewer.thinning import Thinned, thin
 
 Targets = Callable[[Sequence[int]], Tensor]  # rows of the animation to target meshes (row, vertex, 3), mm
 
 HERE = Path(__file__).parent
-SLOT = re.compile(r"/\*(TITLE|STYLE|SCRIPT|FACTS|MESHES|VALUES|FACES|COLORS)\*/")
+SLOT = re.compile(r"/\*(TITLE|STYLE|SCRIPT|FACTS|MESHES|VALUES|FACES|COLORS|SCANS)\*/")
 MAX_VERTICES = 20_000
 MAX_NUMBERS = 18_000_000  # of all meshes together: about 20 MB of file
 MAX_FRAMES = 1200
@@ -30,6 +31,15 @@ WORST = 20  # frames in the list
 STEP_MM = 0.02  # quantisation of positions, finer for small meshes
 LARGEST = 32_000  # of the quantised integers
 UNKNOWN = -32_768
+FIGURES = {  # key of FrameErrors.summary: label in the page's head
+    "mean_error_mm": "mm mean error",
+    "neutral_mean_error_mm": "mm at neutral",
+    "least_mean_error_mm": "mm at least, on {frames} frames",
+    "max_error_mm": "mm worst vertex",
+}
+SCAN_FIGURES = {"mean_error_mm": "mm from scan to rig", "max_error_mm": "mm from rig to scan, the farthest"}
+LABELS = ("mean", "max", "mean error", "maximum error", "Target")  # of a frame's two errors, in short and in full; of the clip
+SCAN_LABELS = ("scan to rig", "rig to scan", "scan to rig", "rig to scan", "Scan")
 BATCH_SIZE = 64  # meshes
 
 
@@ -73,6 +83,7 @@ def write_viewer(
     targets: Targets,
     advance: Callable[[int], None] | None = None,
     clip: ClipSource | None = None,
+    scans: Scans | None = None,
 ) -> PageContents:
     """Write the page.
 
@@ -80,17 +91,21 @@ def write_viewer(
         targets: target meshes by rows of the animation, without rigid motion; NaN where a vertex is not known.
         advance: reports the number of meshes added.
         clip: description of the clip.
+        scans: drawn in place of the target meshes, which are then the nearest points of each scan.
 
     Returns:
         the contents; long clips are reduced to fewer meshes, large meshes to fewer vertices.
     """
     rig = animation.rig
     thinned = thin(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), MAX_VERTICES)
-    rows = shown_rows(animation, errors, min(MAX_FRAMES, max(2, MAX_NUMBERS // (6 * len(thinned.kept)))))
+    most = min(MAX_FRAMES if scans is None else MAX_SCANS, max(2, MAX_NUMBERS // (6 * len(thinned.kept))))
+    rows = shown_rows(animation, errors, most)
     meshes, top_mm = _meshes(animation, targets, rows, thinned, advance)
     middle = (np.nanmax(meshes, axis=(0, 1, 2)) + np.nanmin(meshes, axis=(0, 1, 2))) / 2
     meshes -= middle
-    farthest = float(np.nanmax(np.abs(meshes)))
+    scanned = [] if scans is None else drawn(scans, rows)
+    extents = [np.abs(scan.points - middle).max(initial=0) for scan in scanned]
+    farthest = float(max([np.nanmax(np.abs(meshes)), *extents]))
     step = max(farthest / LARGEST, min(STEP_MM, farthest / 4000))
     integers = np.where(np.isnan(meshes), UNKNOWN, np.round(np.nan_to_num(meshes) / step)).astype(np.int16)
     count, vertex_count = len(animation), len(thinned.kept)
@@ -98,8 +113,9 @@ def write_viewer(
     colors = rig.vertex_colors()
     lower, span = rig.lower.cpu().double(), (rig.upper - rig.lower).cpu().double()
     values = ((animation.controls.cpu().double() - lower) / span * 65534 - 32767).round().clamp(-32767, 32767)
+    counts, packed_scans = scan_bytes(scanned, middle, step)
     facts = {
-        **_facts(animation, errors),
+        **_facts(animation, errors, scans is not None),
         "shown": rows,
         "vertices": vertex_count,
         "step": step,
@@ -109,6 +125,7 @@ def write_viewer(
         "colored": colors is not None,
         "note": note,
         "clip": clip._asdict() if clip else None,
+        "scans": counts,
     }
     parts = {
         "TITLE": html.escape(facts["source"]),
@@ -118,6 +135,7 @@ def write_viewer(
         "MESHES": _packed(_changes(integers.reshape(len(rows), -1))),
         "VALUES": _packed(_changes(values.numpy().astype(np.int16))),
         "FACES": _packed(thinned.faces.astype("<u4").tobytes()),
+        "SCANS": _packed(packed_scans),
         "COLORS": _packed(b"" if colors is None else _bytes(colors.cpu().numpy()[thinned.kept])),
     }
     page = (HERE / "page.html").read_text(encoding="utf-8")
@@ -167,7 +185,7 @@ def evaluated_rows(animation: Animation, errors: FrameErrors) -> list[int | None
     return [row_of.get(number) for number in errors.frame_numbers.tolist()]
 
 
-def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
+def _facts(animation: Animation, errors: FrameErrors, of_scans: bool) -> dict[str, Any]:
     """The texts and numbers of the page."""
     rig = animation.rig
     made_by = [str(animation.made_by[key]) for key in ("method",) if key in animation.made_by]
@@ -183,7 +201,8 @@ def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
     return {
         "source": animation.source or rig.name,
         "about": " · ".join(about),
-        "figures": _figures(errors),
+        "figures": _figures(errors, SCAN_FIGURES if of_scans else FIGURES),
+        "labels": SCAN_LABELS if of_scans else LABELS,
         "fps": animation.fps,
         "numbers": animation.frame_numbers.tolist(),
         "axis_mm": [_rounded(float(values.nan_to_num().quantile(0.999))) for values in axes],
@@ -192,16 +211,10 @@ def _facts(animation: Animation, errors: FrameErrors) -> dict[str, Any]:
     }
 
 
-def _figures(errors: FrameErrors) -> list[list[str]]:
+def _figures(errors: FrameErrors, named: Mapping[str, str]) -> list[list[str]]:
     """The figures in the page's head: label and number."""
-    values = errors.summary()
-    named = {
-        "mean_error_mm": "mm mean error",
-        "neutral_mean_error_mm": "mm at neutral",
-        "least_mean_error_mm": f"mm at least, on {0 if errors.optimum is None else len(errors.optimum.rows)} frames",
-        "max_error_mm": "mm worst vertex",
-    }
-    shown = [[name, f"{values[key]:.3g}"] for key, name in named.items() if key in values]
+    values, frames = errors.summary(), 0 if errors.optimum is None else len(errors.optimum.rows)
+    shown = [[name.format(frames=frames), f"{values[key]:.3g}"] for key, name in named.items() if key in values]
     accuracy = {"control_precision": "precision of controls", "control_recall": "recall of controls"}
     shown += [[name, f"{errors.controls[key]:.3f}"] for key, name in accuracy.items() if key in errors.controls]
     return [*shown, ["frames with a flag", f"{len(errors.flagged):,}"]]

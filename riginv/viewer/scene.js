@@ -1,6 +1,7 @@
 "use strict";
-// Target and recovered mesh by WebGL2, under one camera: smooth normals, three lights, errors as heat.
-function makeScene(canvas, faces, colors, facts) {
+const GREY = [110, 110, 110], CLAY = [214, 178, 158];
+// Target, a mesh or a scan, and recovered mesh by WebGL2, under one camera: smooth normals, three lights, errors as heat.
+function makeScene(canvas, faces, colors, facts, scanBytes) {
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, premultipliedAlpha: true, preserveDrawingBuffer: true });
   if (!gl) throw new Error("it is not there, or switched off");
   const count = facts.vertices, edges = edgesOf(faces);
@@ -11,7 +12,7 @@ function makeScene(canvas, faces, colors, facts) {
     in vec3 position; in vec3 normal; in vec3 color; uniform mat4 view; uniform mat4 projection; uniform float nearer;
     out vec3 side; out vec3 paint; out vec3 place;
     void main() { vec4 seen = view * vec4(position, 1.0); side = mat3(view) * normal; paint = color; place = seen.xyz;
-      gl_Position = projection * seen; gl_Position.z -= nearer * gl_Position.w; }`, `#version 300 es
+      gl_Position = projection * seen; gl_Position.z -= nearer * gl_Position.w; gl_PointSize = 3.0; }`, `#version 300 es
     precision highp float; in vec3 side; in vec3 paint; in vec3 place; uniform float wire; out vec4 pixel;
     float lit(vec3 n, vec3 from) { return max(dot(n, normalize(from)), 0.0); }
     void main() {
@@ -23,16 +24,18 @@ function makeScene(canvas, faces, colors, facts) {
       vec3 light = base * (0.16 + 0.78 * key + 0.26 * fill + 0.25 * rim) + shine;
       pixel = vec4(pow(clamp(light, 0.0, 1.0), vec3(1.0 / 2.2)), 1.0); }`);
   const buffers = Object.fromEntries(["position", "normal", "color"].map((name) => [name, gl.createBuffer()]));
-  const faceBuffer = indexBuffer(gl, faces), edgeBuffer = indexBuffer(gl, edges);
+  const faceBuffer = indexBuffer(gl, faces), edgeBuffer = indexBuffer(gl, edges), scanBuffer = gl.createBuffer();
+  const scans = scanBytes && scansOf(scanBytes, facts);
   const camera = {};
-  let moved = () => {};
+  let moved = () => {}, shown = null;
   reset();
 
   function reset() { Object.assign(camera, { turn: 0.3, tilt: 0.06, away: 3.7 * facts.radius, x: 0, y: 0.05 * facts.radius }); }
 
-  // Put both meshes between two kept frames, each `target, recovered` from a place in `meshes`.
-  function pose(meshes, one, other, part, state) {
-    const [target, recovered] = sides, { step, heat } = facts, width = 3 * count, missing = -32768;
+  // Put both meshes between two kept frames, each `target, recovered` in `meshes`; a scan is that of the nearer frame.
+  function pose(meshes, first, second, part, state) {
+    const [target, recovered] = sides, { step } = facts, width = 3 * count, missing = -32768;
+    const one = first * 2 * width, other = second * 2 * width;
     const paint = recovered.color, plain = target.color;
     for (let v = 0; v < count; v++) {
       let square = 0, unknown = false;
@@ -44,15 +47,29 @@ function makeScene(canvas, faces, colors, facts) {
         target.position[i] = unknown ? recovered.position[i] : (a + (c - a) * part) * step;
         square += (target.position[i] - recovered.position[i]) ** 2;
       }
-      const place = Math.min(Math.sqrt(square) / state.top, 1) * (heat.length - 1), stop = Math.min(Math.floor(place), heat.length - 2);
+      const hot = unknown ? GREY : state.heat && hotter(Math.sqrt(square), state.top);
       for (let axis = 0; axis < 3; axis++) {
-        const clay = colors ? colors[3 * v + axis] : [214, 178, 158][axis];
-        plain[3 * v + axis] = unknown ? 110 : clay;
-        const hot = heat[stop][axis] + (heat[stop + 1][axis] - heat[stop][axis]) * (place - stop);
-        paint[3 * v + axis] = state.heat ? (unknown ? 110 : hot) : clay;
+        const clay = colors ? colors[3 * v + axis] : CLAY[axis];
+        plain[3 * v + axis] = unknown ? GREY[axis] : clay;
+        paint[3 * v + axis] = state.heat ? hot[axis] : clay;
       }
     }
     for (const side of sides) normals(side);
+    if (scans) shown = scanAt(scans[part < 0.5 ? first : second], state);
+  }
+
+  function hotter(distance, top) { // the colour of a distance
+    const { heat } = facts, place = Math.min(distance / top, 1) * (heat.length - 1), stop = Math.min(Math.floor(place), heat.length - 2);
+    return [0, 1, 2].map((axis) => heat[stop][axis] + (heat[stop + 1][axis] - heat[stop][axis]) * (place - stop));
+  }
+
+  function scanAt(scan, state) {
+    const color = new Uint8Array(scan.position.length);
+    for (let v = 0; v < scan.distance.length; v++) {
+      const beyond = scan.distance[v] === 65535;
+      color.set(!state.heat ? CLAY : beyond ? GREY : hotter(scan.distance[v] * facts.step, state.top), 3 * v);
+    }
+    return { position: Float32Array.from(scan.position, (x) => x * facts.step), normal: Float32Array.from(scan.normal), color, faces: scan.faces };
   }
 
   function normals({ position: p, normal: n }) {
@@ -78,11 +95,12 @@ function makeScene(canvas, faces, colors, facts) {
       for (const name of ["position", "normal", "color"]) {
         const place = gl.getAttribLocation(program, name), bytes = name === "color";
         gl.bindBuffer(gl.ARRAY_BUFFER, buffers[name]);
-        gl.bufferData(gl.ARRAY_BUFFER, sides[number][name], gl.DYNAMIC_DRAW);
+        gl.bufferData(gl.ARRAY_BUFFER, (number === 0 && shown || sides[number])[name], gl.DYNAMIC_DRAW);
         gl.enableVertexAttribArray(place);
         gl.vertexAttribPointer(place, 3, bytes ? gl.UNSIGNED_BYTE : gl.FLOAT, bytes, 0, 0);
       }
       uniform("view", viewMatrix()); uniform("projection", projection(wide / h));
+      if (number === 0 && shown) { paintScan(); continue; }
       paint(faceBuffer, gl.TRIANGLES, faces.length, 0, 0);
       if (state.wires) paint(edgeBuffer, gl.LINES, edges.length, 1, 2e-4);
     }
@@ -93,6 +111,14 @@ function makeScene(canvas, faces, colors, facts) {
     gl.uniform1f(gl.getUniformLocation(program, "nearer"), nearer);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
     gl.drawElements(mode, length, gl.UNSIGNED_INT, 0);
+  }
+  function paintScan() { // a point cloud as points
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, scanBuffer);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, shown.faces, gl.DYNAMIC_DRAW);
+    gl.uniform1f(gl.getUniformLocation(program, "wire"), 0);
+    gl.uniform1f(gl.getUniformLocation(program, "nearer"), 0);
+    if (shown.faces.length) gl.drawElements(gl.TRIANGLES, shown.faces.length, gl.UNSIGNED_SHORT, 0);
+    else gl.drawArrays(gl.POINTS, 0, shown.position.length / 3);
   }
   function uniform(name, matrix) { gl.uniformMatrix4fv(gl.getUniformLocation(program, name), false, matrix); }
 
@@ -124,6 +150,21 @@ function makeScene(canvas, faces, colors, facts) {
     moved();
   }, { passive: false });
   return { pose, draw, reset, onMove: (act) => { moved = act; } };
+}
+
+// The scans as riginv/viewer/scans.py packs them: all positions, distances, faces, normals.
+function scansOf(bytes, { scans }) {
+  const points = scans.reduce((sum, [count]) => sum + count, 0), triangles = scans.reduce((sum, [, count]) => sum + count, 0);
+  const starts = [0, 6 * points, 8 * points, 8 * points + 6 * triangles];
+  const position = new Int16Array(bytes.buffer, starts[0], 3 * points), distance = new Uint16Array(bytes.buffer, starts[1], points);
+  const corners = new Uint16Array(bytes.buffer, starts[2], 3 * triangles), normal = new Int8Array(bytes.buffer, starts[3], 3 * points);
+  let p = 0, f = 0;
+  return scans.map(([count, faces]) => {
+    const [from, to, first] = [p, p + count, f];
+    p = to; f += faces;
+    return { position: position.subarray(3 * from, 3 * to), normal: normal.subarray(3 * from, 3 * to),
+      distance: distance.subarray(from, to), faces: corners.subarray(3 * first, 3 * f) };
+  });
 }
 
 function edgesOf(faces) {

@@ -9,35 +9,47 @@ from riginv.animation.animation import Animation, FrameErrors
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.runs.files import atomic_write
 from riginv.viewer.page import Targets, evaluated_rows, in_mm
+from riginv.viewer.scans import Scans
 
 WORST, SPREAD = 3, 3  # frames
 
 
 @torch.no_grad()
-def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: Targets) -> None:
+def write_sheet(
+    path: Path, animation: Animation, errors: FrameErrors, targets: Targets, scans: Scans = lambda row: None
+) -> None:
     """Write a PNG with target mesh, recovered mesh and a heat map of the error for each frame, on one scale.
 
-    Unknown vertices are drawn at their recovered positions.
+    Unknown vertices are drawn at their recovered positions, and grey in the heat map.
 
     Args:
-        targets: as for `write_viewer`.
+        targets, scans: as for `write_viewer`; a scan of triangles is drawn in the colours of its distances from the rig.
     """
     rows = sheet_rows(animation, errors)
     recovered = animation.rig(animation.controls[list(rows)])
     target_meshes = targets(list(rows)).to(recovered)
-    target_meshes = torch.where(target_meshes.isnan(), recovered, target_meshes)
     distances = (target_meshes - recovered).norm(dim=2)
-    top = float(distances.max().clamp_min(0.01))
+    target_meshes = torch.where(target_meshes.isnan(), recovered, target_meshes)
+    top = max(float(distances.nan_to_num(0.0).max()), 0.01)
     camera, faces, colors = Camera(animation.rig.rest_vertices), animation.rig.faces, animation.rig.vertex_colors()
     pictures, labels = [], []
     for (row, name), target, mesh, distance in zip(rows.items(), target_meshes, recovered, distances):
         view = camera.following(target, mesh)
-        pictures += [view.picture(target, faces, colors), view.picture(mesh, faces, colors)]
+        scan = scans(row)
+        if scan is not None and len(scan.faces):
+            heat = heat_colors(torch.from_numpy(scan.distance), top)
+            pictures.append(view.picture(torch.from_numpy(scan.points), torch.from_numpy(scan.faces), heat))
+        else:
+            pictures.append(view.picture(target, faces, colors))
+        pictures.append(view.picture(mesh, faces, colors))
         pictures.append(view.picture(mesh, faces, heat_colors(distance, top)))
         labels += [f"frame {int(animation.frame_numbers[row])}, {name}: clip", "recovered"]
-        shown = (errors.mean_mm[row], errors.max_mm[row]) if errors.markers else (distance.mean(), distance.max())
+        known = distance[~distance.isnan()]
+        of_mesh = scan is None and not errors.markers and len(known)
+        shown = (known.mean(), known.max()) if of_mesh else (errors.mean_mm[row], errors.max_mm[row])
         mean, largest = (in_mm(float(value)) for value in shown)
-        labels.append(f"error: mean {mean} mm, largest {largest} mm; red is {top:.2g} mm")
+        names = ("error: mean", "largest") if scan is None else ("scan to rig", "rig to scan")
+        labels.append(f"{names[0]} {mean} mm, {names[1]} {largest} mm; red is {top:.2g} mm")
     with atomic_write(path) as beside:
         grid(pictures, labels, columns=3).save(beside, format="PNG", optimize=True)
 

@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import Polygons
@@ -13,6 +14,7 @@ from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, triangu
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.conftest import ROOT
+from tests.support.pages import read_page
 from tests.support.scans import posed_mesh, resampled, write_ply, write_ragged
 from tests.support.toys import ToyRig
 
@@ -116,6 +118,10 @@ def test_scans_are_inverted_from_the_command_line(run, tmp_path, clouds):
         found = torch.tensor([float(row[control.name]) for control in rig.controls])
         apart = posed_mesh(rig, found)[0] - posed_mesh(rig, CONTROLS * (0.6 + 0.2 * number))[0]
         assert np.linalg.norm(apart, axis=1).mean() < (0.6 if clouds else 0.1)
+    page = read_page(tmp_path / "got/look.html")
+    points, _, distances = page.scans[0]
+    assert len(page.scans) == 3 and len(points) == len(given[0][0]) and np.nanmedian(distances) < 0.2
+    assert page.facts["labels"][0] == "scan to rig" and Image.open(tmp_path / "got/frames.png").size[0] > 500
     table = list(csv.DictReader((tmp_path / "got/scans.csv").read_text().splitlines()))
     assert all(float(row["scan_explained"]) > 0.95 for row in table)
 

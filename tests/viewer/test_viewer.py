@@ -3,6 +3,7 @@
 import io
 import re
 import shutil
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -30,8 +31,9 @@ def written(tmp_path_factory):
     return path, animation, shown
 
 
-@pytest.fixture(scope="module")
-def page(written):
+@contextmanager
+def browsed(path):
+    """The page in a browser without a network; `problems` collects what its console says, and what it asks for."""
     playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright: nothing drives a browser here")
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if program is None:
@@ -42,11 +44,17 @@ def page(written):
         page.problems = []
         page.on("console", lambda message: page.problems.append(message.text))
         page.on("pageerror", lambda error: page.problems.append(str(error)))
-        page.on("request", lambda request: page.problems.append(request.url) if "view.html" not in request.url else None)
-        page.goto(written[0].as_uri())
+        page.on("request", lambda request: page.problems.append(request.url) if path.name not in request.url else None)
+        page.goto(path.as_uri())
         page.wait_for_selector("body[data-ready]")
         yield page
         browser.close()
+
+
+@pytest.fixture(scope="module")
+def page(written):
+    with browsed(written[0]) as page:
+        yield page
 
 
 def picture(page, selector="#stage"):
@@ -64,7 +72,7 @@ def test_the_file_is_whole(written):
     path, _, shown = written
     text = path.read_text()
     assert not re.search(r"""(src|href)=["'](?!data:)|url\(|@import|https?://""", text)
-    assert "/*" + "MESHES" not in text and text.count("<script") == 6
+    assert "/*" + "MESHES" not in text and text.count("<script") == 7
     assert (shown.frames, shown.vertices) == (12, 162) and "positions rounded to" in shown.note
 
 

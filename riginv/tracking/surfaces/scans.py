@@ -45,14 +45,15 @@ class Scan(NamedTuple):
         normals = None if self.normals is None else self.normals[used]
         return Scan(self.points[used], None if faces is None else renumbered[faces], normals)
 
-    def surface(self, mm: float, axes: np.ndarray) -> Surface:
+    def surface(self, mm: float, axes: np.ndarray, shift: np.ndarray | float = 0.0) -> Surface:
         """The scan as a surface in millimetres, y up.
 
         Args:
             mm: millimetres per unit.
             axes: rotation `(3, 3)` to y up.
+            shift: after the rotation, `(3,)`, mm.
         """
-        points = mm * self.points.astype(np.float64) @ axes.T
+        points = mm * self.points.astype(np.float64) @ axes.T + shift
         if self.faces is not None:
             return TriangleMesh(points, self.faces)
         return PointCloud(points, None if self.normals is None else self.normals @ axes.T)
