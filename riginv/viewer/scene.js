@@ -12,7 +12,7 @@ function makeScene(canvas, faces, colors, facts, scanBytes) {
     in vec3 position; in vec3 normal; in vec3 color; uniform mat4 view; uniform mat4 projection; uniform float nearer;
     out vec3 side; out vec3 paint; out vec3 place;
     void main() { vec4 seen = view * vec4(position, 1.0); side = mat3(view) * normal; paint = color; place = seen.xyz;
-      gl_Position = projection * seen; gl_Position.z -= nearer * gl_Position.w; gl_PointSize = 3.0; }`, `#version 300 es
+      gl_Position = projection * seen; gl_Position.z -= nearer * gl_Position.w; gl_PointSize = 4.0; }`, `#version 300 es
     precision highp float; in vec3 side; in vec3 paint; in vec3 place; uniform float wire; out vec4 pixel;
     float lit(vec3 n, vec3 from) { return max(dot(n, normalize(from)), 0.0); }
     void main() {
