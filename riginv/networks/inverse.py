@@ -213,10 +213,19 @@ class StagedInverse(InverseNetwork):
         return [*self.stages, *self.corrections]
 
     def each_estimate(self, coordinates: Float[Tensor, "batch coordinate"]) -> Iterator[Estimate]:
-        inputs = self.features(coordinates) if self.features else coordinates / self.coordinate_scale
-        before = None
-        if self.features:
-            before = self.estimate(self.control_map.raw_of(self.features.guess(inputs)), coordinates)
+        inputs = self._inputs(coordinates)
+        yield from self._each_stage(inputs, coordinates, self._guess(inputs, coordinates))
+
+    def _inputs(self, coordinates: Tensor) -> Tensor:
+        return self.features(coordinates) if self.features else coordinates / self.coordinate_scale
+
+    def _guess(self, inputs: Tensor, coordinates: Tensor) -> Estimate | None:
+        """The estimate before the first stage; None where the rig has no features."""
+        if not self.features:
+            return None
+        return self.estimate(self.control_map.raw_of(self.features.guess(inputs)), coordinates)
+
+    def _each_stage(self, inputs: Tensor, coordinates: Tensor, before: Estimate | None) -> Iterator[Estimate]:
         for stage in [*self.stages, *self.corrections]:
             raw = stage(inputs) if before is None else self._refined(stage, before, inputs)
             before = self.estimate(raw, coordinates)
@@ -235,9 +244,11 @@ class StagedInverse(InverseNetwork):
         return before + stage(torch.cat([inputs, residual, gradient, squashed], dim=1))
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
-        """The last estimate; where the rig has features the best one of each mesh, since a refinement step may fail there."""
-        estimates = self.estimates(coordinates)
-        return self._best(estimates) if self.features else estimates[-1].controls
+        """The last estimate; where the rig has features the best one of each mesh, since a stage may fail there."""
+        inputs = self._inputs(coordinates)
+        guess = self._guess(inputs, coordinates)
+        estimates = list(self._each_stage(inputs, coordinates, guess))
+        return estimates[-1].controls if guess is None else self._best([guess, *estimates])
 
     def _best(self, estimates: list[Estimate]) -> Tensor:
         errors = torch.stack([estimate.squares for estimate in estimates])

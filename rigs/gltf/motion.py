@@ -9,6 +9,7 @@ from riginv.geometry.euler import axis_rotations
 from riginv.geometry.kinematics import compose, forward_kinematics, invert, transform_from, tree_levels
 from riginv.geometry.skinning import NUMBERS
 from riginv.rig.jacobian import Jacobian
+from riginv.rig.joint_features import JointFreedom
 from riginv.rig.subtree_jacobian import Generators, SubtreeJacobian, SubtreeSums
 from rigs.gltf.frames import LINEAR, Frames
 from rigs.gltf.joint_controls import Drives
@@ -92,6 +93,11 @@ class JointMotion(nn.Module):
         matrices = transform_from(local.rotation * local.scales[..., None, :], local.translations)
         rest, inverse_rest = self.rest.to(matrices), self.inverse_rest.to(matrices)
         return forward_kinematics(compose(compose(rest, matrices), inverse_rest), self.parents, self.levels)
+
+    @property
+    def freedom(self) -> JointFreedom:
+        moves, scales = (self.moved, self.move_axes), (self.scaled, self.scaled_axes)
+        return JointFreedom(self.parents, self.rest, self.orders, *moves, *scales)
 
     @torch.no_grad()
     def with_jacobian(self, weights: Tensor, joints: Tensor) -> tuple[Tensor, Jacobian]:
