@@ -82,7 +82,7 @@ class JointMotion(nn.Module):
         """Controls of joints `(batch, joint control)` to the motion of each frame."""
         angles, moves, sizes = joints.split([3 * self.count, 3 * len(self.moved), len(self.scaled)], dim=1)
         rotations = axis_rotations(torch.deg2rad(angles).unflatten(1, (-1, 3)), self.orders)
-        translations = joints.new_zeros(len(joints), self.count, 3)
+        translations = joints.new_zeros(joints.shape[0], self.count, 3)
         shifts = (self.move_axes.to(joints) @ moves.unflatten(1, (-1, 3))[..., None])[..., 0]
         scales = torch.ones_like(translations)
         scales = scales.index_add(1, self.scaled, (sizes - 1)[..., None] * self.scaled_axes.to(joints))
