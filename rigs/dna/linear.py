@@ -10,15 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy import sparse
-from torch import Tensor
+from torch import Tensor, nn
 
 from riginv.geometry.skinning import NUMBERS, by_axis, matrix_basis
+from riginv.rig.joint_features import JointFeatures, JointFreedom
 from rigs.dna.logic.layout import Stage
 from rigs.dna.model import Model, Pose
 
 LINEAR = 9  # entries of a matrix that rotate deltas
 MOST_COEFFICIENTS = 1500
 MOST_NUMBERS = 100_000_000  # of a basis
+LEAST_WEIGHT = 0.25  # greatest skin weight of a joint: with less it has no vertices that show its rotation
+MOVES, SCALES = slice(3), slice(6, 9)  # of a joint's nine attributes
 NEGLIGIBLE_MM = 1e-4  # a joint whose fraction of a channel's deltas stays below this does not rotate them
 
 
@@ -69,19 +72,57 @@ class Coefficients(Stage):
         return torch.cat([weights.repeat_interleave(3, dim=1), joints, rotated.flatten(1)], dim=1)
 
 
-def moving_joints(model: Model) -> np.ndarray:
-    """Indices of the joints of a model that can move and have skin weights."""
-    groups, stage = model.logic.joints.groups, model.logic.joints
-    count = len(model.joints)
-    rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
-    moves = (groups.rows_of_attributes.view(count, -1) < rows).any(dim=1).numpy() if count else np.zeros(0, bool)
+class Features(nn.Module):
+    """The rotation, translation and scale of each joint relative to its parent, from coefficients (`riginv.rig.joint_features`).
+
+    Args:
+        stage: the coefficients of a model without blendshape channels.
+    """
+
+    def __init__(self, model: Model, stage: Coefficients) -> None:
+        super().__init__()
+        self.moving, count = stage.moving, len(model.joints)
+        weights = np.asarray(model.skin.weights[:, :count].sum(axis=0)).reshape(-1)
+        weights[model.skin.weights[:, :count].max(axis=0).toarray().reshape(-1) < LEAST_WEIGHT] = 0.0
+        weights[~_can_move(model)] = 1.0  # their rotation is known
+        rest, rows = model.skeleton.neutral.float(), model.logic.joints.groups.rows_of_attributes.view(count, -1)
+        moved, scaled = ((rows[:, part] < rows_of(model)).any(dim=1).nonzero()[:, 0] for part in (MOVES, SCALES))
+        orders = torch.tensor([model.logic.joints.angles.sequence[::-1]] * count)
+        axes, size = torch.eye(3).expand(len(moved), 3, 3), float(np.ptp(model.skin.rest, axis=0).max())
+        scales = scaled.repeat_interleave(3), torch.eye(3).repeat(len(scaled), 1)
+        freedom = JointFreedom(model.skeleton.parents, rest, orders, moved, axes, *scales)
+        self.of_matrices = JointFeatures(freedom, torch.tensor(weights), max(size, 1e-6))
+        self.count = count
+
+    def forward(self, coefficients: Tensor) -> Tensor:
+        """Coefficients `(batch, coefficient)` to features `(batch, feature)`."""
+        moving = coefficients.unflatten(1, (-1, 3, 4))
+        everyone = coefficients.new_zeros(1, self.count, 3, 4).expand(coefficients.shape[0], -1, -1, -1)
+        return self.of_matrices(everyone.index_copy(1, self.moving, moving))
+
+
+def rows_of(model: Model) -> int:
+    """The number of rows of a model's joint groups: attributes with a greater row are never changed."""
+    groups = model.logic.joints.groups
+    return sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
+
+
+def _can_move(model: Model) -> np.ndarray:
+    """Whether each joint of a model can move, `(joint,)`."""
+    stage, count = model.logic.joints, len(model.joints)
+    moves = (stage.groups.rows_of_attributes.view(count, -1) < rows_of(model)).any(dim=1).numpy() if count else np.zeros(0, bool)
     moves[stage.quaternion_joints.numpy()] = True
     parents = np.array(model.skeleton.parents, dtype=np.int64)
     for level in model.skeleton.levels[1:]:
         moves[level] |= moves[parents[level]]
-    weights = model.skin.weights
+    return moves
+
+
+def moving_joints(model: Model) -> np.ndarray:
+    """Indices of the joints of a model that can move and have skin weights."""
+    weights, count = model.skin.weights, len(model.joints)
     skinned = np.bincount(weights.indices, weights.data, minlength=count + 1)[:count] > 0
-    return np.flatnonzero(moves & skinned)
+    return np.flatnonzero(_can_move(model) & skinned)
 
 
 def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:

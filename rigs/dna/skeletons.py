@@ -5,9 +5,9 @@ import torch
 from torch import Tensor, nn
 
 from riginv.geometry.kinematics import Skeleton
+from rigs.dna.linear import SCALES, rows_of
 from rigs.dna.model import Model
 
-SCALES = slice(6, 9)  # of a joint's nine attributes
 MOST = 100_000_000  # weights of all vertices for all joints
 BONE = 0.3  # display length of a leaf bone, as a fraction of the distance to its parent
 
@@ -26,9 +26,8 @@ def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Ske
     if weights[:, -1].any():
         return None
     attributes = groups.rows_of_attributes.view(len(model.joints), -1)
-    rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
     chosen = [names[joint] for joint in model.joints]
-    if (attributes[:, SCALES] < rows).any() or model.logic.joints.learned is not None or len(set(chosen)) < len(chosen):
+    if (attributes[:, SCALES] < rows_of(model)).any() or model.logic.joints.learned is not None or len(set(chosen)) < len(chosen):
         return None
     order = torch.cat(skeleton.levels)  # parents before their children
     new = {int(joint): number for number, joint in enumerate(order)}
