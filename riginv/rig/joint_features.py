@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from riginv.geometry.euler import euler_angles, nearest_angles
 from riginv.geometry.kinematics import tree_levels
+from riginv.geometry.skinning import NUMBERS
 
 LEAST_DETERMINANT = 0.1  # of an estimated matrix: below, its inverse is not trusted
 LEAST_SCALE = 0.1  # of an estimated matrix along an axis
@@ -95,7 +96,7 @@ class JointFeatures(nn.Module):
         }
         for name, tensor in buffers.items():
             self.register_buffer(name, tensor, persistent=False)
-        self.length_mm = length_mm
+        self.length_mm, self.count = length_mm, len(source)
         first, last = 9 * len(self.roots), 9 * len(self.roots) + 3 * len(joints)
         self.angles, self.moves = slice(first, last), slice(last, last + 3 * len(moved))
         self.counts = 3 * len(source), 3 * len(freedom.moved), len(freedom.scaled)
@@ -150,6 +151,57 @@ class JointFeatures(nn.Module):
         moves, sizes = self.length_mm * features[:, self.moves].unflatten(1, (-1, 3)), 1 + features[:, self.moves.stop :]
         parts = ((angles, self.joints, 0.0), (moves, self.of_moved, 0.0), (sizes, self.of_scaled, 1.0))
         return torch.cat([_spread(*part, count) for part, count in zip(parts, self.counts)], dim=1)
+
+
+class SkinFeatures(nn.Module):
+    """Features of a skinned rig with morph targets: the weights of these, then those of the joints.
+
+    The coefficients of the rig are, in this order, the weight of each target along the three axes, the matrices of joints, and
+    the product of each pair's matrix, less the identity, with the weight of its target. A target that joints rotate shows in both.
+
+    Args:
+        joints: of all joints.
+        given: indices of those with matrices, `(matrix,)`; the others never move.
+        targets: number of targets.
+        pairs: indices of a matrix and of a target, `(pair, 2)`.
+    """
+
+    given: Tensor
+    pairs: Tensor
+    shares: Tensor
+    alone: Tensor
+
+    def __init__(
+        self, joints: JointFeatures, given: Int[Tensor, " matrix"], targets: int, pairs: Int[Tensor, "pair 2"]
+    ) -> None:
+        super().__init__()
+        self.joints, self.targets = joints, targets
+        self.sizes = 3 * targets, NUMBERS * len(given), 9 * len(pairs)
+        times = torch.bincount(pairs[:, 1], minlength=targets)
+        for name, tensor in {"given": given, "pairs": pairs, "shares": 1 / times.clamp_min(1), "alone": times == 0}.items():
+            self.register_buffer(name, tensor, persistent=False)
+
+    def forward(self, coefficients: Float[Tensor, "batch coefficient"]) -> Float[Tensor, "batch feature"]:
+        along, matrices, products = coefficients.split(self.sizes, dim=1)
+        matrices = matrices.unflatten(1, (-1, 3, 4))
+        everyone = matrices.new_zeros(1, self.joints.count, 3, 4).expand(matrices.shape[0], -1, -1, -1)
+        found = self.joints(everyone.index_copy(1, self.given, matrices))
+        if not self.targets:
+            return found
+        along = along.unflatten(1, (-1, 3))
+        turned = torch.diag_embed(along)[:, self.pairs[:, 1]] + products.unflatten(1, (-1, 3, 3))
+        rotations = (matrices[..., :3] + torch.eye(3).to(along))[:, self.pairs[:, 0]]
+        of_pairs = (rotations * turned).sum(dim=(2, 3)) / rotations.square().sum(dim=(2, 3))
+        weights = torch.where(self.alone, along.mean(dim=2), 0.0)
+        weights = weights.index_add(1, self.pairs[:, 1], of_pairs * self.shares.to(along)[self.pairs[:, 1]])
+        return torch.cat([weights, found], dim=1)
+
+    def change(
+        self, before: Float[Tensor, "#batch feature"], after: Float[Tensor, "batch feature"]
+    ) -> Float[Tensor, "batch feature"]:
+        """The difference of features `(batch, feature)`, angles the shorter way round."""
+        weights = (after - before)[:, : self.targets]
+        return torch.cat([weights, self.joints.change(before[:, self.targets :], after[:, self.targets :])], dim=1)
 
 
 def _spread(values: Tensor, indices: Tensor, filling: float, count: int) -> Tensor:

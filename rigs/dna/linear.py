@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy import sparse
-from torch import Tensor, nn
+from torch import Tensor
 
 from riginv.geometry.skinning import NUMBERS, by_axis, matrix_basis
-from riginv.rig.joint_features import JointFeatures, JointFreedom
+from riginv.rig.joint_features import JointFeatures, JointFreedom, SkinFeatures
 from rigs.dna.logic.layout import Stage
 from rigs.dna.model import Model, Pose
 
@@ -72,33 +72,23 @@ class Coefficients(Stage):
         return torch.cat([weights.repeat_interleave(3, dim=1), joints, rotated.flatten(1)], dim=1)
 
 
-class Features(nn.Module):
-    """The rotation, translation and scale of each joint relative to its parent, from coefficients (`riginv.rig.joint_features`).
-
-    Args:
-        stage: the coefficients of a model without blendshape channels.
-    """
-
-    def __init__(self, model: Model, stage: Coefficients) -> None:
-        super().__init__()
-        self.moving, count = stage.moving, len(model.joints)
-        weights = np.asarray(model.skin.weights[:, :count].sum(axis=0)).reshape(-1)
-        weights[model.skin.weights[:, :count].max(axis=0).toarray().reshape(-1) < LEAST_WEIGHT] = 0.0
-        weights[~_can_move(model)] = 1.0  # their rotation is known
-        rest, rows = model.skeleton.neutral.float(), model.logic.joints.groups.rows_of_attributes.view(count, -1)
-        moved, scaled = ((rows[:, part] < rows_of(model)).any(dim=1).nonzero()[:, 0] for part in (MOVES, SCALES))
-        orders = torch.tensor([model.logic.joints.angles.sequence[::-1]] * count)
-        axes, size = torch.eye(3).expand(len(moved), 3, 3), float(np.ptp(model.skin.rest, axis=0).max())
-        scales = scaled.repeat_interleave(3), torch.eye(3).repeat(len(scaled), 1)
-        freedom = JointFreedom(model.skeleton.parents, rest, orders, moved, axes, *scales)
-        self.of_matrices = JointFeatures(freedom, torch.tensor(weights), max(size, 1e-6))
-        self.count = count
-
-    def forward(self, coefficients: Tensor) -> Tensor:
-        """Coefficients `(batch, coefficient)` to features `(batch, feature)`."""
-        moving = coefficients.unflatten(1, (-1, 3, 4))
-        everyone = coefficients.new_zeros(1, self.count, 3, 4).expand(coefficients.shape[0], -1, -1, -1)
-        return self.of_matrices(everyone.index_copy(1, self.moving, moving))
+def skin_features(model: Model, stage: Coefficients) -> SkinFeatures:
+    """The features of coefficients: weights of channels, rotation, translation and scale of joints relative to their parents."""
+    count, weights = len(model.joints), model.skin.weights[:, : len(model.joints)]
+    weight = np.asarray(weights.sum(axis=0)).reshape(-1)
+    weight[weights.max(axis=0).toarray().reshape(-1) < LEAST_WEIGHT] = 0.0
+    weight[~_can_move(model)] = 1.0  # their rotation is known
+    rows = model.logic.joints.groups.rows_of_attributes.view(count, -1) < rows_of(model)
+    moved, scaled = (rows[:, part].any(dim=1).nonzero()[:, 0] for part in (MOVES, SCALES))
+    orders = torch.tensor([model.logic.joints.angles.sequence[::-1]] * count)
+    moves, scales = (
+        (moved, torch.eye(3).repeat(len(moved), 1, 1)),
+        (scaled.repeat_interleave(3), torch.eye(3).repeat(len(scaled), 1)),
+    )
+    freedom = JointFreedom(model.skeleton.parents, model.skeleton.neutral.float(), orders, *moves, *scales)
+    size = max(float(np.ptp(model.skin.rest, axis=0).max()), 1e-6)
+    joints = JointFeatures(freedom, torch.tensor(weight), size)
+    return SkinFeatures(joints, stage.moving, len(model.channels), stage.pairs)
 
 
 def rows_of(model: Model) -> int:
@@ -110,7 +100,9 @@ def rows_of(model: Model) -> int:
 def _can_move(model: Model) -> np.ndarray:
     """Whether each joint of a model can move, `(joint,)`."""
     stage, count = model.logic.joints, len(model.joints)
-    moves = (stage.groups.rows_of_attributes.view(count, -1) < rows_of(model)).any(dim=1).numpy() if count else np.zeros(0, bool)
+    moves = (
+        (stage.groups.rows_of_attributes.view(count, -1) < rows_of(model)).any(dim=1).numpy() if count else np.zeros(0, bool)
+    )
     moves[stage.quaternion_joints.numpy()] = True
     parents = np.array(model.skeleton.parents, dtype=np.int64)
     for level in model.skeleton.levels[1:]:

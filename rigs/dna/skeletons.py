@@ -27,7 +27,11 @@ def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Ske
         return None
     attributes = groups.rows_of_attributes.view(len(model.joints), -1)
     chosen = [names[joint] for joint in model.joints]
-    if (attributes[:, SCALES] < rows_of(model)).any() or model.logic.joints.learned is not None or len(set(chosen)) < len(chosen):
+    if (
+        (attributes[:, SCALES] < rows_of(model)).any()
+        or model.logic.joints.learned is not None
+        or len(set(chosen)) < len(chosen)
+    ):
         return None
     order = torch.cat(skeleton.levels)  # parents before their children
     new = {int(joint): number for number, joint in enumerate(order)}

@@ -13,7 +13,7 @@ from riginv.geometry.skinning import by_axis
 from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.rig.interface import Control, LinearRig
 from riginv.rig.jacobian import Jacobian
-from riginv.rig.joint_features import JointFeatures
+from riginv.rig.joint_features import JointFeatures, SkinFeatures
 from rigs.gltf.avatar import Avatar, read_avatar
 from rigs.gltf.first_guess import FirstGuess, joint_points
 from rigs.gltf.frames import Frames, frame_basis, joint_frames
@@ -107,13 +107,14 @@ class GltfRig(LinearRig):
         count = 0 if joints or any(defaults) else len(controls)  # blendshape weights are 0 at rest
         super().__init__(avatar.file.path.stem, controls, rest, torch.tensor(avatar.faces), basis, names, count)
         self.targets, self.joint_motion, self.joint_orders = tuple(avatar.targets), motion, orders
-        self.joint_features: JointFeatures | None = None
+        self.skin_features: SkinFeatures | None = None
         if motion is not None:
             size = float((rest.amax(dim=0) - rest.amin(dim=0)).max().clamp_min(1e-6))
             self.length_scale = size / METRE
             weights = joint_points(self.basis, AXES * len(self.targets), motion.count)[:, 3]
             weight = torch.where(weights.amax(dim=1) < LEAST_WEIGHT, 0.0, weights.sum(dim=1))
-            self.joint_features = JointFeatures(motion.freedom, weight, size)
+            features = JointFeatures(motion.freedom, weight, size)
+            self.skin_features = SkinFeatures(features, torch.arange(motion.count), len(self.targets), motion.pairs)
         self._guess: FirstGuess | None = None
         self.has_first_guess = motion is not None and not self.targets
         self.parts = tuple((submesh.label, submesh.start, submesh.start + submesh.count) for submesh in avatar.submeshes)
@@ -134,22 +135,19 @@ class GltfRig(LinearRig):
         return self.joint_motion.with_jacobian(controls[:, : len(self.targets)], controls[:, len(self.targets) :])
 
     def features(self, coefficients: Tensor) -> Tensor | None:
-        """The rotation, translation and scale of each joint relative to its parent (`riginv.rig.joint_features`)."""
-        if self.joint_features is None or self.targets:
-            return None
-        assert self.joint_motion is not None
-        return self.joint_features(coefficients.unflatten(1, (self.joint_motion.count, 3, 4)))
+        """Weights of targets, and the rotation, translation and scale of each joint relative to its parent."""
+        return None if self.skin_features is None else self.skin_features(coefficients)
 
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
-        return after - before if self.joint_features is None else self.joint_features.change(before, after)
+        return after - before if self.skin_features is None else self.skin_features.change(before, after)
 
     def guess_from_features(self, features: Tensor) -> Tensor | None:
-        if self.joint_features is None:
+        if self.joint_motion is None or self.skin_features is None:
             return None
-        assert self.joint_motion is not None
+        weights, of_joints = features.tensor_split((len(self.targets),), dim=1)
         angles = slice(len(self.targets), len(self.targets) + 3 * self.joint_motion.count)
         limits = (torch.deg2rad(one[angles].unflatten(0, (-1, 3))).to(features) for one in (self.lower, self.upper))
-        return self.joint_features.controls(features, *limits)
+        return torch.cat([weights, self.skin_features.joints.controls(of_joints, *limits)], dim=1)
 
     @torch.no_grad()
     def first_guess(self, vertices: Tensor) -> Tensor:
