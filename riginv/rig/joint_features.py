@@ -157,7 +157,7 @@ class SkinFeatures(nn.Module):
     """Features of a skinned rig with morph targets: the weights of these, then those of the joints.
 
     The coefficients of the rig are, in this order, the weight of each target along the three axes, the matrices of joints, and
-    the product of each pair's matrix, less the identity, with the weight of its target. A target that joints rotate shows in both.
+    the product of each pair's matrix, less the identity, with the weight of its target.
 
     Args:
         joints: of all joints.

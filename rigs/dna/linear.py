@@ -73,7 +73,7 @@ class Coefficients(Stage):
 
 
 def skin_features(model: Model, stage: Coefficients) -> SkinFeatures:
-    """The features of coefficients: weights of channels, rotation, translation and scale of joints relative to their parents."""
+    """The features of coefficients: weights of channels, and the motion of joints relative to their parents."""
     count, weights = len(model.joints), model.skin.weights[:, : len(model.joints)]
     weight = np.asarray(weights.sum(axis=0)).reshape(-1)
     weight[weights.max(axis=0).toarray().reshape(-1) < LEAST_WEIGHT] = 0.0
