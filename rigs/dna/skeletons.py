@@ -4,12 +4,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from riginv.geometry.kinematics import Skeleton
+from riginv.geometry.kinematics import Skeleton, bone_tails
 from rigs.dna.linear import SCALES, rows_of
 from rigs.dna.model import Model
 
 MOST = 100_000_000  # weights of all vertices for all joints
-BONE = 0.3  # display length of a leaf bone, as a fraction of the distance to its parent
 
 
 def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Skeleton | None:
@@ -49,17 +48,7 @@ def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Ske
         joint_names=tuple(chosen[int(joint)] for joint in order),
         parents=parents,
         heads=(heads + centre).float(),
-        tails=torch.tensor(_tails((heads + centre).numpy(), parents), dtype=torch.float32),
+        tails=bone_tails(heads + centre, parents).float(),
         weights=torch.tensor(weights[:, order], dtype=torch.float32),
         pose=pose,
     )
-
-
-def _tails(heads: np.ndarray, parents: tuple[int, ...]) -> np.ndarray:
-    """Ends of the bones, `(joint, 3)`: the mean of the children, or beyond a leaf joint."""
-    tails = np.zeros_like(heads)
-    for joint, parent in enumerate(parents):
-        children = [child for child, above in enumerate(parents) if above == joint]
-        along = heads[joint] - heads[parent] if parent >= 0 else np.array([0.0, 100.0, 0.0])
-        tails[joint] = heads[children].mean(axis=0) if children else heads[joint] + BONE * along
-    return tails

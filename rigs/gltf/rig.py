@@ -9,7 +9,8 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.geometry.euler import continuous_angles
-from riginv.geometry.skinning import by_axis
+from riginv.geometry.kinematics import Skeleton, bone_tails, transform_from
+from riginv.geometry.skinning import SUM_TOLERANCE, by_axis
 from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.rig.interface import Control, LinearRig
 from riginv.rig.jacobian import Jacobian
@@ -133,6 +134,22 @@ class GltfRig(LinearRig):
         if self.joint_motion is None:
             return super().coefficient_jacobian(controls)
         return self.joint_motion.with_jacobian(controls[:, : len(self.targets)], controls[:, len(self.targets) :])
+
+    def skeleton(self) -> Skeleton | None:
+        """The controlled joints; None with morph targets or scales, several roots, or vertices that no joint moves."""
+        motion, roots = self.joint_motion, [] if self.joint_motion is None else [p for p in self.joint_motion.parents if p < 0]
+        if motion is None or self.targets or len(motion.scaled) or len(roots) != 1:
+            return None
+        weights, heads = joint_points(self.basis, 0, motion.count)[:, 3].T, motion.rest[..., 3]
+        if (weights.sum(dim=1) - 1).abs().max() > SUM_TOLERANCE:
+            return None
+
+        def pose(controls: Tensor) -> Tensor:
+            worlds = motion.worlds(motion.local(controls))
+            return transform_from(worlds[..., :3], (worlds[..., :3] @ heads.to(worlds)[..., None])[..., 0] + worlds[..., 3])
+
+        parents = tuple(motion.parents)
+        return Skeleton(tuple(self.joint_orders), parents, heads, bone_tails(heads, parents), weights, pose)
 
     def features(self, coefficients: Tensor) -> Tensor | None:
         """Weights of targets, and the rotation, translation and scale of each joint relative to its parent."""

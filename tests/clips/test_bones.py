@@ -15,10 +15,12 @@ from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import first_start
 from rigs.body import BodyRig
+from rigs.gltf import GltfRig
 from tests.support.animations import moving
+from tests.support.creatures import fox, write_creature
 from tests.support.toys import ToyRig
 
-READING = ReadingOptions(readers={"bvh": "riginv.clips.bvh.BvhClip"})
+READING = ReadingOptions(readers={"bvh": "riginv.clips.bvh.BvhClip", "glb": "rigs.gltf.clip.GltfClip"})
 
 
 @pytest.fixture(scope="module")
@@ -125,3 +127,29 @@ def test_damaged_files_are_one_sentence(take, body, tmp_path, change, says):
 def test_a_rig_without_a_skeleton_is_told(take):
     with pytest.raises(InputError, match="has none that is only skinned"):
         opened(take[0], ToyRig())
+
+
+def test_joints_of_another_avatar_move_the_rig(tmp_path):
+    """A file with the fox's skeleton and animation, whose mesh has other vertices and other bones are longer."""
+    rig_file = write_creature(tmp_path / "fox.glb", fox(), frames=6)
+    rig = GltfRig(str(rig_file), joints=True, joint_scale=False, joint_translation=False)
+    other = fox()
+    other.around = 5
+    clip_file = write_creature(tmp_path / "other.glb", other, frames=6)
+    clip, meshes, notes = opened(clip_file, rig)
+    own, expected, _ = opened(rig_file, rig)
+    assert any("Its meshes are not the rig's" in note for note in notes) and clip.fps == own.fps
+    size = float((rig.rest_vertices.amax(dim=0) - rig.rest_vertices.amin(dim=0)).norm())
+    assert (
+        float((meshes - expected).norm(dim=2).mean()) < 0.02 * size
+    )  # its animation also scales the chest and moves the tongue
+
+
+def test_a_take_of_a_gltf_skeleton_is_written_and_read(tmp_path):
+    rig = GltfRig(str(write_creature(tmp_path / "fox.glb", fox(), frames=6)), joints=True, joint_scale=False)
+    animation = moving(rig, numbers=torch.arange(5), with_motion=False)
+    bvh.write(tmp_path / "take.bvh", animation)
+    _, meshes, _ = opened(tmp_path / "take.bvh", rig)
+    tongue = torch.tensor([name.startswith("tongue") for name in rig.skeleton().joint_names])
+    kept = (rig.skeleton().weights[:, tongue] == 0).all(dim=1)
+    assert float((meshes - rig(animation.controls))[:, kept].norm(dim=2).max()) < 0.05
