@@ -162,6 +162,7 @@ class StagedInverse(InverseNetwork):
         refinement_steps: their number.
         width: linear features of a refinement step.
         gate: hidden width of a refinement step's gate.
+        features: whether the rig's features are used, where it has any.
     """
 
     coordinate_scale: Tensor
@@ -177,6 +178,7 @@ class StagedInverse(InverseNetwork):
         gate: PositiveInt = 256,
         activation: str = "gelu",
         control_map: str = "neutral_start",
+        features: bool = True,
     ) -> None:
         super().__init__(rig, control_map)
         for name, number, least in (
@@ -188,7 +190,7 @@ class StagedInverse(InverseNetwork):
             if number < least:
                 raise InputError(f"network: {name} is {number}, expected at least {least}")
         size, controls = rig.space.size, len(rig.source.controls)
-        self.features = RigFeatures(rig) if RigFeatures.offered_by(rig) else None
+        self.features = RigFeatures(rig) if features and RigFeatures.offered_by(rig) else None
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from riginv.inference.bundle import write_bundle
+from riginv.inference.inverse import Inverse, load_inverse
 from riginv.networks.features import RigFeatures
 from riginv.networks.inverse import StagedInverse
 from riginv.rig.interface import LinearRig
@@ -86,3 +88,29 @@ def test_for_a_root_without_vertices_stands_the_joint_with_most(tmp_path: Path):
     features = RigFeatures.fitted(space)
     assert "root.tx" in rig.control_names
     assert mean_error(rig, features.guess(features(space(controls))), controls) < 1e-4
+
+
+def test_a_bundle_from_before_the_features_goes_on_on_mesh_coordinates(rig, tmp_path):
+    space, target = in_mesh_space(rig), "riginv.networks.inverse.StagedInverse"
+    sizes = {"hidden": (8,), "refinement_steps": 1, "width": 8, "gate": 4}
+    network = StagedInverse(space, **sizes, features=False)
+    rig_config = {"_target_": "rigs.gltf.rig.GltfRig", "file": str(rig.file), "joints": True}
+    write_bundle(tmp_path / "bundle", "inverse", network, space, {"_target_": target, **sizes}, rig_config, {})
+    loaded = load_inverse(tmp_path / "bundle")
+    vertices = rig(random_controls(rig, 3))
+    with torch.no_grad():
+        assert loaded.network.features is None
+        assert torch.allclose(loaded(vertices), network(space.space.encode(vertices)), atol=1e-3)
+
+
+@pytest.mark.slow
+def test_an_inverse_of_a_skeleton_is_exported_to_onnx(rig, tmp_path):
+    for package in ("onnx", "onnxruntime", "onnxscript"):
+        pytest.importorskip(package)
+    from riginv.export_onnx import write_onnx
+
+    space = in_mesh_space(rig)
+    network = StagedInverse(space, hidden=(16,), refinement_steps=1, width=8, gate=4)
+    network.calibrate(space(random_controls(rig, 64)))
+    parity = write_onnx(tmp_path / "spider.onnx", Inverse(network).eval().requires_grad_(False))
+    assert parity.vertex_mm < 0.05
