@@ -77,7 +77,8 @@ def read_bvh(path: Path) -> BoneMotion:
         positions[:, number] = positions[:, joint.parent] + (above @ place[..., None])[..., 0]
         rotations[:, number] = above @ local
     names, parents = tuple(joint.name for joint in joints), tuple(joint.parent for joint in joints)
-    return BoneMotion(names, parents, *map(torch.from_numpy, (heads, rotations, positions)), common_rate(1 / seconds))
+    at_rest, turned, places = (torch.from_numpy(values) for values in (heads, rotations, positions))
+    return BoneMotion(names, parents, at_rest, turned, places, common_rate(1 / seconds))
 
 
 def _rotations(joint: BvhJoint, values: np.ndarray) -> np.ndarray:

@@ -63,18 +63,6 @@ def _cycle(parents: Sequence[int], joint: int) -> list[int]:
     return seen[seen.index(joint) :]
 
 
-def relative_rotations(worlds: Float[Tensor, "batch joint 3 4"], parents: Sequence[int]) -> Float[Tensor, "batch joint 3 3"]:
-    """The rotation of each joint relative to its parent, from world transforms `(batch, joint, 3, 4)`: `(batch, joint, 3, 3)`.
-
-    A root's is its world rotation. Estimated rotations need not be orthogonal.
-    """
-    of_joint = torch.tensor([parent if parent >= 0 else joint for joint, parent in enumerate(parents)], device=worlds.device)
-    rotations = worlds[..., :3]
-    against = rotations[:, of_joint].mT @ rotations
-    is_root = torch.tensor([parent < 0 for parent in parents], device=worlds.device)[:, None, None]
-    return torch.where(is_root, rotations, against)
-
-
 def compose(outer: Float[Tensor, "*#transforms 3 4"], inner: Float[Tensor, "*#transforms 3 4"]) -> Float[Tensor, "... 3 4"]:
     """The transform `(..., 3, 4)` that applies `inner` first, then `outer`."""
     product = outer[..., :3] @ inner

@@ -95,19 +95,14 @@ class RigFeatures(nn.Module):
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch feature"]:
         """Mesh coordinates `(batch, coordinate)` to features `(batch, feature)`; 0 at the neutral mesh."""
-        return self.change(self.rest, self._features(coordinates))
-
-    def residual(
-        self, target: Float[Tensor, "batch coordinate"], predicted: Float[Tensor, "batch coordinate"]
-    ) -> Float[Tensor, "batch feature"]:
-        """The residual `(batch, feature)` of predicted meshes against their targets, both in mesh coordinates."""
-        return self.change(self._features(predicted), self._features(target))
+        return self.change(self.rest, self.unscaled(coordinates))
 
     def change(self, before: Tensor, after: Tensor) -> Tensor:
         """The scaled difference of unscaled features, all `(batch, feature)`."""
         return self.rig[0].feature_change(before, after) / self.scale
 
-    def _features(self, coordinates: Tensor) -> Tensor:
+    def unscaled(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch feature"]:
+        """Mesh coordinates `(batch, coordinate)` to the rig's own features `(batch, feature)`."""
         return _features_of(self.rig[0], self.neutral + coordinates @ self.estimate)
 
 

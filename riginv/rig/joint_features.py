@@ -114,7 +114,7 @@ class JointFeatures(nn.Module):
         position = rest[..., 3] + change[..., 3] + (change[..., :3] @ self.shift.to(change)[..., None])[..., 0]
         is_root, above = (self.parents < 0)[:, None], self.parents.clamp_min(0)
         inverse = inverse_3x3(torch.where(is_root[..., None], eye, linear[:, above]))
-        local = self.inverse_rest.to(change) @ inverse @ linear @ rest[..., :3]
+        local = (self.inverse_rest.to(change) @ inverse) @ (linear @ rest[..., :3])
         scales = local.square().sum(dim=2).sqrt()
         rotations = local / scales.clamp_min(LEAST_SCALE)[..., None, :]
         parent, parent_rest = (torch.where(is_root, 0.0, places[..., above, :]) for places in (position, rest[..., 3]))
