@@ -56,21 +56,31 @@ def continuous_angles(
     lower: Float[Tensor, "joint 3"],
     upper: Float[Tensor, "joint 3"],
 ) -> Float[Tensor, "frame joint 3"]:
-    """The same rotations by angles, radians, that change least from frame to frame, within limits where that is possible.
+    """The same rotations by angles, radians, that change least from frame to frame, within limits where that is possible."""
+    found, before = torch.empty_like(angles), torch.zeros_like(angles[0])
+    for frame, here in enumerate(angles):
+        found[frame] = before = nearest_angles(here, before, orders, lower, upper)
+    return found
+
+
+def nearest_angles(
+    angles: Float[Tensor, "*batch joint 3"],
+    before: Float[Tensor, "*#batch joint 3"],
+    orders: Int[Tensor, "joint 3"],
+    lower: Float[Tensor, "joint 3"],
+    upper: Float[Tensor, "joint 3"],
+) -> Float[Tensor, "*batch joint 3"]:
+    """The same rotations by the angles, radians, nearest to others, within limits where that is possible.
 
     Two triples make one rotation: the second has the first and last angle half a turn further, and half a turn less the middle
     one. Full turns are added to either.
     """
-    middle = torch.zeros(orders.shape, dtype=torch.bool).scatter_(1, orders[:, 1:2], True)
-    turn, found = 2 * torch.pi, torch.empty_like(angles)
-    before = torch.zeros_like(angles[0])
-    for frame, here in enumerate(angles):
-        choices = torch.stack([here, torch.where(middle, torch.pi - here, here + torch.pi)])
-        choices = choices + turn * ((before - choices) / turn).round()
-        choices = choices - turn * ((choices - upper - 1e-4) / turn).ceil().clamp_min(0)
-        choices = choices + turn * ((lower - 1e-4 - choices) / turn).ceil().clamp_min(0)
-        beyond = (choices - choices.clamp(lower, upper)).abs()
-        cost = ((choices - before).abs() + 100 * beyond).sum(dim=2)
-        before = torch.where((cost[0] <= cost[1])[:, None], choices[0], choices[1])
-        found[frame] = before
-    return found
+    middle = torch.zeros(orders.shape, dtype=torch.bool, device=angles.device).scatter_(1, orders[:, 1:2], True)
+    turn = 2 * torch.pi
+    choices = torch.stack([angles, torch.where(middle, torch.pi - angles, angles + torch.pi)])
+    choices = choices + turn * ((before - choices) / turn).round()
+    choices = choices - turn * ((choices - upper - 1e-4) / turn).ceil().clamp_min(0)
+    choices = choices + turn * ((lower - 1e-4 - choices) / turn).ceil().clamp_min(0)
+    beyond = (choices - choices.clamp(lower, upper)).abs()
+    cost = ((choices - before).abs() + 100 * beyond).sum(dim=-1)
+    return torch.where((cost[0] <= cost[1])[..., None], choices[0], choices[1])

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from riginv.errors import InputError
 
+LEAF = 0.3  # length of a leaf bone, as a fraction of the distance to its parent
+
 
 def tree_levels(parents: Sequence[int], names: Sequence[str] | None = None) -> list[Tensor]:
     """The joints of each depth of a tree, roots first; joints may be in any order, and there may be several roots.
@@ -61,18 +63,6 @@ def _cycle(parents: Sequence[int], joint: int) -> list[int]:
     return seen[seen.index(joint) :]
 
 
-def relative_rotations(worlds: Float[Tensor, "batch joint 3 4"], parents: Sequence[int]) -> Float[Tensor, "batch joint 3 3"]:
-    """The rotation of each joint relative to its parent, from world transforms `(batch, joint, 3, 4)`: `(batch, joint, 3, 3)`.
-
-    A root's is its world rotation. Estimated rotations need not be orthogonal.
-    """
-    of_joint = torch.tensor([parent if parent >= 0 else joint for joint, parent in enumerate(parents)], device=worlds.device)
-    rotations = worlds[..., :3]
-    against = rotations[:, of_joint].mT @ rotations
-    is_root = torch.tensor([parent < 0 for parent in parents], device=worlds.device)[:, None, None]
-    return torch.where(is_root, rotations, against)
-
-
 def compose(outer: Float[Tensor, "*#transforms 3 4"], inner: Float[Tensor, "*#transforms 3 4"]) -> Float[Tensor, "... 3 4"]:
     """The transform `(..., 3, 4)` that applies `inner` first, then `outer`."""
     product = outer[..., :3] @ inner
@@ -114,6 +104,16 @@ def forward_kinematics(
         worlds.append(here)
     order = torch.cat([level.to(local.device) for level in levels])
     return torch.cat(worlds, dim=1)[:, order.argsort()]
+
+
+def bone_tails(heads: Float[Tensor, "joint 3"], parents: Sequence[int]) -> Float[Tensor, "joint 3"]:
+    """Ends of the bones, for display: the mean of the children, or beyond a leaf joint."""
+    tails = torch.zeros_like(heads)
+    for joint, parent in enumerate(parents):
+        children = [child for child, above in enumerate(parents) if above == joint]
+        along = heads[joint] - heads[parent] if parent >= 0 else heads.new_tensor([0.0, 100.0, 0.0])
+        tails[joint] = heads[children].mean(dim=0) if children else heads[joint] + LEAF * along
+    return tails
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from riginv.config.building import OURS, build
+from riginv.config.building import OURS, build, class_of
 from riginv.errors import InputError
 from riginv.inference.bundle import RIG, Bundle, read_bundle
-from riginv.networks.inverse import InverseNetwork
+from riginv.networks.inverse import InverseNetwork, StagedInverse
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
@@ -55,6 +55,7 @@ def _multiplies_bfloat16() -> bool:
     return is_supported is not None and is_supported()
 
 
+FEATURES = "features.scale"  # weights without it are of a network on mesh coordinates, also where the rig has features now
 MIN_SIZE_FOR_BFLOAT16 = 1_000_000  # numbers of a frame: below it there is nothing to gain
 
 
@@ -136,10 +137,15 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
     space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
     if not isinstance(rig, LinearRig):
         rig = BlackBoxRig(rig, (bundle.space["linear_map"] @ space.directions.flatten(1)).unflatten(1, rig.rest_vertices.shape))
-    network = build(bundle.description["network"], RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
+    without = {} if FEATURES in bundle.weights or not _takes_features(bundle) else {"features": False}
+    network = build({**bundle.description["network"], **without}, RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
     network.load_own_weights(bundle.weights)
     trained_seconds = float(bundle.description["training"].get("seconds", 0.0))
     return Inverse(network, refine, trained_seconds, fewer_controls).eval().requires_grad_(False)
+
+
+def _takes_features(bundle: Bundle) -> bool:
+    return class_of(bundle.description["network"].get("_target_"), kind=InverseNetwork, only=OURS) is StagedInverse
 
 
 def bundle_rig(bundle: Bundle) -> RigBackend:

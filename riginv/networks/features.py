@@ -23,7 +23,8 @@ class RigFeatures(nn.Module):
     """Maps mesh coordinates to the rig's features, and these to a first guess at the controls.
 
     The rig's coefficients are estimated linearly from mesh coordinates, as the most likely ones given a little noise. The first
-    guess is a linear regression on random poses of the rig, along the directions in which their features vary.
+    guess is the rig's own (`LinearRig.guess_from_features`), or else a linear regression on random poses of the rig, along the
+    directions in which their features vary.
     """
 
     scale: Tensor
@@ -75,6 +76,8 @@ class RigFeatures(nn.Module):
         typical = sizes.square().mean().sqrt()
         self.scale.copy_(sizes.clamp_min(MIN_SCALE * typical.clamp_min(1e-12)))
         backend = self.rig[0]
+        if backend.guess_from_features(self.rest) is not None:
+            return
         limits = backend.lower, backend.upper, backend.neutral_controls
         generator = generator_at(0, "first guess", device=coordinates.device)
         controls = sparse_controls(*limits, len(backend.controls), GUESS_POSES, generator)
@@ -87,23 +90,19 @@ class RigFeatures(nn.Module):
 
     def guess(self, features: Float[Tensor, "batch feature"]) -> Float[Tensor, "batch control"]:
         """A first guess at the controls `(batch, control)` from features `(batch, feature)`; it may exceed the limits."""
-        return self.rig[0].neutral_controls + features @ self.derivative
+        own = self.rig[0].guess_from_features(self.rest + features * self.scale)
+        return self.rig[0].neutral_controls + features @ self.derivative if own is None else own
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch feature"]:
         """Mesh coordinates `(batch, coordinate)` to features `(batch, feature)`; 0 at the neutral mesh."""
-        return self.change(self.rest, self._features(coordinates))
-
-    def residual(
-        self, target: Float[Tensor, "batch coordinate"], predicted: Float[Tensor, "batch coordinate"]
-    ) -> Float[Tensor, "batch feature"]:
-        """The residual `(batch, feature)` of predicted meshes against their targets, both in mesh coordinates."""
-        return self.change(self._features(predicted), self._features(target))
+        return self.change(self.rest, self.unscaled(coordinates))
 
     def change(self, before: Tensor, after: Tensor) -> Tensor:
         """The scaled difference of unscaled features, all `(batch, feature)`."""
         return self.rig[0].feature_change(before, after) / self.scale
 
-    def _features(self, coordinates: Tensor) -> Tensor:
+    def unscaled(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch feature"]:
+        """Mesh coordinates `(batch, coordinate)` to the rig's own features `(batch, feature)`."""
         return _features_of(self.rig[0], self.neutral + coordinates @ self.estimate)
 
 

@@ -3,6 +3,7 @@
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -146,6 +147,14 @@ class DirectInverse(InverseNetwork):
         return self.control_map(self.network(coordinates))
 
 
+class _Target(NamedTuple):
+    """Meshes to invert: mesh coordinates, the scaled inputs of the first stage, and unscaled features; None: they have none."""
+
+    coordinates: Tensor
+    inputs: Tensor
+    features: Tensor | None
+
+
 class StagedInverse(InverseNetwork):
     """A learned optimiser: a few MLPs, then refinement steps, each reducing the residual of the one before.
 
@@ -162,6 +171,7 @@ class StagedInverse(InverseNetwork):
         refinement_steps: their number.
         width: linear features of a refinement step.
         gate: hidden width of a refinement step's gate.
+        features: whether the rig's features are used, where it has any.
     """
 
     coordinate_scale: Tensor
@@ -177,6 +187,7 @@ class StagedInverse(InverseNetwork):
         gate: PositiveInt = 256,
         activation: str = "gelu",
         control_map: str = "neutral_start",
+        features: bool = True,
     ) -> None:
         super().__init__(rig, control_map)
         for name, number, least in (
@@ -188,7 +199,7 @@ class StagedInverse(InverseNetwork):
             if number < least:
                 raise InputError(f"network: {name} is {number}, expected at least {least}")
         size, controls = rig.space.size, len(rig.source.controls)
-        self.features = RigFeatures(rig) if RigFeatures.offered_by(rig) else None
+        self.features = RigFeatures(rig) if features and RigFeatures.offered_by(rig) else None
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN
@@ -213,31 +224,45 @@ class StagedInverse(InverseNetwork):
         return [*self.stages, *self.corrections]
 
     def each_estimate(self, coordinates: Float[Tensor, "batch coordinate"]) -> Iterator[Estimate]:
-        inputs = self.features(coordinates) if self.features else coordinates / self.coordinate_scale
-        before = None
-        if self.features:
-            before = self.estimate(self.control_map.raw_of(self.features.guess(inputs)), coordinates)
+        target = self._target(coordinates)
+        yield from self._each_stage(target, self._guess(target))
+
+    def _target(self, coordinates: Tensor) -> _Target:
+        if not self.features:
+            return _Target(coordinates, coordinates / self.coordinate_scale, None)
+        features = self.features.unscaled(coordinates)
+        return _Target(coordinates, self.features.change(self.features.rest, features), features)
+
+    def _guess(self, target: _Target) -> Estimate | None:
+        """The estimate before the first stage; None where the rig has no features."""
+        if not self.features:
+            return None
+        return self.estimate(self.control_map.raw_of(self.features.guess(target.inputs)), target.coordinates)
+
+    def _each_stage(self, target: _Target, before: Estimate | None) -> Iterator[Estimate]:
         for stage in [*self.stages, *self.corrections]:
-            raw = stage(inputs) if before is None else self._refined(stage, before, inputs)
-            before = self.estimate(raw, coordinates)
+            raw = stage(target.inputs) if before is None else self._refined(stage, before, target)
+            before = self.estimate(raw, target.coordinates)
             yield before
 
-    def _refined(self, stage: nn.Module, estimate: Estimate, inputs: Tensor) -> Tensor:
+    def _refined(self, stage: nn.Module, estimate: Estimate, target: _Target) -> Tensor:
         """The raw outputs `(batch, control)` of an estimate, refined by a stage."""
         before, gradient = estimate.raw.detach(), estimate.gradient / self.gradient_scale
-        if self.features:
-            residual = self.features.residual(estimate.target, estimate.detached_coordinates)
+        if self.features and target.features is not None:
+            residual = self.features.change(self.features.unscaled(estimate.detached_coordinates), target.features)
         else:
             residual = estimate.error / -self.coordinate_scale
         squashed = torch.tanh(0.3 * before)
         if isinstance(stage, Correction):
             return before + stage(residual, gradient, squashed)
-        return before + stage(torch.cat([inputs, residual, gradient, squashed], dim=1))
+        return before + stage(torch.cat([target.inputs, residual, gradient, squashed], dim=1))
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
-        """The last estimate; where the rig has features the best one of each mesh, since a refinement step may fail there."""
-        estimates = self.estimates(coordinates)
-        return self._best(estimates) if self.features else estimates[-1].controls
+        """The last estimate; where the rig has features the best one of each mesh, since a stage may fail there."""
+        target = self._target(coordinates)
+        guess = self._guess(target)
+        estimates = list(self._each_stage(target, guess))
+        return estimates[-1].controls if guess is None else self._best([guess, *estimates])
 
     def _best(self, estimates: list[Estimate]) -> Tensor:
         errors = torch.stack([estimate.squares for estimate in estimates])

@@ -272,6 +272,10 @@ class LinearRig(RigBackend):
         """The difference of features `(batch, feature)`; a rig with angles among them takes the shorter way round."""
         return after - before
 
+    def guess_from_features(self, features: Float[Tensor, "batch feature"]) -> Float[Tensor, "batch control"] | None:
+        """Controls `(batch, control)` near those that make features; None: `riginv.networks.features` fits a linear map."""
+        return None
+
     def first_guess(self, vertices: Float[Tensor, "frame vertex 3"]) -> Float[Tensor, "frame control"]:
         """A guess at the controls `(frame, control)` of consecutive meshes `(frame, vertex, 3)`, mm, near the solution.
 

@@ -51,5 +51,9 @@ class FixedControlsRig(LinearRig):
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
         return self.rig.feature_change(before, after)
 
+    def guess_from_features(self, features: Tensor) -> Tensor | None:
+        guess = self.rig.guess_from_features(features)
+        return None if guess is None else guess[:, self.free]
+
     def first_guess(self, vertices: Tensor) -> Tensor:
         return self.rig.first_guess(vertices)[:, self.free]

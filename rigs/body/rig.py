@@ -6,17 +6,19 @@ from torch import Tensor
 
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.joint_jacobian import JointJacobian
-from riginv.geometry.kinematics import Skeleton, forward_kinematics, relative_rotations, transform_from, tree_levels
+from riginv.geometry.kinematics import Skeleton, forward_kinematics, transform_from, tree_levels
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig.interface import LinearRig, Motion
 from riginv.rig.jacobian import Jacobian
+from riginv.rig.joint_features import JointFeatures, JointFreedom, SkinFeatures
 from rigs.body.build import FPS, body_geometry, walk
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
 from rigs.body.skeleton import KEPT, LAST
 
 ORDER = "XZY"  # of the rotations in a joint's frame: last axis first, then the middle one, then the first (skeleton.py)
-LOCKED = 0.01  # cosine of the middle angle below which a joint is in gimbal lock
+AXES = torch.tensor([0, 2, 1])  # of a frame (skeleton.py): first, middle, last
+METRE = 1000.0  # mm
 NOISE_TWIST, NOISE_BEND = 12.0, 4.0  # degrees: standard deviation of joint noise about and across the bone
 ROOT_FEATURES = 12  # position and rotation matrix of the root, first among the features
 
@@ -35,8 +37,8 @@ class BodyRig(LinearRig):
     frames: Tensor
     offsets: Tensor
     skinned: Tensor
-    feature_frames: Tensor
-    root_to_pelvis: Tensor
+    feature_order: Tensor
+    at_rest: Tensor
 
     def __init__(self) -> None:
         geometry = body_geometry()
@@ -61,20 +63,24 @@ class BodyRig(LinearRig):
             self.register_buffer(name, tensor.to(self.dtype) if tensor.is_floating_point() else tensor, persistent=False)
         self.moves = slice(control[MOVES[0]], control[MOVES[-1]] + 1)
         # The root has no skin: its rotation is that of the left side of the pelvis, which has no controls of its own.
-        row = {number: index for index, number in enumerate(skinned.tolist())}
-        self.pelvis = row[joint["pelvis.L"]]
-        parents_of_skinned = [row.get(self.parents[number], self.pelvis) for number in row]
-        parents_of_skinned[self.pelvis] = -1
-        self.skinned_parents = tuple(parents_of_skinned)
-        feature_frames = geometry["frames"][skinned].clone()
-        feature_frames[self.pelvis] = geometry["frames"][joint["root"]]
-        self.register_buffer("feature_frames", feature_frames.to(self.dtype), persistent=False)
-        self.register_buffer("root_to_pelvis", heads[joint["pelvis.L"]] - heads[joint["root"]], persistent=False)
+        weight, pelvis = weights.sum(dim=0), joint["pelvis.L"]
+        weight[pelvis] = weights.sum()
+        rest = transform_from(geometry["frames"].to(self.dtype), heads)
+        moves, none = (torch.zeros(1, dtype=torch.long), rest[:1, :, :3].mT), torch.zeros(0, dtype=torch.long)
+        freedom = JointFreedom(self.parents, rest, AXES.repeat(len(KEPT), 1), *moves, none, torch.zeros(0, 3))
+        features = JointFeatures(freedom, weight, METRE)
+        self.skin_features = SkinFeatures(features, skinned, 0, none.view(0, 2))
+        row = {number: index for index, number in enumerate(features.joints.tolist())}
+        rows = torch.tensor([row[joint["root"] if number == pelvis else number] for number in skinned.tolist()])
+        angles = features.angles.start + (3 * rows[:, None] + AXES).flatten()
+        order = torch.cat([torch.arange(features.moves.start, features.moves.stop), torch.arange(9), angles])
+        self.register_buffer("feature_order", order, persistent=False)
         loose = torch.full((len(KEPT), 3), NOISE_BEND)
         loose[:, LAST] = NOISE_TWIST
         loose[joint["root"]] = 0.0
         self.joint_noise = torch.deg2rad(loose).flatten().to(self.dtype)
         self.levels = tree_levels(self.parents, self.joint_names)
+        self.register_buffer("at_rest", self.neutral_coefficients(), persistent=False)
         self.derivatives = JointJacobian(self.parents, self.angles, skinned)
 
     def expressions(self) -> dict[str, dict[str, float]]:
@@ -124,12 +130,7 @@ class BodyRig(LinearRig):
 
     def features(self, coefficients: Tensor) -> Tensor:
         """Position of the root, metres, its rotation matrix, and the angles of each joint relative to its parent, radians."""
-        worlds = coefficients.unflatten(1, (-1, 3, 4))
-        root = worlds[:, self.pelvis, :, :3]
-        position = worlds[:, self.pelvis, :, 3] - root @ self.root_to_pelvis.to(coefficients)
-        frames = self.feature_frames.to(coefficients)
-        rotations = frames.mT @ relative_rotations(worlds, self.skinned_parents) @ frames
-        return torch.cat([position / 1000, root.flatten(1), joint_angles(rotations).flatten(1)], dim=1)
+        return self.skin_features(coefficients - self.at_rest.to(coefficients))[:, self.feature_order]
 
     def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
         change = after - before
@@ -162,17 +163,3 @@ def euler_axes(angles: Tensor, rotations: Tensor) -> Tensor:
     first, zero = angles[..., 0], torch.zeros_like(angles[..., 0])
     middle = torch.stack([zero, -torch.sin(first), torch.cos(first)], dim=-1)
     return torch.stack([torch.eye(3).to(angles)[0].expand_as(middle), middle, rotations[..., 1]], dim=-1)
-
-
-def joint_angles(rotations: Tensor) -> Tensor:
-    """Angles `(..., 3)` about the first, middle and last axis of rotations `(..., 3, 3)`, which may be slightly non-orthogonal.
-
-    In gimbal lock (middle angle 90 degrees) the whole rotation is assigned to the first angle.
-    """
-    cosine = torch.hypot(rotations[..., 2, 1], rotations[..., 1, 1])  # of the middle angle
-    middle = torch.atan2(-rotations[..., 0, 1], cosine)
-    locked = cosine < LOCKED
-    first = torch.atan2(rotations[..., 2, 1], rotations[..., 1, 1])
-    both = torch.atan2(-rotations[..., 1, 2], middle.sign() * rotations[..., 1, 0])
-    last = torch.atan2(rotations[..., 0, 2], rotations[..., 0, 0])
-    return torch.stack([torch.where(locked, both, first), middle, torch.where(locked, 0.0, last)], dim=-1)

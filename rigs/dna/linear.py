@@ -13,12 +13,15 @@ from scipy import sparse
 from torch import Tensor
 
 from riginv.geometry.skinning import NUMBERS, by_axis, matrix_basis
+from riginv.rig.joint_features import JointFeatures, JointFreedom, SkinFeatures
 from rigs.dna.logic.layout import Stage
 from rigs.dna.model import Model, Pose
 
 LINEAR = 9  # entries of a matrix that rotate deltas
 MOST_COEFFICIENTS = 1500
 MOST_NUMBERS = 100_000_000  # of a basis
+LEAST_WEIGHT = 0.25  # greatest skin weight of a joint: with less it has no vertices that show its rotation
+MOVES, SCALES = slice(3), slice(6, 9)  # of a joint's nine attributes
 NEGLIGIBLE_MM = 1e-4  # a joint whose fraction of a channel's deltas stays below this does not rotate them
 
 
@@ -69,19 +72,49 @@ class Coefficients(Stage):
         return torch.cat([weights.repeat_interleave(3, dim=1), joints, rotated.flatten(1)], dim=1)
 
 
-def moving_joints(model: Model) -> np.ndarray:
-    """Indices of the joints of a model that can move and have skin weights."""
-    groups, stage = model.logic.joints.groups, model.logic.joints
-    count = len(model.joints)
-    rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
-    moves = (groups.rows_of_attributes.view(count, -1) < rows).any(dim=1).numpy() if count else np.zeros(0, bool)
+def skin_features(model: Model, stage: Coefficients) -> SkinFeatures:
+    """The features of coefficients: weights of channels, and the motion of joints relative to their parents."""
+    count, weights = len(model.joints), model.skin.weights[:, : len(model.joints)]
+    weight = np.asarray(weights.sum(axis=0)).reshape(-1)
+    weight[weights.max(axis=0).toarray().reshape(-1) < LEAST_WEIGHT] = 0.0
+    weight[~_can_move(model)] = 1.0  # their rotation is known
+    rows = model.logic.joints.groups.rows_of_attributes.view(count, -1) < rows_of(model)
+    moved, scaled = (rows[:, part].any(dim=1).nonzero()[:, 0] for part in (MOVES, SCALES))
+    orders = torch.tensor([model.logic.joints.angles.sequence[::-1]] * count)
+    moves, scales = (
+        (moved, torch.eye(3).repeat(len(moved), 1, 1)),
+        (scaled.repeat_interleave(3), torch.eye(3).repeat(len(scaled), 1)),
+    )
+    freedom = JointFreedom(model.skeleton.parents, model.skeleton.neutral.float(), orders, *moves, *scales)
+    size = max(float(np.ptp(model.skin.rest, axis=0).max()), 1e-6)
+    joints = JointFeatures(freedom, torch.tensor(weight), size)
+    return SkinFeatures(joints, stage.moving, len(model.channels), stage.pairs)
+
+
+def rows_of(model: Model) -> int:
+    """The number of rows of a model's joint groups: attributes with a greater row are never changed."""
+    groups = model.logic.joints.groups
+    return sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
+
+
+def _can_move(model: Model) -> np.ndarray:
+    """Whether each joint of a model can move, `(joint,)`."""
+    stage, count = model.logic.joints, len(model.joints)
+    moves = (
+        (stage.groups.rows_of_attributes.view(count, -1) < rows_of(model)).any(dim=1).numpy() if count else np.zeros(0, bool)
+    )
     moves[stage.quaternion_joints.numpy()] = True
     parents = np.array(model.skeleton.parents, dtype=np.int64)
     for level in model.skeleton.levels[1:]:
         moves[level] |= moves[parents[level]]
-    weights = model.skin.weights
+    return moves
+
+
+def moving_joints(model: Model) -> np.ndarray:
+    """Indices of the joints of a model that can move and have skin weights."""
+    weights, count = model.skin.weights, len(model.joints)
     skinned = np.bincount(weights.indices, weights.data, minlength=count + 1)[:count] > 0
-    return np.flatnonzero(moves & skinned)
+    return np.flatnonzero(_can_move(model) & skinned)
 
 
 def linear_map(model: Model, channel_names: list[str]) -> LinearMap | None:

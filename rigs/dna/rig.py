@@ -18,7 +18,7 @@ from riginv.rig.size import extent
 from rigs.dna.control_sets import Kind, control_set
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
-from rigs.dna.linear import LinearMap, linear_map
+from rigs.dna.linear import Coefficients, LinearMap, linear_map, skin_features
 from rigs.dna.model import Model, SomeVertices
 from rigs.dna.primaries import primaries_first
 from rigs.dna.skeletons import skeleton_of
@@ -79,6 +79,9 @@ class DnaRig(RigBackend):
             )
             self.ends_in = ends_in.stage
         self.model, self.mapping = model, chosen.mapping
+        self.skin_features = None
+        if ends_in is not None and not ends_in.channels:
+            self.skin_features = skin_features(model, cast(Coefficients, ends_in.stage))
         self.joint_names = content.need(Definition).joints
         self._moved_at_rest = float(np.abs(rest.numpy() - model.surface.rest).max(initial=0.0))
         starts = model.surface.starts.tolist()
@@ -138,6 +141,12 @@ class LinearDnaRig(DnaRig, LinearRig):
     @torch.no_grad()
     def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
         return forward_jacobian(self.coefficients, controls)
+
+    def features(self, coefficients: Tensor) -> Tensor | None:
+        return None if self.skin_features is None else self.skin_features(coefficients)
+
+    def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
+        return after - before if self.skin_features is None else self.skin_features.change(before, after)
 
     def forward(self, controls: Tensor) -> Tensor:
         return LinearRig.forward(self, controls)

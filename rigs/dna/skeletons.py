@@ -4,12 +4,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from riginv.geometry.kinematics import Skeleton
+from riginv.geometry.kinematics import Skeleton, bone_tails
+from rigs.dna.linear import SCALES, rows_of
 from rigs.dna.model import Model
 
-SCALES = slice(6, 9)  # of a joint's nine attributes
 MOST = 100_000_000  # weights of all vertices for all joints
-BONE = 0.3  # display length of a leaf bone, as a fraction of the distance to its parent
 
 
 def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Skeleton | None:
@@ -26,9 +25,12 @@ def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Ske
     if weights[:, -1].any():
         return None
     attributes = groups.rows_of_attributes.view(len(model.joints), -1)
-    rows = sum(groups.get_buffer(f"values{number}").shape[0] for number in range(len(groups.widths)))
     chosen = [names[joint] for joint in model.joints]
-    if (attributes[:, SCALES] < rows).any() or model.logic.joints.learned is not None or len(set(chosen)) < len(chosen):
+    if (
+        (attributes[:, SCALES] < rows_of(model)).any()
+        or model.logic.joints.learned is not None
+        or len(set(chosen)) < len(chosen)
+    ):
         return None
     order = torch.cat(skeleton.levels)  # parents before their children
     new = {int(joint): number for number, joint in enumerate(order)}
@@ -46,17 +48,7 @@ def skeleton_of(model: Model, mapping: nn.Module, names: tuple[str, ...]) -> Ske
         joint_names=tuple(chosen[int(joint)] for joint in order),
         parents=parents,
         heads=(heads + centre).float(),
-        tails=torch.tensor(_tails((heads + centre).numpy(), parents), dtype=torch.float32),
+        tails=bone_tails(heads + centre, parents).float(),
         weights=torch.tensor(weights[:, order], dtype=torch.float32),
         pose=pose,
     )
-
-
-def _tails(heads: np.ndarray, parents: tuple[int, ...]) -> np.ndarray:
-    """Ends of the bones, `(joint, 3)`: the mean of the children, or beyond a leaf joint."""
-    tails = np.zeros_like(heads)
-    for joint, parent in enumerate(parents):
-        children = [child for child, above in enumerate(parents) if above == joint]
-        along = heads[joint] - heads[parent] if parent >= 0 else np.array([0.0, 100.0, 0.0])
-        tails[joint] = heads[children].mean(axis=0) if children else heads[joint] + BONE * along
-    return tails

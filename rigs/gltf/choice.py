@@ -107,8 +107,18 @@ def no_motion(file: GltfFile, meshes: str) -> InputError:
     )
 
 
+def numbers_of(file: GltfFile, requested: Any) -> tuple[int, ...]:
+    """Indices of animations given by a name, a number from 1, or a list of these.
+
+    Raises:
+        InputError: there is no such animation.
+    """
+    several = requested if isinstance(requested, list | tuple) else [requested]
+    return tuple(dict.fromkeys(_number_of(file, animation_names(file), one) for one in several))
+
+
 def _requested(file: GltfFile, meshes: PosedMeshes, names: list[str], requested: Sequence[Any]) -> Chosen:
-    numbers = tuple(dict.fromkeys(_number_of(file, names, one) for one in requested))
+    numbers = numbers_of(file, requested)
     found: dict[tuple[int, str], Channel] = {}
     for number in numbers:
         found |= {(channel.node, channel.path): channel for channel in read_channels(file, number)}

@@ -10,6 +10,7 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
+from rigs.gltf.bones import bones_clip
 from rigs.gltf.channels import animation_names
 from rigs.gltf.choice import Chosen, choice_notes, choose_animation, no_motion
 from rigs.gltf.clip_meshes import ClipMeshes, clip_meshes, welded_faces
@@ -60,8 +61,8 @@ class GltfClip(MeshSequence):
         super().__init__(path, numbers, count, Polygons.triangles(faces), timing.rate.fps, unit, "y", facts)
 
     @classmethod
-    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "GltfClip":
-        return cls(path, options, rig)
+    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> MeshSequence:
+        return bones_clip(path, options, rig) or cls(path, options, rig)
 
     def read(self, start: int, stop: int) -> np.ndarray:
         poses = poses_at(self.channels, self.times[start:stop])

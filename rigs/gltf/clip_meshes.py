@@ -28,11 +28,13 @@ class ClipMeshes(NamedTuple):
         nodes: nodes of the meshes, in the order of the vertices.
         welded: index of the rig's vertex for each of the file's, `(file vertex,)`, where the rig is welded; else None.
         reason: of the selection, for the user; empty where it was requested.
+        fits: whether they were compared with the rig and have its vertices and faces.
     """
 
     nodes: list[int]
     welded: np.ndarray | None = None
     reason: str = ""
+    fits: bool = True
 
 
 def clip_meshes(file: GltfFile, scene: Scene, options: ReadingOptions, rig: RigBackend | None) -> list[ClipMeshes]:
@@ -62,7 +64,7 @@ def clip_meshes(file: GltfFile, scene: Scene, options: ReadingOptions, rig: RigB
                 selection += [fitting._replace(reason=reason)] if fitting else []
                 if fitting and reason == BY_NAME:
                     break
-    return selection or [ClipMeshes(candidates[0][0], None, candidates[0][1])]
+    return selection or [ClipMeshes(candidates[0][0], None, candidates[0][1], fits=False)]
 
 
 def _candidates(file: GltfFile, scene: Scene, rig: RigBackend | None) -> Iterator[tuple[list[int], str]]:

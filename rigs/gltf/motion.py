@@ -9,6 +9,7 @@ from riginv.geometry.euler import axis_rotations
 from riginv.geometry.kinematics import compose, forward_kinematics, invert, transform_from, tree_levels
 from riginv.geometry.skinning import NUMBERS
 from riginv.rig.jacobian import Jacobian
+from riginv.rig.joint_features import JointFreedom
 from riginv.rig.subtree_jacobian import Generators, SubtreeJacobian, SubtreeSums
 from rigs.gltf.frames import LINEAR, Frames
 from rigs.gltf.joint_controls import Drives
@@ -81,7 +82,7 @@ class JointMotion(nn.Module):
         """Controls of joints `(batch, joint control)` to the motion of each frame."""
         angles, moves, sizes = joints.split([3 * self.count, 3 * len(self.moved), len(self.scaled)], dim=1)
         rotations = axis_rotations(torch.deg2rad(angles).unflatten(1, (-1, 3)), self.orders)
-        translations = joints.new_zeros(len(joints), self.count, 3)
+        translations = joints.new_zeros(joints.shape[0], self.count, 3)
         shifts = (self.move_axes.to(joints) @ moves.unflatten(1, (-1, 3))[..., None])[..., 0]
         scales = torch.ones_like(translations)
         scales = scales.index_add(1, self.scaled, (sizes - 1)[..., None] * self.scaled_axes.to(joints))
@@ -92,6 +93,11 @@ class JointMotion(nn.Module):
         matrices = transform_from(local.rotation * local.scales[..., None, :], local.translations)
         rest, inverse_rest = self.rest.to(matrices), self.inverse_rest.to(matrices)
         return forward_kinematics(compose(compose(rest, matrices), inverse_rest), self.parents, self.levels)
+
+    @property
+    def freedom(self) -> JointFreedom:
+        moves, scales = (self.moved, self.move_axes), (self.scaled, self.scaled_axes)
+        return JointFreedom(self.parents, self.rest, self.orders, *moves, *scales)
 
     @torch.no_grad()
     def with_jacobian(self, weights: Tensor, joints: Tensor) -> tuple[Tensor, Jacobian]:

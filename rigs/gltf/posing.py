@@ -91,37 +91,45 @@ class PosedMeshes:
         return self._weights[node]
 
     def _posed(self, pose: Pose) -> Scene:
-        rigid, scaling = self.scene.rigid.clone(), self.scene.scaling.clone()
-        moved = {node: values for node, values in pose.items() if node in self.moving and values.keys() & LOCAL}
-        for node in moved:
-            if "matrix" in self.file.document["nodes"][node]:
-                self._check_matrix(node)
+        return posed_scene(self.file, self.scene, {node: values for node, values in pose.items() if node in self.moving})
 
-        def values_of(path: str) -> tuple[list[int], torch.Tensor]:
-            found = {node: values[path] for node, values in moved.items() if path in values}
-            return list(found), torch.tensor(np.array(list(found.values()), np.float64))
 
-        nodes, quaternions = values_of(ROTATION)
-        if nodes:
-            lengths = quaternions.norm(dim=1, keepdim=True).clamp_min(1e-9)
-            rigid[nodes, :, :3] = roma.unitquat_to_rotmat(quaternions / lengths)
-        nodes, translations = values_of(TRANSLATION)
-        if nodes:
-            rigid[nodes, :, 3] = translations
-        nodes, scales = values_of(SCALE)
-        if nodes:
-            scaling[nodes, :, :3] = torch.diag_embed(scales)
-            scaling[nodes, :, 3] = 0.0
-        return replace(self.scene, rigid=rigid, scaling=scaling)
+def posed_scene(file: GltfFile, scene: Scene, pose: Pose) -> Scene:
+    """A scene whose nodes have the transforms of a pose.
 
-    def _check_matrix(self, node: int) -> None:
-        """Raises InputError where the matrix of an animated node, which glTF forbids, cannot be decomposed as engines do."""
-        axes, name = self.scene.rigid[node, :, :3], self.scene.names[node]
-        if not torch.allclose(axes @ axes.T, torch.eye(3, dtype=torch.float64), atol=1e-3) or torch.linalg.det(axes) < 0:
-            raise InputError(
-                f"{self.file.path}: node '{name}' is animated and has a matrix that is no rotation with a scale, which glTF "
-                f"forbids: export it again"
-            )
-        self.file.note(
-            f"Node '{name}' is animated and has a matrix, which was taken apart into translation, rotation and scale."
+    Raises:
+        InputError: a node has a matrix that cannot be decomposed.
+    """
+    rigid, scaling = scene.rigid.clone(), scene.scaling.clone()
+    moved = {node: values for node, values in pose.items() if values.keys() & LOCAL}
+    for node in moved:
+        if "matrix" in file.document["nodes"][node]:
+            _check_matrix(file, scene, node)
+
+    def values_of(path: str) -> tuple[list[int], torch.Tensor]:
+        found = {node: values[path] for node, values in moved.items() if path in values}
+        return list(found), torch.tensor(np.array(list(found.values()), np.float64))
+
+    nodes, quaternions = values_of(ROTATION)
+    if nodes:
+        lengths = quaternions.norm(dim=1, keepdim=True).clamp_min(1e-9)
+        rigid[nodes, :, :3] = roma.unitquat_to_rotmat(quaternions / lengths)
+    nodes, translations = values_of(TRANSLATION)
+    if nodes:
+        rigid[nodes, :, 3] = translations
+    nodes, scales = values_of(SCALE)
+    if nodes:
+        scaling[nodes, :, :3] = torch.diag_embed(scales)
+        scaling[nodes, :, 3] = 0.0
+    return replace(scene, rigid=rigid, scaling=scaling)
+
+
+def _check_matrix(file: GltfFile, scene: Scene, node: int) -> None:
+    """Raises InputError where the matrix of an animated node, which glTF forbids, cannot be decomposed as engines do."""
+    axes, name = scene.rigid[node, :, :3], scene.names[node]
+    if not torch.allclose(axes @ axes.T, torch.eye(3, dtype=torch.float64), atol=1e-3) or torch.linalg.det(axes) < 0:
+        raise InputError(
+            f"{file.path}: node '{name}' is animated and has a matrix that is no rotation with a scale, which glTF "
+            f"forbids: export it again"
         )
+    file.note(f"Node '{name}' is animated and has a matrix, which was taken apart into translation, rotation and scale.")

@@ -9,10 +9,12 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.geometry.euler import continuous_angles
-from riginv.geometry.skinning import by_axis
+from riginv.geometry.kinematics import Skeleton, bone_tails, transform_from
+from riginv.geometry.skinning import SUM_TOLERANCE, by_axis
 from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.rig.interface import Control, LinearRig
 from riginv.rig.jacobian import Jacobian
+from riginv.rig.joint_features import JointFeatures, SkinFeatures
 from rigs.gltf.avatar import Avatar, read_avatar
 from rigs.gltf.first_guess import FirstGuess, joint_points
 from rigs.gltf.frames import Frames, frame_basis, joint_frames
@@ -23,6 +25,7 @@ from rigs.gltf.selection import mesh_names
 
 STILL = 1e-5  # of the mesh's size: smaller translations of a joint are none
 METRE = 1000.0  # mm: the size of a skinned mesh for which the solvers' lengths are meant
+LEAST_WEIGHT = 0.25  # greatest skin weight of a joint: with less it has no vertices that show its rotation
 SHOWN = 9  # targets shown as expressions
 
 
@@ -105,8 +108,14 @@ class GltfRig(LinearRig):
         count = 0 if joints or any(defaults) else len(controls)  # blendshape weights are 0 at rest
         super().__init__(avatar.file.path.stem, controls, rest, torch.tensor(avatar.faces), basis, names, count)
         self.targets, self.joint_motion, self.joint_orders = tuple(avatar.targets), motion, orders
+        self.skin_features: SkinFeatures | None = None
         if motion is not None:
-            self.length_scale = float((rest.amax(dim=0) - rest.amin(dim=0)).max().clamp_min(1e-6)) / METRE
+            size = float((rest.amax(dim=0) - rest.amin(dim=0)).max().clamp_min(1e-6))
+            self.length_scale = size / METRE
+            weights = joint_points(self.basis, AXES * len(self.targets), motion.count)[:, 3]
+            weight = torch.where(weights.amax(dim=1) < LEAST_WEIGHT, 0.0, weights.sum(dim=1))
+            features = JointFeatures(motion.freedom, weight, size)
+            self.skin_features = SkinFeatures(features, torch.arange(motion.count), len(self.targets), motion.pairs)
         self._guess: FirstGuess | None = None
         self.has_first_guess = motion is not None and not self.targets
         self.parts = tuple((submesh.label, submesh.start, submesh.start + submesh.count) for submesh in avatar.submeshes)
@@ -125,6 +134,37 @@ class GltfRig(LinearRig):
         if self.joint_motion is None:
             return super().coefficient_jacobian(controls)
         return self.joint_motion.with_jacobian(controls[:, : len(self.targets)], controls[:, len(self.targets) :])
+
+    def skeleton(self) -> Skeleton | None:
+        """The controlled joints; None with morph targets or scales, several roots, or vertices that no joint moves."""
+        motion, roots = self.joint_motion, [] if self.joint_motion is None else [p for p in self.joint_motion.parents if p < 0]
+        if motion is None or self.targets or len(motion.scaled) or len(roots) != 1:
+            return None
+        weights, heads = joint_points(self.basis, 0, motion.count)[:, 3].T, motion.rest[..., 3]
+        if (weights.sum(dim=1) - 1).abs().max() > SUM_TOLERANCE:
+            return None
+
+        def pose(controls: Tensor) -> Tensor:
+            worlds = motion.worlds(motion.local(controls))
+            return transform_from(worlds[..., :3], (worlds[..., :3] @ heads.to(worlds)[..., None])[..., 0] + worlds[..., 3])
+
+        parents = tuple(motion.parents)
+        return Skeleton(tuple(self.joint_orders), parents, heads, bone_tails(heads, parents), weights, pose)
+
+    def features(self, coefficients: Tensor) -> Tensor | None:
+        """Weights of targets, and the rotation, translation and scale of each joint relative to its parent."""
+        return None if self.skin_features is None else self.skin_features(coefficients)
+
+    def feature_change(self, before: Tensor, after: Tensor) -> Tensor:
+        return after - before if self.skin_features is None else self.skin_features.change(before, after)
+
+    def guess_from_features(self, features: Tensor) -> Tensor | None:
+        if self.joint_motion is None or self.skin_features is None:
+            return None
+        weights, of_joints = features.tensor_split((len(self.targets),), dim=1)
+        angles = slice(len(self.targets), len(self.targets) + 3 * self.joint_motion.count)
+        limits = (torch.deg2rad(one[angles].unflatten(0, (-1, 3))).to(features) for one in (self.lower, self.upper))
+        return torch.cat([weights, self.skin_features.joints.controls(of_joints, *limits)], dim=1)
 
     @torch.no_grad()
     def first_guess(self, vertices: Tensor) -> Tensor:

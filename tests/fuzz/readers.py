@@ -7,6 +7,7 @@ import numpy as np
 import torch
 import trimesh
 
+from riginv.clips.bvh import read_bvh
 from riginv.clips.clip import Clip
 from riginv.clips.open import open_sequence
 from riginv.clips.topology import check_topology
@@ -136,6 +137,15 @@ def _deltas(folder: Path) -> Target:
     return Target(victims, lambda: ShapesRig(str(folder)))
 
 
+def _bvh(folder: Path) -> Target:
+    joint = "{\nOFFSET 0 10 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 0 5 0\n}\n}\n"
+    root = "HIERARCHY\nROOT hips\n{\nOFFSET 0 90 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+    rows = "".join(" ".join(f"{10 * frame + column:.4f}" for column in range(12)) + "\n" for frame in range(4))
+    path = folder / "a.bvh"
+    path.write_text(f"{root}JOINT neck\n{joint}JOINT tail\n{joint}}}\nMOTION\nFrames: 4\nFrame Time: 0.04\n{rows}")
+    return Target([path], lambda: read_bvh(path))
+
+
 def _avatar(folder: Path) -> Target:
     path = write_animated_glb(folder / "a.glb", performance(toy(), 4), toy().faces.numpy())
     return Target([path], lambda: GltfRig(str(path)))
@@ -175,6 +185,7 @@ def _pairs_zarr(folder: Path) -> Target:
 
 READERS: dict[str, Make] = {
     **{f"clip .{kind}": _clip(kind) for kind in CLIPS},
+    "clip .bvh": _bvh,
     "clip sequence": _sequence,
     "rig shapes": _shapes,
     "rig deltas": _deltas,
