@@ -16,6 +16,8 @@ from riginv.training.losses import LengthLoss, MeanDistanceLoss
 from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
 from riginv.training.parallel import in_stages
 
+MESH_STAGES = 2  # stages at the end whose loss does not depend on the controls
+
 
 class InverseModule(RigModule):
     """Trains an inverse with a loss on meshes, with gradients through a differentiable rig.
@@ -24,7 +26,8 @@ class InverseModule(RigModule):
         loss: of the estimate of every stage.
         sampled_vertices: the last stage's loss is the mean distance of this many vertices; 0: `loss`, as for the others.
         control_weight: mm of loss for a control that is off by its whole range, on poses of the rig, whose controls are known:
-            they decide between several controls that make one mesh. Other meshes are compared by their vertices alone.
+            they decide between several controls that make one mesh. Other meshes, and the last `MESH_STAGES` stages of all, are
+            compared by their vertices alone.
 
     Raises:
         InputError: no gradient passes through the rig.
@@ -61,7 +64,7 @@ class InverseModule(RigModule):
 
     def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         estimates = self.network.estimates(batch["coordinates"])
-        values, gradients = zip(*(self._value_and_gradient(*pair, batch) for pair in zip(self._stage_losses(), estimates)))
+        values, gradients = zip(*(self._value_and_gradient(each, number, batch) for number, each in enumerate(estimates)))
         loss = _PrecomputedGradients.apply(sum(values), *gradients, *(estimate.raw for estimate in estimates))
         return loss, estimates[-1].detached_coordinates
 
@@ -70,25 +73,20 @@ class InverseModule(RigModule):
         if len(parts) == 1:
             return super().loss_on_threads(batch, weights, workers)
 
-        losses = self._stage_losses()
-
         def backward(estimate: Estimate, number: int) -> tuple[Tensor, Tensor]:
-            return self._value_and_gradient(losses[number], estimate, batch)
+            return self._value_and_gradient(estimate, number, batch)
 
         return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers)
 
-    def _value_and_gradient(self, loss: nn.Module, estimate: Estimate, batch: PoseBatch) -> tuple[Tensor, Tensor]:
-        """As `value_and_gradient`, with the loss on the controls where they are known."""
-        value, gradient = value_and_gradient(loss, estimate)
+    def _value_and_gradient(self, estimate: Estimate, number: int, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+        """The loss of a stage's estimate, and its gradient `(batch, control)` by the raw outputs; neither has a graph."""
+        last = len(self.network.learned_parts()) - 1
+        value, gradient = value_and_gradient(self.last_loss if number == last else self.loss, estimate)
         known = batch.get("known_controls", batch.get("controls"))
-        if known is None or not self.control_weight:
+        if not self.control_weight or known is None or 0 < number > last - MESH_STAGES:
             return value, gradient
         distance, by_raw = control_distance(estimate, known)
         return value + self.control_weight * distance, gradient + self.control_weight * by_raw
-
-    def _stage_losses(self) -> list[nn.Module]:
-        """The loss of each stage's estimate."""
-        return [*(self.loss for _ in self.network.learned_parts()[1:]), self.last_loss]
 
 
 def value_and_gradient(loss: nn.Module, estimate: Estimate) -> tuple[Tensor, Tensor]:
