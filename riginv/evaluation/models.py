@@ -6,7 +6,7 @@ from typing import Any
 from riginv.config.building import OURS, build
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses, random_sets
-from riginv.evaluation.optimum import find_optima
+from riginv.evaluation.optimum import bound_of_optimum, find_optima
 from riginv.evaluation.results import EvaluationResult, check_same_controls, evaluate_inverse, evaluate_rig
 from riginv.inference.bundle import read_bundle
 from riginv.inference.inverse import Inverse, load_inverse
@@ -50,7 +50,8 @@ def evaluate_model(
     """Evaluate an inverse on the random test sets and a clip, or a surrogate on random poses, on the true rig.
 
     For a recorded rig the held-out poses are the test set; the surrogate poses the predicted controls, and is itself
-    evaluated too. For a differentiable true rig the optimum is computed on a few meshes of each set.
+    evaluated too. For a differentiable true rig the optimum is computed on a few meshes of each set; an upper bound of it where
+    the basis is fitted.
 
     Args:
         poses: meshes in each random test set.
@@ -74,7 +75,10 @@ def evaluate_model(
     effects = ControlEffects.of_rig(true_rig)
     results = [evaluate_inverse(model, true_rig, meshes).with_accuracy(effects) for meshes in sets]
     for result in results:
-        if optimum := optima.get(result.meshes.name):
+        optimum = optima.get(result.meshes.name)
+        if optimum is None and model.rig.is_fitted and model.rig.differentiable and len(result.meshes):
+            optimum = bound_of_optimum(model.objective, result)
+        if optimum:
             result.metrics.update(optimum.metrics(result))
     return results
 

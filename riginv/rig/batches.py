@@ -23,11 +23,13 @@ class PoseBatch(TypedDict, total=False):
     Attributes:
         coordinates: mesh coordinates `(batch, coordinate)`.
         controls: the controls that made them, `(batch, control)`; only where the meshes are poses of the rig.
+        known_controls: the same, NaN for the meshes of a mixture that are no poses of the rig.
         coefficients: the rig's coefficients at these controls, `(batch, coefficient)`; only there, too.
     """
 
     coordinates: Tensor
     controls: Tensor
+    known_controls: Tensor
     coefficients: Tensor
 
 

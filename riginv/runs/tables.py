@@ -38,6 +38,7 @@ CONTROLS_LEGEND = (
 )
 WITHIN_REACH_MM = 0.005  # a least error below this: the rig can make these meshes
 EXACT = "exact"  # shown instead of the ratio to the optimum
+BOUND = ">= "  # before a ratio to an upper bound of the optimum
 NO_RIG = "none"  # the `true_rig` of a recorded rig in metrics.json
 COLUMNS = (
     ("mean_vertex_error_mm", "mean\nerror"),
@@ -110,7 +111,8 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
         "  Neutral error: the error of neutral controls; % of neutral: the mean error in percent of it. "
         "Mesh worst: the largest vertex error of a mesh, averaged over the meshes; all worst: the largest of all. "
         "Times optimum: the mean error over the least that a solver found from many starts, on a few of the meshes; "
-        f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes. "
+        f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes; {BOUND.strip()}: for rigs with a "
+        "fitted basis, the least that a few solver steps from the predicted controls reach. "
         "Roughness: mean squared second difference of the curves.",
         highlight=False,
         soft_wrap=True,
@@ -174,9 +176,12 @@ def pair_lines(accuracy: Mapping[str, Any], where: str = "") -> list[str]:
 
 
 def _times_optimum(metrics: Mapping[str, Any], name: str) -> str:
-    """The cell `times optimum`: a ratio, `exact`, or `-`."""
+    """The cell `times optimum`: a ratio, a lower bound of it, `exact`, or `-`."""
     ratio, best = (metrics.get(f"{name}/{key}") for key in ("optimum_ratio", "optimum_mean_vertex_error_mm"))
-    return "-" if ratio is None or best is None else EXACT if best < WITHIN_REACH_MM else f"{ratio:.3g}"
+    if ratio is None or best is None:
+        return "-"
+    least = BOUND if metrics.get(f"{name}/optimum_is_bound") else ""
+    return EXACT if best < WITHIN_REACH_MM else f"{least}{ratio:.3g}"
 
 
 def sets_of(metrics: Mapping[str, float]) -> list[str]:

@@ -159,7 +159,14 @@ class Mixture(MeshSampler):
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         parts = [sampler.sample(size, generator) for sampler, size in self._sizes(count)]
-        return map_batches(lambda *values: torch.cat(values), *parts)
+        known = [part.get("known_controls", part.get("controls")) for part in parts]
+        batch = map_batches(lambda *values: torch.cat(values), *parts)
+        if "controls" not in batch and (some := [controls for controls in known if controls is not None]):
+            unknown = some[0].new_full((count, some[0].shape[1]), torch.nan)
+            sizes = [len(part["coordinates"]) for part in parts]
+            pairs = zip(known, unknown.split(sizes))
+            batch["known_controls"] = torch.cat([rows if controls is None else controls for controls, rows in pairs])
+        return batch
 
     def sample_controls(self, count: int, generator: torch.Generator) -> Float[Tensor, "count control"]:
         return torch.cat([sampler.sample_controls(size, generator) for sampler, size in self._sizes(count)])

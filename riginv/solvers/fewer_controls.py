@@ -3,7 +3,8 @@
 Different controls often make one mesh: a macro, or the controls that it combines. Steps of Levenberg-Marquardt end at whichever
 of them the start had. An L1 penalty on the distance of each control from neutral finds the controls that are needed. It also
 shrinks them, so it is reweighted (Candes, Wakin, Boyd 2008: less for controls that are large); last, the controls that it left
-at neutral are fixed there, and the others are fitted without a penalty. This is done from the solution and from near neutral.
+at neutral are fixed there, and the others are fitted without a penalty. This is done from near neutral, and where that does not
+end in fewer controls, from the solution.
 """
 
 from collections.abc import Callable, Sequence
@@ -84,14 +85,17 @@ def with_fewer_controls(
 
 
 def _with_fewer(objective: Objective, coordinates: Tensor, found: Tensor) -> Tensor:
-    distance = _distance_mm(objective, coordinates, found)
+    distance, size = _distance_mm(objective, coordinates, found), _log_size(objective, found)
     most = torch.maximum(MOST_ERROR * distance, distance + MOST_MM)
-    best, size = found, _log_size(objective, found)
-    for start, penalties in ((found, NEAR_STEPS), (start_by_derivative(objective, coordinates), FAR_STEPS)):
-        units = _sparse(objective, coordinates, start, penalties)
-        smaller = (_log_size(objective, units) < size) & (_distance_mm(objective, coordinates, units) <= most)
-        best = torch.where(smaller[:, None], units, best)
-        size = torch.where(smaller, _log_size(objective, units), size)
+    best, rows = found.clone(), torch.arange(len(found), device=found.device)
+    for starts, penalties in ((start_by_derivative(objective, coordinates), FAR_STEPS), (found, NEAR_STEPS)):
+        if not len(rows):
+            break
+        units = _sparse(objective, coordinates[rows], starts[rows], penalties)
+        smaller = _log_size(objective, units) < size[rows]
+        smaller &= _distance_mm(objective, coordinates[rows], units) <= most[rows]
+        best[rows[smaller]] = units[smaller]
+        rows = rows[~smaller]
     return best
 
 

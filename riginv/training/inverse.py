@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from riginv.config.values import NonNegativeInt
+from riginv.config.values import NonNegativeFloat, NonNegativeInt
 from riginv.errors import InputError
 from riginv.networks.inverse import Estimate, InverseNetwork
 from riginv.rig.batches import PoseBatch
@@ -16,6 +16,8 @@ from riginv.training.losses import LengthLoss, MeanDistanceLoss
 from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
 from riginv.training.parallel import in_stages
 
+MESH_STAGES = 2  # stages at the end whose loss does not depend on the controls
+
 
 class InverseModule(RigModule):
     """Trains an inverse with a loss on meshes, with gradients through a differentiable rig.
@@ -23,6 +25,9 @@ class InverseModule(RigModule):
     Args:
         loss: of the estimate of every stage.
         sampled_vertices: the last stage's loss is the mean distance of this many vertices; 0: `loss`, as for the others.
+        control_weight: mm of loss for a control that is off by its whole range, on poses of the rig, whose controls are known:
+            they decide between several controls that make one mesh. Other meshes, and the last `MESH_STAGES` stages of all, are
+            compared by their vertices alone.
 
     Raises:
         InputError: no gradient passes through the rig.
@@ -38,6 +43,7 @@ class InverseModule(RigModule):
         make_optimizer: OptimizerFactory,
         make_schedule: ScheduleFactory,
         sampled_vertices: NonNegativeInt = 0,
+        control_weight: NonNegativeFloat = 0.0,
     ) -> None:
         super().__init__(rig, network, make_optimizer, make_schedule)
         if not rig.source.differentiable:
@@ -45,7 +51,7 @@ class InverseModule(RigModule):
                 f"no gradient passes through rig '{rig.source.name}', and the mesh loss needs one: train a surrogate of it "
                 f"with model=forward, then train the inverse through that with rig=surrogate rig.bundle=DIR"
             )
-        self.loss = loss
+        self.loss, self.control_weight = loss, control_weight
         self.last_loss = MeanDistanceLoss(rig.space.directions, sampled_vertices) if sampled_vertices else loss
 
     @classmethod
@@ -58,7 +64,7 @@ class InverseModule(RigModule):
 
     def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         estimates = self.network.estimates(batch["coordinates"])
-        values, gradients = zip(*(value_and_gradient(*pair) for pair in zip(self._stage_losses(), estimates)))
+        values, gradients = zip(*(self._value_and_gradient(each, number, batch) for number, each in enumerate(estimates)))
         loss = _PrecomputedGradients.apply(sum(values), *gradients, *(estimate.raw for estimate in estimates))
         return loss, estimates[-1].detached_coordinates
 
@@ -67,16 +73,20 @@ class InverseModule(RigModule):
         if len(parts) == 1:
             return super().loss_on_threads(batch, weights, workers)
 
-        losses = self._stage_losses()
-
         def backward(estimate: Estimate, number: int) -> tuple[Tensor, Tensor]:
-            return value_and_gradient(losses[number], estimate)
+            return self._value_and_gradient(estimate, number, batch)
 
         return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers)
 
-    def _stage_losses(self) -> list[nn.Module]:
-        """The loss of each stage's estimate."""
-        return [*(self.loss for _ in self.network.learned_parts()[1:]), self.last_loss]
+    def _value_and_gradient(self, estimate: Estimate, number: int, batch: PoseBatch) -> tuple[Tensor, Tensor]:
+        """The loss of a stage's estimate, and its gradient `(batch, control)` by the raw outputs; neither has a graph."""
+        last = len(self.network.learned_parts()) - 1
+        value, gradient = value_and_gradient(self.last_loss if number == last else self.loss, estimate)
+        known = batch.get("known_controls", batch.get("controls"))
+        if not self.control_weight or known is None or 0 < number > last - MESH_STAGES:
+            return value, gradient
+        distance, by_raw = control_distance(estimate, known)
+        return value + self.control_weight * distance, gradient + self.control_weight * by_raw
 
 
 def value_and_gradient(loss: nn.Module, estimate: Estimate) -> tuple[Tensor, Tensor]:
@@ -92,6 +102,23 @@ def value_and_gradient(loss: nn.Module, estimate: Estimate) -> tuple[Tensor, Ten
         coordinates = estimate.detached_coordinates.detach().requires_grad_()
         value = loss(coordinates, estimate.target)
     return value.detach(), estimate.vjp(torch.autograd.grad(value, coordinates)[0])
+
+
+@torch.no_grad()
+def control_distance(estimate: Estimate, known: Tensor) -> tuple[Tensor, Tensor]:
+    """The sum of the controls' errors, in fractions of their ranges, as a mean over the batch; neither value has a graph.
+
+    Args:
+        known: the true controls `(batch, control)`; rows with NaN do not count.
+
+    Returns:
+        The sum, and its gradient `(batch, control)` by the raw outputs.
+    """
+    rig = estimate.rig.source
+    controls, to_raw = estimate.control_map.with_vjp(estimate.raw.detach())
+    scale = 1 / ((rig.upper - rig.lower) * len(known))
+    change = ((controls - known) * scale).nan_to_num()
+    return change.abs().sum(), to_raw(change.sign() * scale)
 
 
 class _PrecomputedGradients(torch.autograd.Function):

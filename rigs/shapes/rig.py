@@ -9,6 +9,7 @@ from torch import Tensor
 from riginv.errors import InputError
 from riginv.rig.arkit import ArkitParts, arkit_deltas, arkit_parts
 from riginv.rig.interface import Control, LinearRig
+from riginv.rig.jacobian import Jacobian
 from rigs.shapes.build import notes_of, shape_geometry
 from rigs.shapes.folder import find_shapes
 from rigs.shapes.logic import Combination, ShapeLogic
@@ -68,6 +69,9 @@ class ShapesRig(LinearRig):
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)`, the weights of the primary shapes, to the weights `(batch, shape)` of all shapes."""
         return self.logic(controls)
+
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        return self.logic.with_jacobian(controls)
 
     def arkit_parts(self) -> dict[str, ArkitParts]:
         return arkit_parts(self.shapes.primaries)

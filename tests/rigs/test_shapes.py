@@ -13,6 +13,7 @@ from safetensors.numpy import save_file
 
 from riginv.errors import InputError
 from riginv.rig.contract import check_rig
+from riginv.rig.interface import LinearRig
 from rigs.shapes import ShapesRig
 from rigs.shapes.build import build_geometry
 from rigs.shapes.names import read_names
@@ -85,6 +86,22 @@ def test_between_sculpts_combinations_follow_their_rule(tmp_path, combination, r
     for x, y, z in weights:
         expected = POINTS + x * a + y * b + z * c + rule([x, y]) * pair + rule([x, y, z]) * triple
         np.testing.assert_allclose(posed(rig, a=x, b=y, c=z), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("combination", ["product", "min"])
+@pytest.mark.parametrize("names", ["a a25 a50 b c a_b a_b_c a50_b a_b50", "a b c a_b a_b_c", "a b"])
+def test_the_jacobian_is_the_one_of_automatic_differentiation(tmp_path, names, combination):
+    write_folder(tmp_path, **{name: POINTS + offset(number) for number, name in enumerate(names.split())})
+    rig = ShapesRig(str(tmp_path), combination=combination).double()
+    controls = torch.rand(30, len(rig.controls), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    controls[0] = 0.0
+    found, jacobian = rig.coefficient_jacobian(controls)
+    expected, by_autograd = LinearRig.coefficient_jacobian(rig, controls)
+    torch.testing.assert_close(found, expected)
+    rows = slice(1, None) if combination == "min" else slice(None)  # at rest all weights are the smallest
+    torch.testing.assert_close(jacobian.dense()[rows], by_autograd.dense()[rows])
+    gradient = torch.rand_like(found)
+    torch.testing.assert_close(jacobian.vjp(gradient)[rows], by_autograd.vjp(gradient)[rows])
 
 
 def test_deltas_come_from_arrays_and_from_meshes_that_are_said_to_hold_them(tmp_path):

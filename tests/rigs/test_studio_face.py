@@ -12,8 +12,9 @@ import torch
 from riginv.errors import InputError
 from riginv.evaluation.control_accuracy import control_accuracy
 from riginv.methods.solvers import Clip
-from riginv.rig.contract import check_rig
+from riginv.rig.contract import check_rig, random_controls
 from riginv.rig.control_effects import ControlEffects
+from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_sets import PosedRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from rigs.dna import DnaRig
@@ -133,6 +134,9 @@ def test_a_small_face_is_the_same_in_every_form(tables, tmp_path):
     assert studio.control_names == ("jawDrop", "jawLeft_jawRight", "smile_L")
     assert studio.lower.tolist() == [0, -1, 0] == [dna.lower[dna.control_names.index(n)] for n in studio.control_names]
     assert studio.expressions()["jawDrop_jawRight"] == {"jawDrop": 1, "jawLeft_jawRight": -1}
+    given = random_controls(studio, 20, 0)
+    jacobian, expected = studio.coefficient_jacobian(given)[1], LinearRig.coefficient_jacobian(studio, given)[1]
+    torch.testing.assert_close(jacobian.dense(), expected.dense())
 
 
 @pytest.mark.slow

@@ -5,16 +5,17 @@ from functools import partial
 
 import pytest
 import torch
+from torch import Tensor
 
 from riginv.errors import InputError, NonFiniteLossError
 from riginv.networks.inverse import DirectInverse, StagedInverse
 from riginv.networks.surrogate import ControlMLP
-from riginv.rig.batches import generator_at
+from riginv.rig.batches import generator_at, map_batches
 from riginv.sampling.controls import PlausibleControls
-from riginv.sampling.meshes import RigPoses
+from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
 from riginv.training.forward import ForwardModule
 from riginv.training.holden import HoldenModule
-from riginv.training.inverse import InverseModule
+from riginv.training.inverse import MESH_STAGES, InverseModule
 from riginv.training.losses import RmsVertexDistanceLoss, SquaredVertexLoss, root_mean_square_mm
 from tests.support.toys import BlackBox, ToyRig
 
@@ -65,12 +66,17 @@ class Cubes(torch.nn.Module):
 @pytest.mark.parametrize(
     "loss", [RmsVertexDistanceLoss(162), SquaredVertexLoss(162), Cubes()], ids=lambda loss: type(loss).__name__
 )
-@pytest.mark.parametrize("sampled_vertices", [0, 50])
-def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_rig(loss, sampled_vertices, face_in_space):
+@pytest.mark.parametrize(("sampled_vertices", "control_weight"), [(0, 0.0), (50, 0.1)])
+def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_rig(
+    loss, sampled_vertices, control_weight, face_in_space
+):
     rig = copy.deepcopy(face_in_space).double()
     network = StagedInverse(rig, hidden=[32], width=16, gate=8).double()
-    module = InverseModule(rig, network, loss, ADAM, CONSTANT, sampled_vertices)
-    batch = RigPoses(rig, PlausibleControls(rig)).sample(6, generator_at(0, "step"))
+    module = InverseModule(rig, network, loss, ADAM, CONSTANT, sampled_vertices, control_weight)
+    poses = RigPoses(face_in_space, PlausibleControls(face_in_space))
+    mixture = Mixture(None, {"poses": poses, "others": RandomCombinations(face_in_space)}, {"poses": 2, "others": 1})
+    batch = map_batches(Tensor.double, mixture.sample(6, generator_at(0, "step")))
+    assert torch.isfinite(batch["known_controls"]).all(dim=1).tolist() == [True] * 4 + [False] * 2
     target = batch["coordinates"]
     network.calibrate(target)
     module.log = lambda *args, **kwargs: None
@@ -78,6 +84,9 @@ def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_
     answers = network.estimates(target)
     losses = [*(loss for _ in answers[1:]), module.last_loss]
     total = sum(loss(answer.coordinates, target) for loss, answer in zip(losses, answers))
+    supervised = [answer.controls for answer in answers[:-MESH_STAGES]]
+    away = [(controls - batch["known_controls"])[:4] / (rig.source.upper - rig.source.lower) for controls in supervised]
+    total = total + control_weight * sum(each.abs().sum() for each in away) / 6
     for part in network.learned_parts():
         weights = list(part.parameters())
         for weight, expected in zip(weights, torch.autograd.grad(total, weights, retain_graph=True)):

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from riginv.errors import InputError
 from riginv.rig.interface import Control, LinearRig
+from riginv.rig.jacobian import Factor, Jacobian, Pattern
 from riginv.runs.files import read_json
 from rigs.dna.draft import Draft
 from rigs.dna.exports.blendshapes import Drive
@@ -55,6 +56,15 @@ class StudioFaceRig(LinearRig):
 
     def coefficients(self, controls: Tensor) -> Tensor:
         return self.shapes.coefficients(self.primary_weights(controls))
+
+    @torch.no_grad()
+    def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
+        """As the base class by automatic differentiation, many times as fast: solvers need it at every step."""
+        found, jacobian = self.shapes.coefficient_jacobian(self.primary_weights(controls))
+        driven = self.sign.to(controls) * controls[:, self.owner]
+        values = torch.where((driven >= 0) & (driven <= 1), self.sign.to(controls), 0.0)
+        pattern = Pattern(torch.arange(len(self.owner)).to(self.owner), self.owner, (len(self.owner), len(self.controls)))
+        return found, Jacobian((*jacobian.factors, Factor(pattern, values)))
 
     def expressions(self) -> dict[str, dict[str, float]]:
         """Each shape as sculpted, without those that no pose of the controls reaches."""

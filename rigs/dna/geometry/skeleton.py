@@ -96,7 +96,7 @@ class Skeleton(Stage):
     root: Tensor
     neutral: Tensor
     inverse_neutral: Tensor
-    level0: Tensor
+    by_level: Tensor
     order: Tensor
 
     def __init__(self, file: DnaFile, layout: Layout, space: Space, joints: np.ndarray, centre: np.ndarray) -> None:
@@ -119,15 +119,16 @@ class Skeleton(Stage):
         self.keep(neutral=neutral[..., 0], inverse_neutral=inverse_neutral)
 
     def _keep_order(self) -> None:
-        """Register, for each depth of the tree, indices of its joints and of their parents in the depth above."""
+        """Register the joints by depth in the tree, and for each depth the indices of their parents in the depth above."""
         index = torch.zeros(len(self.parents), dtype=torch.long)
         of_joint = torch.tensor(self.parents, dtype=torch.long)
         for depth, level in enumerate(self.levels):
             above = index[of_joint[level]] if depth else level
-            self.keep(**{f"level{depth}": level, f"above{depth}": above})
+            self.keep(**{f"above{depth}": above})
             index[level] = torch.arange(len(level))
         if self.levels:
-            self.keep(order=torch.cat(self.levels).argsort())
+            by_level = torch.cat(self.levels)
+            self.keep(by_level=by_level, order=by_level.argsort())
 
     def worlds(self, stage: JointStage, changes: JointChanges) -> Tensor:
         """The world transforms `(joint, 3, 4, batch)` of the joints, mm, for changes of joints."""
@@ -155,8 +156,8 @@ class Skeleton(Stage):
     def _worlds(self, linear: Tensor, offsets: Tensor) -> Tensor:
         """World transforms `(joint, 3, 4, batch)` from local ones, batched over the joints of each depth."""
         local = torch.cat([linear, offsets[:, :, None].expand(*linear.shape[:2], 1, -1)], dim=2)
-        worlds = [compose(self.root.to(local), local.index_select(0, self.level0))]
-        for depth in range(1, len(self.levels)):
-            here = local.index_select(0, self.get_buffer(f"level{depth}"))
+        first, *others = local.index_select(0, self.by_level).split([len(level) for level in self.levels])
+        worlds = [compose(self.root.to(local), first)]
+        for depth, here in enumerate(others, start=1):
             worlds.append(compose(worlds[-1].index_select(0, self.get_buffer(f"above{depth}")), here))
         return torch.cat(worlds).index_select(0, self.order)

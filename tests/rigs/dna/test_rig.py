@@ -225,6 +225,8 @@ def test_a_rig_trains_is_evaluated_and_inverted_by_the_usual_commands(run, tmp_p
     assert made.metrics["true_rig"] == "a" and "rig_poses/mean_vertex_error_mm" in made.metrics
     again = run("evaluate", f"bundle={made.folder}", "poses=8", "refine=1", small=False, folder="again")
     assert again.code == 0, again.text
+    assert ("rig_poses/optimum_is_bound" in made.metrics) == (file == "fitted")
+    assert 0 < made.metrics["rig_poses/optimum_mean_vertex_error_mm"] < made.metrics["rig_poses/mean_vertex_error_mm"]
     assert run("check", "rig=dna", "rig.file=a.dna").code == 0
     rig = DnaRig(str(tmp_path / "a.dna"))
     np.savez(tmp_path / "clip.npz", vertices=rig(random_controls(rig, 4, 0)).numpy(), faces=rig.faces.numpy())
