@@ -10,10 +10,11 @@ import roma
 import torch
 from torch import Tensor
 
+from riginv.geometry.kinematics import apply_motion, remove_motion
 from riginv.rig.interface import LinearRig
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.estimators import ControlEstimator
-from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
+from riginv.tracking.rigid import fit_rigid
 
 CONVERGED_MM = 0.01  # mean vertex displacement by an iteration, below which a frame is finished
 MIN_KNOWN = 0.02  # fraction of the vertices that must be known to solve a frame
@@ -167,15 +168,17 @@ class _AlternatingSolve:
 
     def _iterate(self, rows: Tensor, iteration: int) -> Tensor:
         """One iteration for some frames; whether each needs another."""
-        target = self.vertices[rows]
-        stabilised = target if self.rigid is None else remove_motion(self.rigid.motion[rows], target)
+        vertices = self.vertices if len(rows) == len(self.vertices) else self.vertices[rows]
+        motion = None if self.rigid is None else self.rigid.motion[rows]
         estimator, weights = self.inverter.estimator, self.inverter.weights
         if self.recovered is not None:
+            vertices, motion = vertices if motion is None else remove_motion(motion, vertices), None
             recovered = self.recovered[rows]
-            stabilised = torch.where(self.known[rows][..., None], stabilised, recovered)
+            vertices = torch.where(self.known[rows][..., None], vertices, recovered)
             if weights is not None:
-                stabilised = recovered + weights[:, None] * (stabilised - recovered)
-        self.controls[rows] = estimator.refine(stabilised, self.controls[rows]) if iteration else estimator.estimate(stabilised)
+                vertices = recovered + weights[:, None] * (vertices - recovered)
+        refined = estimator.refine(vertices, self.controls[rows], motion) if iteration else estimator.estimate(vertices, motion)
+        self.controls[rows] = refined
         return self._update(rows).norm(dim=2).mean(dim=1) > CONVERGED_MM
 
     def _update(self, rows: Tensor) -> Tensor:

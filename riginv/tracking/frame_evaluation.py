@@ -48,6 +48,7 @@ class FrameEvaluator:
         limits: FlagOptions,
     ) -> None:
         self.true_rig, self.rig, self.space, self.estimator, self.training = true_rig, rig, space, estimator, training
+        self.encode = estimator.encode if isinstance(estimator, NetworkEstimator) else space.encode
         self.evaluated, self.regions, self.limits = evaluated, regions, limits
         # Allocated once: small tensors between large temporary ones would fragment memory.
         self.mean, self.worst = torch.full((frames,), torch.nan), torch.full((frames,), torch.nan)
@@ -84,7 +85,7 @@ class FrameEvaluator:
         filled = found.filled
         if self.evaluated is not None:
             filled = torch.where(self.evaluated[:, None], filled, found.recovered)
-        coordinates = self.space.encode(filled)
+        coordinates = self.encode(filled)
         residual = (filled - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
         unreachable = (residual.clamp_min(0) / self.space.vertex_count).sqrt() > self.limits.reach_mm
         is_poor = mean > self.limits.reach_mm

@@ -50,13 +50,3 @@ def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | N
     motion = torch.eye(4).to(rotation).expand(len(rotation), -1, -1).clone()
     motion[enough, :3, :3], motion[enough, :3, 3] = rotation[enough], translation[enough]
     return motion
-
-
-def apply_motion(motion: Tensor, vertices: Tensor) -> Tensor:
-    """Apply motions `(frame, 4, 4)` to meshes `(frame, vertex, 3)`."""
-    return vertices @ motion[:, :3, :3].mT + motion[:, None, :3, 3]
-
-
-def remove_motion(motion: Tensor, vertices: Tensor) -> Tensor:
-    """The inverse of `apply_motion`."""
-    return (vertices - motion[:, None, :3, 3]) @ motion[:, :3, :3]
