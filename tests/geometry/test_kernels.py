@@ -15,6 +15,7 @@ from riginv.rig.interface import LinearRig
 from riginv.runs.threads import Workers
 from riginv.solvers.band import Band, second_difference_bands
 from riginv.solvers.box_step import box_step, predicted_change
+from riginv.tracking.rigid import fit_rigid
 from tests.conftest import ROOT
 from tests.geometry.test_curves import random_curves
 
@@ -68,6 +69,24 @@ def test_products_equal_those_of_pure_torch(combine, vjp, members):
         both(vjp, factors, members, torch.randn(9, len(members), dtype=torch.float64)),
     ):
         torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-14)
+
+
+@needs_kernels
+@pytest.mark.parametrize("meshes", [6, 1], ids=["a source for each", "one source"])
+def test_rigid_motion_equals_that_of_pure_torch(meshes):
+    source = 60 * torch.randn(meshes, 300, 3, dtype=torch.float64)
+    rotation = torch.linalg.qr(torch.randn(6, 3, 3, dtype=torch.float64))[0]
+    target = source @ (rotation * rotation.det()[:, None, None]).mT + torch.tensor([0.0, 700.0, 50.0])
+    target += torch.randn(6, 300, 3, dtype=torch.float64) * (torch.rand(6, 300, 1) < 0.3)  # what the skin does
+    target[1, ::2], target[2, 2:] = torch.nan, torch.nan
+    weights = torch.rand(300, dtype=torch.float64)
+    found, pure = both(fit_rigid, source, target, weights)
+    torch.testing.assert_close(found, pure, rtol=0, atol=1e-3)  # each frame ends on its own
+    assert torch.equal(found[2], torch.eye(4).double())  # too few points
+    start = found.clone()
+    start[:, :3, 3] += 0.5
+    for after, expected in zip(*both(fit_rigid, source, target, weights, start)):
+        torch.testing.assert_close(after, expected, rtol=0, atol=1e-3)
 
 
 @needs_kernels

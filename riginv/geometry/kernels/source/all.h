@@ -6,6 +6,7 @@
 #include "subtrees.h"
 #include "cholesky.h"
 #include "box_step.h"
+#include "rigid.h"
 
 #undef PADDING
 #undef ROWS
