@@ -36,7 +36,7 @@ class FaceSteps:
     def __init__(self, face: "FaceRig", controls: Tensor) -> None:
         self.face, self.controls = face, controls
         self.taken = face.capacity_taken.to(controls)
-        self.counts = (len(face.driver_of_shape), len(face.inbetween_shape), len(face.combination_members))
+        self.counts = face.counts
         self.compiled = kernels_for(controls)
         self.state: Tensor | None = None
         if self.compiled is None:
@@ -46,19 +46,16 @@ class FaceSteps:
 
     def _evaluate_compiled(self, compiled: Kernels, face: "FaceRig", controls: Tensor) -> None:
         """The steps by a kernel, which leaves their results in one tensor."""
-        shapes, betweens, _ = self.counts
-        drivers, ceilings, regions = len(face.driver_curves), len(face.ceiling_curves), len(face.limit_curves)
-        sizes = [drivers, drivers, shapes, ceilings, ceilings, regions, regions, shapes, betweens]
-        rows = plain_rows(controls)
-        self.state = rows.new_empty(len(rows) * sum(sizes))
-        self.weights = rows.new_empty(len(rows), sum(self.counts))
+        rows, batch = plain_rows(controls), controls.shape[0]
+        self.state = rows.new_empty(batch * sum(face.step_sizes))
+        self.weights = rows.new_empty(batch, sum(self.counts))
         self.logic = face.logic(controls)
-        compiled.call("shapes", rows.dtype, *self.logic, rows, rows.stride(0), self.state, self.weights, len(rows))
-        parts = self.state.split([len(rows) * size for size in sizes])
-        steps = [part.view(len(rows), size) for part, size in zip(parts, sizes)]
+        compiled.call("shapes", rows.dtype, *self.logic, rows, rows.stride(0), self.state, self.weights, batch)
+        parts = self.state.split([batch * size for size in face.step_sizes])
+        steps = [part.view(batch, size) for part, size in zip(parts, face.step_sizes)]
         self.driven, self.rise, self.limited, self.below, self.under_derivative = steps[:5]
         self.yielding, self.yield_derivative, self.factor, self.bump_derivative = steps[5:]
-        self.primary = self.weights[:, :shapes]
+        self.primary = self.weights[:, : self.counts[0]]
 
     def _evaluate(self, face: "FaceRig", controls: Tensor) -> None:
         self.driven, self.rise = curves_and_derivatives(

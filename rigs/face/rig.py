@@ -79,6 +79,10 @@ class FaceRig(LinearRig):
             inbetween_curves=self._curves([bump(position, count) for position, count in zip(positions, counts)]),
         )
 
+        driven, ceilings, regions, betweens = len(drivers), len(CEILINGS), len(REGIONS), len(positions)
+        self.counts = (len(shapes), betweens, len(members))  # of weights: primary shapes, in-betweens, combinations
+        self.step_sizes = (driven, driven, len(shapes), ceilings, ceilings, regions, regions, len(shapes), betweens)
+
     def arkit_deltas(self) -> dict[str, Tensor]:
         row = {name: number for number, name in enumerate(self.coefficient_names)}
         halves = {name: (name + "Left", name + "Right") if name in ARKIT_SPLIT else (name,) for name in ARKIT_NAMES}
