@@ -72,7 +72,7 @@ class InverseModule(RigModule):
         def backward(estimate: Estimate, number: int) -> tuple[Tensor, Tensor]:
             return value_and_gradient(losses[number], estimate)
 
-        return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers)
+        return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers, self.draw_ahead)
 
     def _stage_losses(self) -> list[nn.Module]:
         """The loss of each stage's estimate."""
