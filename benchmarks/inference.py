@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=64)
     options = parser.parse_args()
     quick, exact = load_inverse(options.bundle), load_inverse(options.bundle)
-    exact.encoder = QuickEncoder(exact.network.rig.space, rounded=False)
+    exact.encoder = QuickEncoder(exact.network.rig, rounded=False)
     rig = quick.rig
     torch.manual_seed(0)
     controls = rig.neutral_controls + 0.3 * torch.rand(options.batch, len(rig.controls)) * (rig.upper - rig.neutral_controls)

@@ -17,8 +17,9 @@ import torch
 from torch import Tensor
 
 from riginv.clips.performance import simulated_performance
+from riginv.geometry.kinematics import apply_motion, remove_motion
 from riginv.meshes.obj import obj_text
-from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
+from riginv.tracking.rigid import fit_rigid
 from rigs.face import FaceRig
 
 OFFSET_MM, BUMPS, WIDTH_MM = 4.3, 40, 35.0  # mean size of the field, and the smooth bumps that make it

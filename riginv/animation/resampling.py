@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 
@@ -50,6 +49,8 @@ def _at(animation: Animation, times: np.ndarray, numbers: Tensor, fps: float) ->
     if len(seconds) == 1:
         values, motion = controls.repeat(len(times), 1), animation.motion
     else:
+        from scipy.interpolate import PchipInterpolator  # takes half a second
+
         between = PchipInterpolator(seconds, controls.double().numpy(), axis=0)(times)
         lower, upper = animation.rig.lower.cpu(), animation.rig.upper.cpu()
         values = torch.tensor(between).to(controls).clamp(lower, upper)  # rounding may exceed a limit

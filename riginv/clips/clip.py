@@ -59,10 +59,14 @@ class Clip(MeshSet):
         points = torch.from_numpy(self.sequence.read(self.offset + start, self.offset + stop))
         if not bool((self.units.axes == torch.eye(3)).all()):
             points = points @ self.units.axes.T
-        points = points * self.units.mm
-        points = torch.where(torch.isfinite(points).all(dim=2, keepdim=True), points, torch.nan)
-        points[self.excluded[start:stop]] = torch.nan
-        self._check(points, start)
+        if self.units.mm != 1:
+            points = points * self.units.mm
+        excluded = self.excluded[start:stop]
+        if bool(excluded.any()):
+            points = torch.where(excluded[:, None, None], torch.nan, points)
+        if not (len(points) and bool(torch.stack(points.aminmax()).abs().max() <= MAX_RADIUS_MM)):  # NaN, or too far
+            points = torch.where(torch.isfinite(points).all(dim=2, keepdim=True), points, torch.nan)
+            self._check(points, start)
         self.motion_check.add(start, points)
         return points
 

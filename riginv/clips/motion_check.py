@@ -5,6 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from riginv.meshes.metrics import frame_distances
+
 STILL = 1e-5  # of the mesh size: smaller displacements from the first frame are no motion
 SAME = 1e-6  # of the mesh size: frames that differ by less are the same
 LONGEST_REPEAT = 8  # consecutive equal frames; more are a held pose
@@ -72,17 +74,20 @@ class MotionCheck:
     def _measure(self, rows: Tensor, vertices: Tensor, before: Tensor, new: Tensor, follows: Tensor) -> None:
         """Measure the new ones of consecutive frames; `before` is the mesh before them, where the first one follows one."""
         self.seen[rows] = True
-        known = torch.isfinite(vertices).all(dim=2)
-        enough = known.float().mean(dim=1) > KNOWN
+        enough = torch.ones(len(rows), dtype=torch.bool)
+        if not bool(vertices.sum().isfinite()):
+            enough = torch.isfinite(vertices).all(dim=2).float().mean(dim=1) > KNOWN
         if self._first is None:
             if not bool(enough.any()):
                 return
-            row = int(enough.int().argmax())
-            self._first = vertices[row].clone()
-            self.extent = self._first[known[row]].amax(dim=0) - self._first[known[row]].amin(dim=0)
+            self._first = vertices[int(enough.int().argmax())].clone()
+            known = self._first[torch.isfinite(self._first).all(dim=1)]
+            self.extent = known.amax(dim=0) - known.amin(dim=0)
+        far = frame_distances(vertices, self._first[None])
+        steps = (frame_distances(vertices[:1], before), frame_distances(vertices[1:], vertices[:-1]))
+        distance, vertex = (torch.cat([getattr(step, name) for step in steps]) for name in ("worst", "vertex"))
         new, moved = new & enough, new & enough & follows
-        self.displacement_mm[rows[new]] = _farthest(vertices, self._first)[0][new]
-        distance, vertex = _farthest(vertices, torch.cat([before, vertices[:-1]]))
+        self.displacement_mm[rows[new]] = far.worst[new]
         self.moved_mm[rows[moved]], self.moved_vertex[rows[moved]] = distance[moved], vertex[moved]
 
     @property
@@ -146,12 +151,6 @@ class MotionCheck:
             finding = f"every mesh is there {runs[0] + 1} times in a row"
         advice = f" (after.fps={rate:.3g} gives curves at that rate)" if regular else ""
         return f"its frames repeat: {finding}: written at {self.fps:g} frames a second and animated at about {rate:.3g}{advice}"
-
-
-def _farthest(meshes: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
-    """The largest distance between meshes `(frame, vertex, 3)` at vertices known in both, and the index of the vertex."""
-    distance, vertex = (meshes - other).square().sum(dim=2).nan_to_num(0.0).max(dim=1)
-    return distance.sqrt(), vertex
 
 
 def _runs(flags: Tensor) -> list[int]:

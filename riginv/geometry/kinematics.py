@@ -15,6 +15,16 @@ from riginv.errors import InputError
 LEAF = 0.3  # length of a leaf bone, as a fraction of the distance to its parent
 
 
+def apply_motion(motion: Tensor, vertices: Tensor) -> Tensor:
+    """Apply motions `(frame, 4, 4)` to meshes `(frame, vertex, 3)`."""
+    return vertices @ motion[:, :3, :3].mT + motion[:, None, :3, 3]
+
+
+def remove_motion(motion: Tensor, vertices: Tensor) -> Tensor:
+    """The inverse of `apply_motion`."""
+    return (vertices - motion[:, None, :3, 3]) @ motion[:, :3, :3]
+
+
 def tree_levels(parents: Sequence[int], names: Sequence[str] | None = None) -> list[Tensor]:
     """The joints of each depth of a tree, roots first; joints may be in any order, and there may be several roots.
 

@@ -41,6 +41,7 @@ class MeshSpace(nn.Module):
         self.register_buffer("rest_vertices", rest_vertices, persistent=False)
         self.register_buffer("directions", directions, persistent=False)
         self.residual_mm = residual_mm
+        self._mapped: tuple[Tensor, Tensor, Tensor] | None = None  # basis and directions, and the linear map between them
 
     @classmethod
     def from_rig(cls, rig: LinearRig) -> "MeshSpace":
@@ -101,6 +102,12 @@ class MeshSpace(nn.Module):
     def vertex_count(self) -> int:
         return len(self.rest_vertices)
 
+    def linear_map(self, basis: Float[Tensor, "coefficient vertex 3"]) -> Float[Tensor, "coefficient coordinate"]:
+        """The mesh coordinates of each row of a basis; that of the last basis is kept, for the rigs that share it."""
+        if self._mapped is None or self._mapped[0] is not basis or self._mapped[1] is not self.directions:
+            self._mapped = basis, self.directions, basis.flatten(1) @ self.directions.flatten(1).T
+        return self._mapped[2]
+
     def encode(self, vertices: Float[Tensor, "batch vertex 3"]) -> Float[Tensor, "batch coordinate"]:
         """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`, by orthogonal projection."""
         return (vertices - self.rest_vertices).flatten(1) @ self.directions.flatten(1).T
@@ -143,7 +150,7 @@ class RigInMeshSpace(nn.Module):
     def __init__(self, rig: LinearRig, space: MeshSpace) -> None:
         super().__init__()
         self.source, self.space = rig, space
-        self.register_buffer("linear_map", rig.basis.flatten(1) @ space.directions.flatten(1).T, persistent=False)
+        self.register_buffer("linear_map", space.linear_map(rig.basis), persistent=False)
         self.register_buffer("neutral_coefficients", rig.neutral_coefficients().detach(), persistent=False)
 
     def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coordinate"]:

@@ -161,19 +161,21 @@ def _improve(
     objective: Minimised, near: Linearised, at: Tensor, target: tuple[Tensor, ...], damping: Tensor, longest: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Try a step, again with more damping where it fails: the new controls, costs and dampings."""
-    moved, cost, damping = at.clone(), near.cost.clone(), damping.clone()
+    moved, cost, damping, every = at.clone(), near.cost.clone(), damping.clone(), target
     trying = torch.arange(len(at), device=at.device)
-    raise_by = 4.0
-    for _ in range(TRIES):
-        gradient, hessian = near.gradient[trying], near.hessian[trying]
-        step = box_step(hessian, gradient, at[trying], damping_diagonal(hessian, damping[trying])).clamp(-longest, longest)
-        found = objective.cost(at[trying] + step, *(values[trying] for values in target))
+    gradient, hessian, start, raise_by = near.gradient, near.hessian, at, 4.0
+    for number in range(TRIES):
+        if number:
+            gradient, hessian, start = near.gradient[trying], near.hessian[trying], at[trying]
+            target = tuple(values[trying] for values in every)
+        step = box_step(hessian, gradient, start, damping_diagonal(hessian, damping[trying])).clamp(-longest, longest)
+        found = objective.cost(start + step, *target)
         predicted = -predicted_change(hessian, gradient, step)
         better = found < cost[trying]
         kept = trying[better]
         ratio = ((near.cost[kept] - found[better]) / predicted[better].clamp_min(torch.finfo(at.dtype).tiny)).clamp(max=1.5)
         damping[kept] *= (1 - (2 * ratio - 1) ** 3).clamp(0.1, 3.0)  # Nielsen's rule
-        moved[kept], cost[kept] = at[kept] + step[better], found[better]
+        moved[kept], cost[kept] = (start + step)[better], found[better]
         trying = trying[~better]
         if not len(trying):
             break

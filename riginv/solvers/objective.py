@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -96,7 +97,6 @@ class Objective:
         self.is_sparse = bool(torch.as_tensor(sparsity).any())
         dtype = dtype or rig.linear_map.dtype
         self.map = rig.linear_map.to(dtype)
-        self.metric = _metric(rig, self.map)
         self.rest = rig.neutral_coefficients.to(dtype)
         self.learned = None if learned is None else learned.scaled(self.vertex_count, dtype)
         self.distance: Callable[[Tensor], Distance] = squared_distance
@@ -107,6 +107,13 @@ class Objective:
     @property
     def controls(self) -> int:
         return len(self.span)
+
+    @functools.cached_property
+    def metric(self) -> Tensor:
+        """R^T R `(coefficient, coefficient)`, sparse where few coefficients move common vertices, as in skinning."""
+        together = _move_together(self.rig.source.basis.flatten(1))
+        metric = torch.where(together, self.map @ self.map.T, 0.0)
+        return metric.to_sparse_csr() if together.double().mean() < SPARSE else metric
 
     @functools.cached_property
     def features(self) -> RigFeatures | None:
@@ -213,9 +220,11 @@ class Objective:
         return cost, gradient, curvature
 
 
-def _metric(rig: RigInMeshSpace, linear_map: Tensor) -> Tensor:
-    """R^T R `(coefficient, coefficient)`, sparse where few coefficients move common vertices, as in skinning."""
-    moves = rig.source.basis.abs().flatten(1)
-    together = (moves @ moves.T) > 0
-    metric = torch.where(together, linear_map @ linear_map.T, 0.0)
-    return metric.to_sparse_csr() if together.double().mean() < SPARSE else metric
+def _move_together(rows: Tensor) -> Tensor:
+    """Whether two rows `(row, number)` are both other than 0 anywhere, `(row, row)`."""
+    moves = rows != 0
+    if rows.device.type != "cpu":
+        return (moves.to(rows.dtype) @ moves.to(rows.dtype).T) > 0
+    bits = np.packbits(moves.numpy(), axis=1)  # far fewer operations than a product of the rows
+    words = np.pad(bits, ((0, 0), (0, -bits.shape[1] % 8))).view(np.uint64)
+    return torch.from_numpy(np.stack([(words & row).any(axis=1) for row in words]))

@@ -19,6 +19,7 @@ from riginv.solvers.objective import Objective
 OFFSET = 0.02  # from neutral, as a fraction of a control's range
 BATCH_SIZE = 128
 SEED = 20221206
+MEMORY, SQUARE_MEMORY, SMALLEST = 0.9, 0.999, 1e-8  # of Adam
 
 
 def first_start(objective: Objective, coordinates: Float[Tensor, "mesh coordinate"]) -> Float[Tensor, "mesh control"]:
@@ -87,8 +88,8 @@ def descend(
     """
     backend = rig.source
     span = backend.upper - backend.lower
-    unit = ((start - backend.lower) / span).detach().clone().requires_grad_()  # fractions of the ranges: one rate fits all
-    optimizer = torch.optim.Adam([unit], lr=lr)
+    unit = ((start - backend.lower) / span).detach().clone()  # fractions of the ranges: one rate fits all
+    mean, square = torch.zeros_like(unit), torch.zeros_like(unit)  # torch.optim would import its compiler, for two seconds
     best, least = start.clone(), torch.full_like(start[:, 0], torch.inf)
     with torch.no_grad():
         for step in range(steps + 1):
@@ -100,9 +101,10 @@ def descend(
             least = torch.where(better, errors, least)
             if step == steps:
                 break
-            unit.grad = (2 / rig.space.vertex_count * span * vjp(gradient)).nan_to_num_()
-            if anneal:
-                optimizer.param_groups[0]["lr"] = lr * (1 + math.cos(math.pi * step / steps)) / 2
-            optimizer.step()
-            unit.clamp_(0, 1)
+            slope = (2 / rig.space.vertex_count * span * vjp(gradient)).nan_to_num_()
+            mean.lerp_(slope, 1 - MEMORY)
+            square.mul_(SQUARE_MEMORY).addcmul_(slope, slope, value=1 - SQUARE_MEMORY)
+            scale = (square / (1 - SQUARE_MEMORY ** (step + 1))).sqrt_().add_(SMALLEST)
+            rate = lr * (1 + math.cos(math.pi * step / steps)) / 2 if anneal else lr
+            unit.addcdiv_(mean, scale, value=-rate / (1 - MEMORY ** (step + 1))).clamp_(0, 1)
     return best.clamp(backend.lower, backend.upper)

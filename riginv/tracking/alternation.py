@@ -10,15 +10,21 @@ import roma
 import torch
 from torch import Tensor
 
+from riginv.geometry.kinematics import apply_motion, remove_motion
 from riginv.rig.interface import LinearRig
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.estimators import ControlEstimator
-from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
+from riginv.tracking.rigid import fit_rigid
 
 CONVERGED_MM = 0.01  # mean vertex displacement by an iteration, below which a frame is finished
 MIN_KNOWN = 0.02  # fraction of the vertices that must be known to solve a frame
 MIN_KNOWN_VERTICES = 3
 KEY_STRIDE = 8  # between the frames of a window that are solved first
+
+
+def is_finite(values: Tensor) -> bool:
+    """Whether values are all finite, and no more than a sum of them can hold; faster than a look at each."""
+    return bool(values.sum().isfinite())
 
 
 def interpolate_controls(controls: Tensor, known: Tensor, numbers: Tensor) -> Tensor:
@@ -61,7 +67,7 @@ class WindowResult:
         controls: `(frame, control)`; neutral where the frame cannot be solved.
         motion: `(frame, 4, 4)` from the rig's mesh to the world; None where rigid motion is kept.
         stabilised: the meshes without rigid motion, `(frame, vertex, 3)`; NaN where a vertex is not known.
-        filled: the same, with the rig's mesh where a vertex is not known.
+        filled: the same, with the rig's mesh where a vertex is not known; `stabilised` itself where all are.
         recovered: the rig at the controls, `(frame, vertex, 3)`.
         solvable: whether enough vertices are known to solve the frame, `(frame,)`.
     """
@@ -93,13 +99,16 @@ class WindowInverter:
     @torch.no_grad()
     def invert(self, vertices: Tensor) -> WindowResult:
         """Invert meshes `(frame, vertex, 3)`, mm; NaN where a vertex is not known."""
-        known = torch.isfinite(vertices).all(dim=2)
+        known = torch.ones(vertices.shape[:2], dtype=torch.bool)
+        if not is_finite(vertices):
+            known = torch.isfinite(vertices).all(dim=2)
         solvable = (known.float().mean(dim=1) >= MIN_KNOWN) & (known.sum(dim=1) >= MIN_KNOWN_VERTICES)
         controls = self.rig.neutral_controls.expand(len(vertices), -1).clone()
         motion = None if self.anchors is None else torch.eye(4).expand(len(vertices), -1, -1).clone()
         rows = solvable.nonzero()[:, 0]
         if len(rows):
-            alternation = _AlternatingSolve(self, vertices[rows], known[rows])
+            every = len(rows) == len(vertices)
+            alternation = _AlternatingSolve(self, vertices if every else vertices[rows], known[rows])
             controls[rows] = alternation.solve()
             if motion is not None and alternation.rigid is not None:
                 motion[rows] = alternation.rigid.motion
@@ -110,7 +119,9 @@ class WindowInverter:
         """The result for given controls and motion."""
         stabilised = vertices if motion is None else remove_motion(motion, vertices)
         recovered = self.rig(controls)
-        filled = torch.where(torch.isfinite(stabilised).all(dim=2, keepdim=True), stabilised, recovered)
+        filled = stabilised
+        if not is_finite(stabilised):
+            filled = torch.where(torch.isfinite(stabilised).all(dim=2, keepdim=True), stabilised, recovered)
         return WindowResult(controls, motion, stabilised, filled, recovered, solvable)
 
 
@@ -167,15 +178,17 @@ class _AlternatingSolve:
 
     def _iterate(self, rows: Tensor, iteration: int) -> Tensor:
         """One iteration for some frames; whether each needs another."""
-        target = self.vertices[rows]
-        stabilised = target if self.rigid is None else remove_motion(self.rigid.motion[rows], target)
+        vertices = self.vertices if len(rows) == len(self.vertices) else self.vertices[rows]
+        motion = None if self.rigid is None else self.rigid.motion[rows]
         estimator, weights = self.inverter.estimator, self.inverter.weights
         if self.recovered is not None:
+            vertices, motion = vertices if motion is None else remove_motion(motion, vertices), None
             recovered = self.recovered[rows]
-            stabilised = torch.where(self.known[rows][..., None], stabilised, recovered)
+            vertices = torch.where(self.known[rows][..., None], vertices, recovered)
             if weights is not None:
-                stabilised = recovered + weights[:, None] * (stabilised - recovered)
-        self.controls[rows] = estimator.refine(stabilised, self.controls[rows]) if iteration else estimator.estimate(stabilised)
+                vertices = recovered + weights[:, None] * (vertices - recovered)
+        refined = estimator.refine(vertices, self.controls[rows], motion) if iteration else estimator.estimate(vertices, motion)
+        self.controls[rows] = refined
         return self._update(rows).norm(dim=2).mean(dim=1) > CONVERGED_MM
 
     def _update(self, rows: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ from riginv.clips.open import open_clip
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.errors import InputError
 from riginv.evaluation.optimum import rig_digest
+from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
@@ -26,7 +27,6 @@ from riginv.tracking.anchors import Anchors
 from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
 from riginv.tracking.options import SolverOptions, TrackingOptions
-from riginv.tracking.rigid import remove_motion
 from riginv.tracking.rigid_check import anchors_if_moving
 from riginv.tracking.stability import has_root_controls, stability_weights
 

@@ -8,6 +8,7 @@ from riginv.animation.animation import FrameErrors, SampledOptimum
 from riginv.clips.clip import Clip
 from riginv.evaluation.control_accuracy import control_accuracy
 from riginv.evaluation.optimum import TOLERANCE
+from riginv.geometry.kinematics import remove_motion
 from riginv.geometry.neighbours import evenly
 from riginv.meshes.metrics import mean_distance
 from riginv.rig.control_effects import ControlEffects
@@ -16,7 +17,6 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import descend_mean_distance, refine_meshes, solve_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.frame_evaluation import FrameEvaluator
-from riginv.tracking.rigid import remove_motion
 from riginv.tracking.run import Inversion
 
 FRAMES = 8

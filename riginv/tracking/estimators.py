@@ -1,11 +1,13 @@
 """Estimators of controls from filled meshes without rigid motion: a network, a solver, or a network and then a solver."""
 
+import itertools
 from abc import ABC, abstractmethod
 
 import torch
 from torch import Tensor
 
-from riginv.inference.inverse import Inverse
+from riginv.geometry.kinematics import remove_motion
+from riginv.inference.inverse import Inverse, QuickEncoder
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import EXACT, refine_meshes, solve_frames, solve_from_guess
 from riginv.solvers.fewer_controls import with_fewer_controls
@@ -22,7 +24,7 @@ UNCONVERGED_MM = 0.02  # root mean square distance that a further solver step wo
 
 
 class ControlEstimator(ABC):
-    """Maps filled meshes `(frame, vertex, 3)`, mm, without rigid motion, to controls `(frame, control)`.
+    """Maps filled meshes `(frame, vertex, 3)`, mm, to controls `(frame, control)`; rigid `motion`, if any, is removed first.
 
     Attributes:
         frames_are_independent: whether the controls of a frame do not depend on the others.
@@ -31,11 +33,11 @@ class ControlEstimator(ABC):
     frames_are_independent = False
 
     @abstractmethod
-    def estimate(self, vertices: Tensor) -> Tensor:
+    def estimate(self, vertices: Tensor, motion: Tensor | None = None) -> Tensor:
         """The controls of consecutive frames."""
 
     @abstractmethod
-    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
+    def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:
         """The controls of meshes that changed a little since `controls` were estimated."""
 
     @abstractmethod
@@ -53,17 +55,20 @@ class NetworkEstimator(ControlEstimator):
     frames_are_independent = True
 
     def __init__(self, inverse: Inverse, constraints: ControlConstraints, rig: RigInMeshSpace) -> None:
-        self.inverse, self.constraints, self.space = inverse, constraints, rig.space
+        self.inverse, self.constraints = inverse, constraints
         self.scale = rig.source.scale if isinstance(rig.source, ActorRig) else 1.0
+        self.encode = inverse.encoder if rig is inverse.network.rig else QuickEncoder(rig, rounded=False)
+        _ = self.encode.sparse  # before threads use it
 
     @torch.no_grad()
-    def estimate(self, vertices: Tensor) -> Tensor:
-        network = self.inverse.network
-        controls = torch.cat([network(self.space.encode(batch) / self.scale) for batch in vertices.split(BATCH_SIZE)])
+    def estimate(self, vertices: Tensor, motion: Tensor | None = None) -> Tensor:
+        motions = itertools.repeat(None) if motion is None else motion.split(BATCH_SIZE)
+        batches = zip(vertices.split(BATCH_SIZE), motions)
+        controls = torch.cat([self.inverse.network(self.encode(*batch) / self.scale) for batch in batches])
         return torch.where(self.constraints.free, controls, self.constraints.values)
 
-    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
-        return self.estimate(vertices)
+    def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:
+        return self.estimate(vertices, motion)
 
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         return torch.ones(len(vertices), dtype=torch.bool)
@@ -107,7 +112,8 @@ class SolverEstimator(ControlEstimator):
         """All controls of free controls as fractions of their ranges, the inverse of `units`."""
         return self.rig.all_controls(self.objective.to_controls(units))
 
-    def estimate(self, vertices: Tensor) -> Tensor:
+    def estimate(self, vertices: Tensor, motion: Tensor | None = None) -> Tensor:
+        vertices = vertices if motion is None else remove_motion(motion, vertices)
         coordinates = self.space.encode(vertices)
         if self.start is not None:
             start = self.units(self.start.estimate(vertices))
@@ -127,8 +133,8 @@ class SolverEstimator(ControlEstimator):
         filled = torch.where(torch.isfinite(vertices), vertices, self.rig.rest_vertices)
         return self.objective.units(self.rig.first_guess(filled)).nan_to_num(0.5).clamp(0, 1)
 
-    def refine(self, vertices: Tensor, controls: Tensor) -> Tensor:
-        coordinates = self.space.encode(vertices)
+    def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:
+        coordinates = self.space.encode(vertices if motion is None else remove_motion(motion, vertices))
         found = refine_meshes(self.objective, coordinates, self.units(controls), UPDATE_STEPS)
         return self._selected(coordinates, found.units)
 

@@ -12,6 +12,7 @@ from riginv.animation.animation import (
     OUTSIDE_TRAINING_RANGE,
     FrameErrors,
 )
+from riginv.meshes.metrics import FrameDistances, frame_distances
 from riginv.rig.interface import RigBackend
 from riginv.rig.mesh_space import MeshSpace
 from riginv.tracking.alternation import WindowResult
@@ -48,6 +49,7 @@ class FrameEvaluator:
         limits: FlagOptions,
     ) -> None:
         self.true_rig, self.rig, self.space, self.estimator, self.training = true_rig, rig, space, estimator, training
+        self.encode = estimator.encode if isinstance(estimator, NetworkEstimator) else space.encode
         self.evaluated, self.regions, self.limits = evaluated, regions, limits
         # Allocated once: small tensors between large temporary ones would fragment memory.
         self.mean, self.worst = torch.full((frames,), torch.nan), torch.full((frames,), torch.nan)
@@ -64,28 +66,27 @@ class FrameEvaluator:
             converged: whether each frame did, `(frame,)`, where it is known; else the estimator tells.
         """
         recovered = found.recovered if self.true_rig is self.rig else self.true_rig(found.controls)
-        distance = (recovered - found.stabilised).norm(dim=2)
-        known = torch.isfinite(distance)
-        if self.evaluated is not None:
-            known &= self.evaluated
-        distance = torch.where(known, distance, 0.0)
-        counts = known.sum(dim=1)
-        mean = torch.where(counts > 0, distance.sum(dim=1) / counts.clamp_min(1), torch.nan)
-        worst, vertex = distance.max(dim=1)
+        distances = frame_distances(found.stabilised, recovered, self.evaluated)
+        neutral = frame_distances(found.stabilised, self.true_rig.rest_vertices[None], self.evaluated)
+        mean = torch.where(distances.known > 0, distances.mean, torch.nan)
         rows = slice(first, first + len(mean))
-        self.mean[rows], self.vertex[rows] = mean, vertex
-        self.worst[rows] = torch.where(counts > 0, worst, torch.nan)
-        neutral = torch.where(known, (self.true_rig.rest_vertices - found.stabilised).norm(dim=2), 0.0)
-        self.neutral[rows] = torch.where(counts > 0, neutral.sum(dim=1) / counts.clamp_min(1), torch.nan)
+        self.mean[rows], self.vertex[rows] = mean, distances.vertex
+        self.worst[rows] = torch.where(distances.known > 0, distances.worst, torch.nan)
+        self.neutral[rows] = torch.where(neutral.known > 0, neutral.mean, torch.nan)
         converged = self.estimator.converged(found.filled, found.controls) if converged is None else converged
-        self.flags[rows] = self._flags(found, mean, converged)
+        self.flags[rows] = self._flags(found, mean, converged, neutral)
 
-    def _flags(self, found: WindowResult, mean: Tensor, converged: Tensor) -> list[list[str]]:
+    def _flags(self, found: WindowResult, mean: Tensor, converged: Tensor, neutral: FrameDistances) -> list[list[str]]:
         filled = found.filled
         if self.evaluated is not None:
             filled = torch.where(self.evaluated[:, None], filled, found.recovered)
-        coordinates = self.space.encode(filled)
-        residual = (filled - self.space.rest_vertices).square().sum(dim=(1, 2)) - coordinates.square().sum(dim=1)
+        coordinates = self.encode(filled)
+        if filled is found.stabilised and self.true_rig is self.rig:
+            squares, has_unknown = neutral.squares, torch.zeros_like(converged)
+        else:
+            squares = frame_distances(filled, self.space.rest_vertices[None]).squares
+            has_unknown = ~torch.isfinite(found.stabilised).all(dim=2).all(dim=1)
+        residual = squares - coordinates.double().square().sum(dim=1)
         unreachable = (residual.clamp_min(0) / self.space.vertex_count).sqrt() > self.limits.reach_mm
         is_poor = mean > self.limits.reach_mm
         if isinstance(self.estimator, NetworkEstimator):  # the error may be the network's, and only a solver could show it
@@ -93,7 +94,6 @@ class FrameEvaluator:
         unusual = torch.zeros_like(converged)
         if self.training is not None:
             unusual = self.training.outside_mm(coordinates) > self.limits.range_mm
-        has_unknown = ~torch.isfinite(found.stabilised).all(dim=2).all(dim=1)
         named = {
             OUTSIDE_TRAINING_RANGE: unusual & found.solvable,
             OUTSIDE_REACH: (unreachable | (is_poor & converged)) & found.solvable,

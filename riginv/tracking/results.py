@@ -13,11 +13,11 @@ from riginv.animation.resampling import resampled
 from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.description_text import in_short, rows
+from riginv.geometry.kinematics import remove_motion
 from riginv.runs.tables import control_lines
 from riginv.tracking.actors.actor import Actor
 from riginv.tracking.actors.files import write_actor
 from riginv.tracking.options import AfterOptions, LookOptions
-from riginv.tracking.rigid import remove_motion
 from riginv.tracking.run import Advance
 from riginv.viewer.page import ClipSource, write_viewer
 from riginv.viewer.sheet import write_sheet

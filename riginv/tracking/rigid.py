@@ -9,6 +9,8 @@ import roma
 import torch
 from torch import Tensor
 
+from riginv.geometry.kernels.library import Kernels, kernels_for
+
 ITERATIONS = 8  # of reweighting, without a start
 ITERATIONS_FROM_START = 3
 SCALE = 3.0  # scale of the weights, in median distances
@@ -28,6 +30,8 @@ def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | N
     Returns:
         motions; the identity where fewer than three vertices are known.
     """
+    if (compiled := kernels_for(source, target, weights, *([] if start is None else [start]))) is not None:
+        return _compiled(compiled, source, target, weights, start)
     known = torch.isfinite(target).all(dim=2)
     base = weights * known
     enough = (base > 0).sum(dim=1) >= 3
@@ -52,11 +56,19 @@ def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | N
     return motion
 
 
-def apply_motion(motion: Tensor, vertices: Tensor) -> Tensor:
-    """Apply motions `(frame, 4, 4)` to meshes `(frame, vertex, 3)`."""
-    return vertices @ motion[:, :3, :3].mT + motion[:, None, :3, 3]
-
-
-def remove_motion(motion: Tensor, vertices: Tensor) -> Tensor:
-    """The inverse of `apply_motion`."""
-    return (vertices - motion[:, None, :3, 3]) @ motion[:, :3, :3]
+def _compiled(compiled: Kernels, source: Tensor, target: Tensor, weights: Tensor, start: Tensor | None) -> Tensor:
+    """`fit_rigid` by a kernel, which ends the iterations of each frame on its own."""
+    frames, points = target.shape[:2]
+    motion = target.new_empty(frames, 4, 4) if start is None else start.clone(memory_format=torch.contiguous_format)
+    numbers = target.new_tensor([SCALE, MIN_SCALE_MM, CONVERGED_MM])
+    given = (
+        source.contiguous(),
+        int(len(source) == 1),
+        target.contiguous(),
+        weights.contiguous(),
+        numbers,
+        int(start is not None),
+    )
+    iterations = ITERATIONS if start is None else ITERATIONS_FROM_START
+    compiled.call("fit_rigid", target.dtype, *given, iterations, points, motion, frames)
+    return motion

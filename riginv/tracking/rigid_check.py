@@ -10,12 +10,13 @@ import torch
 from torch import Tensor
 
 from riginv.clips.clip import Clip
+from riginv.geometry.kinematics import apply_motion
 from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.tracking.alternation import MIN_KNOWN_VERTICES, WindowInverter, WindowResult
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.estimators import ControlEstimator
-from riginv.tracking.rigid import apply_motion, fit_rigid
+from riginv.tracking.rigid import fit_rigid
 
 PROBED, SOLVED, FARTHEST = 128, 12, 4  # frames that are fitted, that are solved, and that moved farthest among these
 OBVIOUS = 0.02  # median motion, relative to the mesh size, that needs no solving

@@ -9,7 +9,6 @@ from riginv.evaluation.results import check_same_controls, make_true_rig
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet, StoredMeshes
-from riginv.store.training import rig_of_store
 from riginv.tracking.capture import open_capture
 
 
@@ -25,7 +24,11 @@ def build_rig(spec: ClassSpec[RigBackend], mesh_space: MeshSpaceConfig, store: s
     rig = spec.build()
     if isinstance(rig, LinearRig):
         return rig
-    return rig_of_store(store, rig) if store else BlackBoxRig.sampled(rig, mesh_space.samples, mesh_space.residual_mm)
+    if store:
+        from riginv.store.training import rig_of_store  # zarr takes half a second, and most rigs need none
+
+        return rig_of_store(store, rig)
+    return BlackBoxRig.sampled(rig, mesh_space.samples, mesh_space.residual_mm)
 
 
 def build_true_rig(spec: ClassSpec[RigBackend] | None, rig: RigBackend) -> RigBackend:

@@ -19,7 +19,7 @@ from riginv.tracking.frame_evaluation import FrameEvaluator
 from riginv.tracking.options import SolverOptions
 from riginv.tracking.rigid import fit_rigid
 
-PARTS = 2  # of a window, for as many threads
+PARTS = 2  # windows at once, for as many threads
 Advance = Callable[[str, int], None]  # receives the name of a pass, and the number of its finished frames
 
 
@@ -42,7 +42,7 @@ def invert_clip(clip: Clip, inverter: WindowInverter, evaluator: FrameEvaluator,
     """Invert and evaluate each frame on its own.
 
     Args:
-        window: frames in memory at a time.
+        window: frames that a thread has in memory at a time.
         advance: reports progress.
     """
     results = _FrameResults(len(clip), inverter)
@@ -53,8 +53,8 @@ def invert_clip(clip: Clip, inverter: WindowInverter, evaluator: FrameEvaluator,
         evaluator.add(first, inverted)
         results.add(first, inverted)
 
-    windows = clip.batches(window)
     at_once = PARTS if inverter.estimator.frames_are_independent and evaluator.true_rig is evaluator.rig else 1
+    windows = clip.batches(at_once * window)
     following = next(windows, None)
     while following is not None:
         first, vertices = following

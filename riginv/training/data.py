@@ -54,6 +54,7 @@ class PoseDataModule(L.LightningDataModule):
                 raise InputError(f"data.{name} is {value}, expected at least 1")
         self.sampler, self.validation = sampler, validation
         self.batch_size, self.steps_per_epoch, self.seed = batch_size, steps_per_epoch, seed
+        self._step, self._ahead = -1, cast(tuple[int, PoseBatch | None], (-1, None))  # the last step, and one that is drawn
 
     @property
     def attached_trainer(self) -> L.Trainer:
@@ -76,9 +77,19 @@ class PoseDataModule(L.LightningDataModule):
     def on_after_batch_transfer(self, batch: torch.Tensor | PoseBatch, dataloader_idx: int) -> PoseBatch:
         if isinstance(batch, dict):
             return batch
-        self.sampler.at_step(int(batch))
+        self._step, (step, drawn), self._ahead = int(batch), self._ahead, (-1, None)
+        return drawn if drawn is not None and step == self._step else self._drawn(self._step)
+
+    def draw_ahead(self) -> None:
+        """Draw the batch of the next step, if there is one: by a thread that has nothing else to do."""
+        following = self._step + 1
+        if following != self.attached_trainer.max_steps:
+            self._ahead = following, self._drawn(following)
+
+    def _drawn(self, step: int) -> PoseBatch:
+        self.sampler.at_step(step)
         device = self.attached_trainer.strategy.root_device
-        generator = generator_at(self.seed, "training", int(batch), 0, device=device)
+        generator = generator_at(self.seed, "training", step, 0, device=device)
         return self.sampler.to(device).sample_rows(self.batch_size, generator, self.rows)
 
     @property

@@ -76,7 +76,7 @@ class InverseModule(RigModule):
         def backward(estimate: Estimate, number: int) -> tuple[Tensor, Tensor]:
             return self._value_and_gradient(estimate, number, batch)
 
-        return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers)
+        return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers, self.draw_ahead)
 
     def _value_and_gradient(self, estimate: Estimate, number: int, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         """The loss of a stage's estimate, and its gradient `(batch, control)` by the raw outputs; neither has a graph."""

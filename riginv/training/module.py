@@ -90,6 +90,12 @@ class RigModule(L.LightningModule, ABC):
         """As `loss_and_coordinates`, computed by two threads, with the gradients of the weights."""
         return in_halves(self.loss_and_coordinates, batch, weights, workers)
 
+    def draw_ahead(self) -> None:
+        """Draw the next batch, if a trainer has the data: by a thread that has nothing else to do."""
+        data = None if self._trainer is None else self._trainer.datamodule  # type: ignore[attr-defined]  # set by fit
+        if isinstance(data, PoseDataModule):
+            data.draw_ahead()
+
     @functools.cached_property
     def can_use_threads(self) -> bool:
         """Whether `loss_on_threads` computes the same loss."""

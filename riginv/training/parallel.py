@@ -38,6 +38,7 @@ def in_stages(
     parts: Sequence[nn.Module],
     backward: Callable[[Estimate, int], tuple[Tensor, Tensor]],
     workers: Workers,
+    meanwhile: Callable[[], None],
 ) -> tuple[Tensor, Tensor]:
     """The loss of a batch, with the gradients of all weights, and the coordinates of the last estimate.
 
@@ -49,6 +50,7 @@ def in_stages(
         parts: the stages' modules.
         backward: from an estimate and its index to its loss and the gradient of that by its raw outputs, both without a graph.
         workers: threads.
+        meanwhile: called by the second thread, which has nothing to do until the first estimate is there.
     """
     waiting: SimpleQueue[tuple[int, Estimate] | None] = SimpleQueue()
     values, coordinates = [torch.empty(0)] * len(parts), []
@@ -74,7 +76,11 @@ def in_stages(
             waiting.put(None)
         differentiate()
 
-    workers.run([estimate_all, differentiate])
+    def follow() -> None:
+        meanwhile()
+        differentiate()
+
+    workers.run([estimate_all, follow])
     total = _WithGradients.apply(sum(values), list(chain(*gradients)), *chain(*weights))
     return total, coordinates[0]
 

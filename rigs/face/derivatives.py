@@ -15,6 +15,7 @@ from riginv.geometry.blendshapes import (
     screen_vjp,
 )
 from riginv.geometry.curves import curves_and_derivatives
+from riginv.geometry.kernels.library import Kernels, kernels_for, plain_rows
 from riginv.rig.jacobian import Factor, Jacobian, Pattern
 
 if TYPE_CHECKING:
@@ -33,7 +34,30 @@ class FaceSteps:
     """
 
     def __init__(self, face: "FaceRig", controls: Tensor) -> None:
-        self.face = face
+        self.face, self.controls = face, controls
+        self.taken = face.capacity_taken.to(controls)
+        self.counts = face.counts
+        self.compiled = kernels_for(controls)
+        self.state: Tensor | None = None
+        if self.compiled is None:
+            self._evaluate(face, controls)
+        else:
+            self._evaluate_compiled(self.compiled, face, controls)
+
+    def _evaluate_compiled(self, compiled: Kernels, face: "FaceRig", controls: Tensor) -> None:
+        """The steps by a kernel, which leaves their results in one tensor."""
+        rows, batch = plain_rows(controls), controls.shape[0]
+        self.state = rows.new_empty(batch * sum(face.step_sizes))
+        self.weights = rows.new_empty(batch, sum(self.counts))
+        self.logic = face.logic(controls)
+        compiled.call("shapes", rows.dtype, *self.logic, rows, rows.stride(0), self.state, self.weights, batch)
+        parts = self.state.split([batch * size for size in face.step_sizes])
+        steps = [part.view(batch, size) for part, size in zip(parts, face.step_sizes)]
+        self.driven, self.rise, self.limited, self.below, self.under_derivative = steps[:5]
+        self.yielding, self.yield_derivative, self.factor, self.bump_derivative = steps[5:]
+        self.primary = self.weights[:, : self.counts[0]]
+
+    def _evaluate(self, face: "FaceRig", controls: Tensor) -> None:
         self.driven, self.rise = curves_and_derivatives(
             face.driver_curves.to(controls), controls.index_select(1, face.driver_control)
         )
@@ -44,7 +68,6 @@ class FaceSteps:
         )
         self.below = (close <= under).to(controls)  # whether a shape with a ceiling is below it
         self.limited = screened.index_copy(1, face.ceiling_shape, torch.minimum(close, under))
-        self.taken = face.capacity_taken.to(controls)
         self.yielding, self.yield_derivative = curves_and_derivatives(face.limit_curves.to(controls), self.limited @ self.taken)
         self.factor = self.yielding.index_select(1, face.region_of_shape)
         self.primary = self.limited * self.factor
@@ -52,14 +75,17 @@ class FaceSteps:
             face.inbetween_curves.to(controls), self.primary.index_select(1, face.inbetween_shape)
         )
         combined = combination_weights(self.primary, face.combination_members)
-        self.counts = (self.primary.shape[1], between.shape[1], combined.shape[1])
         self.weights = torch.cat([self.primary, between, combined], dim=1)
-        self.controls = controls
 
     @torch.no_grad()
     def vjp(self, gradient: Tensor) -> Tensor:
         """Vector-Jacobian product: a gradient `(batch, shape)` of the weights to one of the controls, `(batch, control)`."""
         face = self.face
+        if self.compiled is not None and self.state is not None and kernels_for(self.state, gradient) is not None:
+            gradient, found = plain_rows(gradient), torch.empty_like(self.controls, memory_format=torch.contiguous_format)
+            given = (self.state, self.weights, gradient, gradient.stride(0), found, found.shape[1], len(found))
+            self.compiled.call("shapes_pull", found.dtype, *self.logic, *given)
+            return found
         of_primary, of_between, of_combined = gradient.split(self.counts, dim=1)
         pulled = combination_vjp(self.primary, face.combination_members, of_combined).add_(of_primary)
         add_to_columns(pulled, face.inbetween_shape, of_between, self.bump_derivative)

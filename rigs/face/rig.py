@@ -5,6 +5,7 @@ from torch import Tensor
 
 from riginv.geometry.blendshapes import combination_weights, screen
 from riginv.geometry.curves import Curve, evaluate_curves, pack_curves
+from riginv.geometry.kernels.library import kernels_for
 from riginv.rig.arkit import ARKIT_NAMES
 from riginv.rig.interface import LinearRig, Vjp
 from riginv.rig.jacobian import Jacobian, Pattern
@@ -69,6 +70,7 @@ class FaceRig(LinearRig):
         takes[torch.arange(len(shapes)), self.region_of_shape] = torch.tensor([cost(name) for name in shapes])
         counts = inbetween_shape.bincount()[inbetween_shape].tolist()
         self._patterns: dict[torch.device, tuple[Pattern, ...]] = {}
+        self._logic: dict[torch.dtype, tuple[Tensor | int, ...]] = {}
         self._keep(
             capacity_taken=takes,
             driver_curves=self._curves([driver.curve for driver in drivers]),
@@ -76,6 +78,10 @@ class FaceRig(LinearRig):
             limit_curves=self._curves([limit_curve(CAPACITY[name]) for name in REGIONS]),
             inbetween_curves=self._curves([bump(position, count) for position, count in zip(positions, counts)]),
         )
+
+        driven, ceilings, regions, betweens = len(drivers), len(CEILINGS), len(REGIONS), len(positions)
+        self.counts = (len(shapes), betweens, len(members))  # of weights: primary shapes, in-betweens, combinations
+        self.step_sizes = (driven, driven, len(shapes), ceilings, ceilings, regions, regions, len(shapes), betweens)
 
     def arkit_deltas(self) -> dict[str, Tensor]:
         row = {name: number for number, name in enumerate(self.coefficient_names)}
@@ -98,6 +104,8 @@ class FaceRig(LinearRig):
 
     def coefficients(self, controls: Tensor) -> Tensor:
         """Controls `(batch, 137)` to the weights `(batch, 628)` of primary shapes, in-betweens and combinations."""
+        if not (controls.requires_grad and torch.is_grad_enabled()) and kernels_for(controls) is not None:
+            return FaceSteps(self, controls).weights
         driven = evaluate_curves(self.driver_curves.to(controls), controls.index_select(1, self.driver_control))
         primary = screen(driven, self.driver_of_shape)
         under = evaluate_curves(self.ceiling_curves.to(controls), primary.index_select(1, self.ceiling_under))
@@ -106,6 +114,25 @@ class FaceRig(LinearRig):
         primary = primary * yielding.index_select(1, self.region_of_shape)
         between = evaluate_curves(self.inbetween_curves.to(controls), primary.index_select(1, self.inbetween_shape))
         return torch.cat([primary, between, combination_weights(primary, self.combination_members)], dim=1)
+
+    def logic(self, controls: Tensor) -> tuple[Tensor | int, ...]:
+        """The first arguments of the kernels `shapes` and `shapes_pull`, in the precision of controls."""
+        if controls.dtype not in self._logic:
+            drivers, ceilings, limits, betweens = (
+                (table.to(controls).contiguous(), *table.shape[:2])
+                for table in (self.driver_curves, self.ceiling_curves, self.limit_curves, self.inbetween_curves)
+            )
+            sources, members = (
+                (table.to(controls.device).contiguous(), *table.shape)
+                for table in (self.driver_of_shape, self.combination_members)
+            )
+            cost = self.capacity_taken.to(controls).sum(dim=1)  # of a shape's own region only
+            ceiling = (*ceilings, self.ceiling_shape, self.ceiling_under)
+            self._logic[controls.dtype] = (
+                *(*drivers, self.driver_control, *sources, *ceiling),
+                *(*limits, self.region_of_shape, cost, *betweens, self.inbetween_shape, *members),
+            )
+        return self._logic[controls.dtype]
 
     @torch.no_grad()
     def coefficients_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:

@@ -11,10 +11,12 @@ from riginv.geometry.blendshapes import add_to_columns, combination_vjp, combina
 from riginv.geometry.curves import curves_and_derivatives, evaluate_curves, pack_curves
 from riginv.geometry.kernels.build import LEVELS, CompilationError, compile_library, find_compiler
 from riginv.geometry.kernels.library import kernels, kernels_for, pure_torch
+from riginv.meshes.metrics import frame_distances
 from riginv.rig.interface import LinearRig
 from riginv.runs.threads import Workers
 from riginv.solvers.band import Band, second_difference_bands
 from riginv.solvers.box_step import box_step, predicted_change
+from riginv.tracking.rigid import fit_rigid
 from tests.conftest import ROOT
 from tests.geometry.test_curves import random_curves
 
@@ -71,6 +73,34 @@ def test_products_equal_those_of_pure_torch(combine, vjp, members):
 
 
 @needs_kernels
+@pytest.mark.parametrize("meshes", [6, 1], ids=["a source for each", "one source"])
+def test_rigid_motion_equals_that_of_pure_torch(meshes):
+    source = 60 * torch.randn(meshes, 300, 3, dtype=torch.float64)
+    rotation = torch.linalg.qr(torch.randn(6, 3, 3, dtype=torch.float64))[0]
+    target = source @ (rotation * rotation.det()[:, None, None]).mT + torch.tensor([0.0, 700.0, 50.0])
+    target += torch.randn(6, 300, 3, dtype=torch.float64) * (torch.rand(6, 300, 1) < 0.3)  # what the skin does
+    target[1, ::2], target[2, 2:] = torch.nan, torch.nan
+    weights = torch.rand(300, dtype=torch.float64)
+    found, pure = both(fit_rigid, source, target, weights)
+    torch.testing.assert_close(found, pure, rtol=0, atol=1e-3)  # each frame ends on its own
+    assert torch.equal(found[2], torch.eye(4).double())  # too few points
+    start = found.clone()
+    start[:, :3, 3] += 0.5
+    for after, expected in zip(*both(fit_rigid, source, target, weights, start)):
+        torch.testing.assert_close(after, expected, rtol=0, atol=1e-3)
+
+
+@needs_kernels
+def test_distances_equal_those_of_pure_torch():
+    meshes, others = torch.randn(2, 5, 40, 3, dtype=torch.float64)
+    meshes[1, 3, 2], meshes[2] = torch.nan, torch.nan
+    for other, counted in ((others, None), (others[:1], torch.arange(40) % 3 > 0)):
+        for found, pure in zip(*both(frame_distances, meshes, other, counted)):
+            torch.testing.assert_close(found, pure, rtol=1e-12, atol=0)
+    assert frame_distances(meshes, others).known.tolist() == [40, 39, 0, 40, 40]
+
+
+@needs_kernels
 def test_entries_are_added_to_columns_with_scales_and_without():
     entries, scales, columns = torch.randn(5, 12).double()[:, ::2], torch.rand(5, 6).double(), torch.tensor([0, 3, 3, 1, 0, 2])
     for scaled in (None, scales):
@@ -97,11 +127,12 @@ def test_the_face_equals_pure_torch_and_its_pull_equals_automatic_differentiatio
     controls = torch.where(torch.rand(24, 137) < torch.linspace(0, 1, 24)[:, None], controls, face.neutral_controls.double())
     gradient = torch.randn(24, 628, dtype=torch.float64)
     found, vjp = face.coefficients_and_vjp(controls)
+    by_kernel = vjp(gradient)
     with pure_torch():
         expected, by_autograd = LinearRig.coefficients_and_vjp(face, controls)
         _, in_torch = face.coefficients_and_vjp(controls)
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
-        for pulled in (vjp(gradient), in_torch(gradient)):
+        for pulled in (by_kernel, vjp(gradient), in_torch(gradient)):
             torch.testing.assert_close(pulled, by_autograd(gradient), rtol=1e-10, atol=1e-10)
     torch.testing.assert_close(face.coefficients(controls), expected, rtol=0, atol=1e-12)
 

@@ -15,6 +15,7 @@ from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses
 from riginv.evaluation.optimum import find_optima
 from riginv.evaluation.results import evaluate_controls
+from riginv.geometry.kinematics import apply_motion
 from riginv.reproduce.preflight import check_capture
 from riginv.reproduce.sets import CaptureSource, SetSizes, mesh_sets
 from riginv.rig.batches import generator_at
@@ -26,7 +27,6 @@ from riginv.tracking.anchors import Anchors
 from riginv.tracking.capture import content_key, open_capture
 from riginv.tracking.estimators import SolverEstimator
 from riginv.tracking.fixed_controls import FixedControlsRig
-from riginv.tracking.rigid import apply_motion
 from riginv.tracking.rigid_check import RigidCheck, check_rigid
 from riginv.tracking.stability import stability_weights
 from tests.conftest import ROOT

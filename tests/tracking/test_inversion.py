@@ -5,13 +5,14 @@ import roma
 import torch
 
 from riginv.errors import InputError
+from riginv.geometry.kinematics import apply_motion, remove_motion
 from riginv.rig.batches import generator_at
 from riginv.tracking.alternation import WindowInverter, interpolate_controls, interpolate_motion
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.assembly import build_solver
 from riginv.tracking.constraints import resolve_constraints
 from riginv.tracking.estimators import SolverEstimator
-from riginv.tracking.rigid import apply_motion, fit_rigid, remove_motion
+from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls, stability_weights
 from tests.support.inverting import error_mm, inverted, options
 

@@ -11,10 +11,11 @@ import torch
 
 from riginv.networks.ablations import NormalisedInverse
 from riginv.networks.inverse import DirectInverse, StagedInverse
-from riginv.rig.batches import generator_at
+from riginv.rig.batches import PoseBatch, generator_at
 from riginv.runs.threads import Workers, single_threaded
 from riginv.sampling.controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
+from riginv.training.data import PoseDataModule, bare_trainer
 from riginv.training.inverse import InverseModule
 from riginv.training.losses import RmsVertexDistanceLoss
 from riginv.training.parallel import can_be_halved, worth_splitting
@@ -134,6 +135,29 @@ def test_threads_give_the_gradients_of_one_and_the_same_bits(kind, toy, monkeypa
     torch.testing.assert_close(one, whole)
     for found, wanted in zip(by_one, expected):
         torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-5 * float(wanted.abs().max()) + 1e-7)
+
+
+def test_the_next_batch_is_drawn_ahead_once_and_is_the_same(toy, monkeypatch):
+    monkeypatch.setattr("riginv.training.parallel.WORTH_SPLITTING", 1)
+    drawn = []
+
+    class Recorded(RigPoses):
+        def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
+            batch = super().sample(count, generator)
+            drawn.append(batch["coordinates"])
+            return batch
+
+    def trained(workers: Workers | None) -> list[torch.Tensor]:
+        torch.manual_seed(0)
+        drawn.clear()
+        module = InverseModule(toy, StagedInverse(toy, hidden=[64]), RmsVertexDistanceLoss(162), ADAM, CONSTANT)
+        module.workers = workers
+        data = PoseDataModule(Recorded(toy, PlausibleControls(toy)), {}, 16, 3, seed=0)  # an epoch ends in between
+        bare_trainer(accelerator="cpu", max_steps=5).fit(module, data)
+        return list(drawn)
+
+    alone, ahead = trained(None), trained(Workers(2))
+    assert len(alone) == len(ahead) == 5 and all(torch.equal(one, other) for one, other in zip(alone, ahead))
 
 
 def test_what_is_not_a_mean_over_meshes_is_computed_whole(toy):

@@ -50,13 +50,8 @@ class Kernels:
         if function is None:
             function = self.functions[name, dtype] = getattr(self.library, f"{name}_{SUFFIXES[dtype]}")
             function.restype = ctypes.c_int
-        given = [
-            ctypes.c_void_p(value.data_ptr() if isinstance(value, Tensor) else value)
-            if value is None or isinstance(value, Tensor)
-            else ctypes.c_int64(value)
-            for value in arguments
-        ]
-        code = function(*given)
+            function.argtypes = [ctypes.c_int64 if isinstance(value, int) else ctypes.c_void_p for value in arguments]
+        code = function(*[value.data_ptr() if isinstance(value, Tensor) else value for value in arguments])
         if code == 1:
             raise MemoryError(f"kernel {name}: out of memory")
         return code

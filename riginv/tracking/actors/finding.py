@@ -8,6 +8,7 @@ from torch import Tensor
 from riginv.clips.clip import Clip
 from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
+from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.console import show_lines
@@ -19,7 +20,7 @@ from riginv.tracking.assembly import build_solver
 from riginv.tracking.constraints import resolve_constraints
 from riginv.tracking.options import TrackingOptions
 from riginv.tracking.regions import vertex_weights
-from riginv.tracking.rigid import fit_rigid, remove_motion
+from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls, stability_weights
 from riginv.tracking.static_controls import spread_frames
 

@@ -13,8 +13,9 @@ from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.topology import TopologyError
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
+from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import RigBackend
-from riginv.tracking.rigid import fit_rigid, remove_motion
+from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.surfaces.scan_files import SUFFIXES, read_scan
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.wrap import wrap

@@ -8,10 +8,10 @@ from torch import Tensor
 from riginv.animation.animation import OUTSIDE_REACH, FrameErrors, MarkerErrors
 from riginv.animation.table import write_rows
 from riginv.errors import listed
+from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import RigBackend
 from riginv.tracking.markers.tracking import MarkerTrack
 from riginv.tracking.options import FlagOptions
-from riginv.tracking.rigid import remove_motion
 
 TABLE, RESIDUALS = "markers.csv", "marker_residuals.csv"
 BATCH_SIZE = 64  # meshes

@@ -11,13 +11,13 @@ from torch import Tensor
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.clips.description import ClipDescription
 from riginv.clips.description_text import in_short, rows
+from riginv.geometry.kinematics import remove_motion
 from riginv.meshes.rendering import CLAY
 from riginv.rig.interface import RigBackend
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.tracking import MarkerTrack
 from riginv.tracking.options import LookOptions
 from riginv.tracking.results import PAGE, SHEET
-from riginv.tracking.rigid import remove_motion
 from riginv.viewer.page import ClipSource, write_viewer
 from riginv.viewer.sheet import write_sheet
 from riginv.viewer.tensorboard import write_tensorboard

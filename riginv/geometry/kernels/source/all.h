@@ -6,6 +6,9 @@
 #include "subtrees.h"
 #include "cholesky.h"
 #include "box_step.h"
+#include "shapes.h"
+#include "rigid.h"
+#include "distances.h"
 
 #undef PADDING
 #undef ROWS

@@ -47,3 +47,4 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #define FABS fabsf
 #define SQRT sqrtf
 #include "all.h"
+#include "encode.h"
