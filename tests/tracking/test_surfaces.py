@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from riginv.solvers.band import second_difference_bands, second_differences
 from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import independent_measurements
+from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.alignment import Aligner
 from riginv.tracking.surfaces.clip import ScanSmoothness, eliminate_motion, smooth_scans
 from riginv.tracking.surfaces.fitting import ROTATION, Linearised, State, SurfaceFit
@@ -155,3 +157,28 @@ def test_weighted_second_differences_leave_out_what_counts_nothing():
         and near_by.tolist() == [-2, -2, 0, -2, -2, 0]
         and far.tolist() == [1, 0, 0, 1, 0, 0]
     )
+
+
+def test_single_poses_are_not_smoothed(rig):
+    poses = [0.1, 0.9, 0.12, 0.85, 0.9, 0.91]  # the last three alone would be neighbours in time
+    controls = [torch.tensor([0.3, amount, amount, 0.5, 0.1, 0.3, 0.2]) for amount in poses]
+    solver = ScanSolver(rig, default_prior(rig), ScanSettings(samples=400, noise_mm=0.01), moves=False)
+    targets = [solver.target(resampled(rig, row, seed)) for seed, row in enumerate(controls)]
+    found = [solver.solve(target) for target in targets]
+    none, much = (smooth_scans(solver, targets.__getitem__, found, ScanSmoothness(smoothness)) for smoothness in (0.0, 100.0))
+    for one, other in zip(none, much):
+        torch.testing.assert_close(one.state.units, other.state.units)
+
+
+@pytest.mark.slow
+def test_an_open_mouth_with_the_tongue_out_is_found(face):
+    weights = {"jawOpen": 0.7, "tongueOut": 1.0, "mouthFunnel": 0.2, "mouthShrugUpper": 0.4}
+    weights |= {f"{name}{side}": 0.5 for name in ("mouthLowerDown", "mouthStretch") for side in ("Left", "Right")}
+    deltas = face.arkit_deltas()
+    truth = (face.rest_vertices + sum(weight * deltas[name] for name, weight in weights.items())).numpy()
+    points, faces = trimesh.remesh.subdivide(truth, face.faces.numpy())
+    scan = points + np.random.default_rng(0).normal(0, 0.3, points.shape)
+    solver = ScanSolver(face, default_prior(face), stability=stability_weights(face).numpy())
+    found = solver.solve(solver.target(TriangleMesh(scan, faces)))
+    mesh = solver.surface.vertices(solver.fit_of(1.0).coefficients(found.state.units))
+    assert np.linalg.norm(mesh - truth, axis=1).mean() < 1.0

@@ -29,8 +29,8 @@ class ScanSmoothness:
         smoothness: mm^2 of mean squared distance for a second difference of a control's whole range.
         rounds: iterations of matching and solving.
         max_step: of a control in one iteration, as a fraction of its range.
-        break_mm: mean second difference of the skin over three frames above which they are no neighbours in time: a clip of
-            single poses is not smoothed.
+        break_mm: mean second difference of the skin over three frames above which they are no neighbours in time. Where it is
+            greater in most frames, the clip consists of single poses, and nothing is smoothed.
     """
 
     smoothness: float = 0.3
@@ -88,7 +88,8 @@ class _Window:
         every = range(first - self.before, stop)
         skin = np.stack([_skin(solver, result[frame].state) for frame in every])
         second = np.linalg.norm(skin[2:] - 2 * skin[1:-1] + skin[:-2], axis=2).mean(axis=1)
-        self.weights = torch.from_numpy(options.smoothness * (second < options.break_mm))
+        in_time = (second < options.break_mm) & bool(np.median(second) < options.break_mm)
+        self.weights = torch.from_numpy(options.smoothness * in_time)
         differences = second_differences(torch.ones(len(every) - 1, dtype=torch.float64))
         self.bands = second_difference_bands(len(self.frames), self.before, self.weights.sqrt()[:, None] * differences)
 

@@ -31,7 +31,7 @@ class ScanSettings:
         base: mm^2 for a control that leaves neutral by its whole range, beside the prior.
         from_scratch, from_near: the steps of a fit.
         explained: fraction of explained points below which further starts are tried.
-        starts: number of these, at most.
+        starts: number of these for each ranking of poses: near the solution, near the prior's mean, with hidden parts shown.
         seen: the fraction of the rig's skin below which a frame is flagged as `little_seen`.
         lost_mm: mean distance of a scan from the rig above which a frame is flagged as `lost`.
         unexplained: the fraction of a scan's points, explained, below which a frame is flagged as `unexplained`.
@@ -136,14 +136,17 @@ class ScanSolver:
         return best
 
     def _restart(self, fit: SurfaceFit, target: Target, best: SolvedScan) -> SolvedScan:
-        motion, near = best.state.motion, self.library.around(best.state.units)
-        fresh, starts = self.library.around(self.start), []
-        for number in self.hidden:
-            starts.append(self.start.clone())
-            starts[-1][number] = STRONG if self.fit_neutral[number] < 1 else 1 - STRONG
-        starts += [fresh[number] for number in promising_starts(fit, target, motion, best.quality, near, self.settings.starts)]
-        for units in starts:
-            best = self._better(best, self._try(fit, target, State(units, motion), self.settings.from_scratch))
+        motion, found = best.state.motion, best.quality
+        fresh = self.library.around(self.start)
+        ranked = [(self.library.around(best.state.units), fresh), (fresh, fresh)]
+        for number in self.hidden:  # no derivative leads to them, and what they hide must give way, such as a jaw
+            shown = self.start.clone()
+            shown[number] = STRONG if self.fit_neutral[number] < 1 else 1 - STRONG
+            poses = self.library.around(shown)
+            ranked.append((poses, poses))
+        for poses, starts in ranked:
+            for number in promising_starts(fit, target, motion, found, poses, self.settings.starts):
+                best = self._better(best, self._try(fit, target, State(starts[number], motion), self.settings.from_scratch))
         return replace(best, restarted=True)
 
     def _try(self, fit: SurfaceFit, target: Target, start: State, schedule: Schedule) -> SolvedScan:
