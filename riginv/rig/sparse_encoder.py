@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from riginv.geometry.kernels.library import Kernels, kernels_for
+from riginv.geometry.kernels.library import kernels, kernels_for
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import workers
 
@@ -29,31 +29,30 @@ class SparseEncoder:
 
     Args:
         rig: in mesh space.
-        compiled: the kernels that multiply.
+        moves: whether each row moves each vertex, `(row, vertex)`.
         groups: the vertices of each group.
     """
 
-    def __init__(self, rig: RigInMeshSpace, compiled: Kernels, moves: Tensor, groups: list[Tensor]) -> None:
+    def __init__(self, rig: RigInMeshSpace, moves: Tensor, groups: list[Tensor]) -> None:
         basis = rig.source.basis
-        self.compiled, self.rows, self.groups = compiled, len(basis), len(groups)
+        self.rows, self.groups = len(basis), len(groups)
         members = torch.stack([torch.nn.functional.pad(group, (0, GROUP - len(group)), value=-1) for group in groups])
         used = [moves[:, group].any(dim=1).nonzero()[:, 0] for group in groups]
         padded = [torch.nn.functional.pad(rows, (0, -len(rows) % BLOCK), value=self.rows) for rows in used]
         blocks = [_blocks(basis, rows, group) for rows, group in zip(padded, members)]
         self.members, self.row, self.values = members.int(), torch.cat(padded).int(), torch.cat(blocks)
         self.starts = torch.tensor([0, *(len(rows) for rows in padded)]).cumsum(dim=0).int()
-        directions = rig.space.directions
-        left, upper = torch.linalg.qr(
-            self._products(torch.zeros_like(directions[0]), directions, None).T
-        )  # of full column rank
+        directions = rig.space.directions  # which the basis spans: the products are of full column rank
+        left, upper = torch.linalg.qr(self._products(torch.zeros_like(directions[0]), directions, None).T)
         self.matrix = torch.linalg.solve_triangular(upper, left.T, upper=True).T.contiguous()
 
     @classmethod
     def for_rig(cls, rig: RigInMeshSpace) -> "SparseEncoder | None":
         """None where a rig's basis is small or not sparse, does not span the space, or there are no kernels for it."""
         directions, basis = rig.space.directions, rig.source.basis
-        compiled = kernels_for(directions, basis)
-        if compiled is None or basis.dtype != torch.float32 or directions.numel() < MIN_NUMBERS or len(basis) < len(directions):
+        if kernels_for(directions, basis) is None or basis.dtype != torch.float32:
+            return None
+        if directions.numel() < MIN_NUMBERS or len(basis) < len(directions):
             return None
         moves = basis.abs().amax(dim=2) > ZERO * basis.flatten(1).norm(dim=1, keepdim=True)
         if float(moves.float().mean()) > MAX_DENSITY:
@@ -63,7 +62,7 @@ class SparseEncoder:
         groups = _alike(moved_by, torch.arange(basis.shape[1]))
         if sum(int(moves[:, group].any(dim=1).sum()) * GROUP for group in groups) > MAX_DENSITY * moves.numel():
             return None
-        found = cls(rig, compiled, moves, groups)
+        found = cls(rig, moves, groups)
         meshes = rig.space.rest_vertices + torch.randn(PROBES, *basis.shape[1:], generator=generator)
         apart = (found(rig.space.rest_vertices, meshes) - rig.space.encode(meshes)).norm(dim=1)
         size = (meshes - rig.space.rest_vertices).flatten(1).norm(dim=1)
@@ -96,7 +95,9 @@ class SparseEncoder:
             None if motion is None else motion.contiguous(),
         )
         layout = (self.members, self.groups, self.starts, self.row, self.values, self.rows)
-        self.compiled.call("encode", torch.float32, *given, *layout, tiles, len(vertices))
+        compiled = kernels()
+        assert compiled is not None
+        compiled.call("encode", torch.float32, *given, *layout, tiles, len(vertices))
         return tiles.transpose(1, 2).flatten(0, 1)[: len(vertices), :-1]
 
 

@@ -1,5 +1,7 @@
 """Encoding by way of a sparse basis against the dense projection in float64."""
 
+import copy
+
 import pytest
 import torch
 
@@ -40,6 +42,7 @@ def test_coordinates_equal_the_dense_projection(face_in_space, encoder, meshes):
     rest = face_in_space.space.rest_vertices
     for given in (meshes[:1], meshes[:2], meshes):
         assert difference(face_in_space, encoder(rest, given), given) < TOLERANCE
+    assert torch.equal(copy.deepcopy(encoder)(rest, meshes), encoder(rest, meshes))
     assert torch.equal(encoder(rest, rest[None]), torch.zeros(1, face_in_space.space.size))
 
 
