@@ -30,7 +30,7 @@ from riginv.solvers.every_mesh import solve_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.constraints import resolve_constraints
 from riginv.tracking.markers.assembly import build_objective
-from riginv.tracking.markers.layout import marker_skin, suggest_layout
+from riginv.tracking.markers.layout import NOISE_MM, marker_skin, suggest_layout
 from riginv.tracking.markers.placement import Placement, at_vertices
 from riginv.tracking.markers.tracking import MarkerTrack, track_markers
 from riginv.tracking.options import ControlOptions, TrackingOptions
@@ -69,13 +69,13 @@ def solved(
     return track, 1000 * (time.process_time() - began) / len(points)
 
 
-def layouts(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: float) -> dict[str, Placement]:
+def layouts(rig: LinearRig, prior: ControlPrior, count: int) -> dict[str, Placement]:
     """Where the markers are."""
     rest = rig.rest_vertices.numpy()
     skin = marker_skin(rest.astype(np.float64), rig.faces.numpy())
     spread = skin[farthest_points(rest[skin], count)].tolist()
     names = [f"m{number:02d}" for number in range(count)]
-    return {"suggested": suggest_layout(rig, prior, count, noise_mm, 0.0), "evenly": at_vertices(rig, names, spread, 0.0)}
+    return {"suggested": suggest_layout(rig, prior, count, NOISE_MM, 0.0), "evenly": at_vertices(rig, names, spread, 0.0)}
 
 
 @torch.no_grad()
@@ -93,7 +93,7 @@ def face(take: Path) -> None:
     optimum = (rig(objective.to_controls(best.units)) - truth).norm(dim=2).mean(dim=1)
     neutral = (rig.rest_vertices - truth).norm(dim=2).mean()
     print(f"{len(rows)} frames, {JUDGED} evaluated: neutral {neutral:.2f} mm, optimum {optimum.mean():.3f} mm", flush=True)
-    for where, placement in layouts(rig, without, 50, 0.3).items():
+    for where, placement in layouts(rig, without, 50).items():
         markers = torch.cat([placement.points(clip.vertices(first, first + 64)) for first in range(half, len(clip), 64)])
         for name, prior, moves in (("take", learned, False), ("none", without, False), ("take, motion", learned, True)):
             errors, spent = [], []
@@ -117,7 +117,7 @@ def body() -> None:
     rig = BodyRig()
     truth, prior = rig.motion().vertices, default_prior(rig)
     neutral = (rig.rest_vertices - truth).norm(dim=2).mean()
-    for where, placement in layouts(rig, prior, 41, 1.0).items():
+    for where, placement in layouts(rig, prior, 41).items():
         errors, spent = [], []
         for seed in range(SEEDS):
             track, milliseconds = solved(rig, placement, observed(placement.points(truth), 1.0, seed), prior, 1.0, False)

@@ -22,7 +22,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
 from riginv.tracking.markers.assembly import frame_units, in_millimetres
-from riginv.tracking.markers.layout import suggest_layout
+from riginv.tracking.markers.layout import NOISE_MM, suggest_layout
 from riginv.tracking.markers.map_file import read_map, write_map
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.proposing import propose
@@ -30,7 +30,6 @@ from riginv.tracking.markers.views import RigWithMarkers
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.rigs import build_rig
 
-NOISE_MM = 0.3  # of a marker
 TURNS = (-60.0, 0.0, 60.0)  # degrees of the cameras
 FAR = 3.0  # times the median distance, from which a marker is named
 

@@ -12,6 +12,7 @@ from riginv.tracking.surfaces.wrap import skin_component
 
 CANDIDATES = 3000  # vertices of the skin that are tried, at most
 OPEN = 0.5  # fraction of unoccluded rays at a vertex that a marker can be glued to
+NOISE_MM = 0.15  # of a marker while places are chosen; half of a real one: see docs/experiments.md#markers
 SPACING = 0.02  # least distance of two markers, relative to the rig's size
 
 
