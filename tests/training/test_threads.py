@@ -152,6 +152,7 @@ def test_the_next_batch_is_drawn_ahead_once_and_is_the_same(toy, monkeypatch):
         drawn.clear()
         module = InverseModule(toy, StagedInverse(toy, hidden=[64]), RmsVertexDistanceLoss(162), ADAM, CONSTANT)
         module.workers = workers
+        module.train()  # the rig, which tests share
         data = PoseDataModule(Recorded(toy, PlausibleControls(toy)), {}, 16, 3, seed=0)  # an epoch ends in between
         bare_trainer(accelerator="cpu", max_steps=5).fit(module, data)
         return list(drawn)
