@@ -85,9 +85,9 @@ def plot(path: Path, grown: dict[str, list[tuple[int, float]]]) -> None:
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     for axes, (name, rows) in zip(figure.subplots(1, 2, sharey=True), grown.items()):
         axes.plot([size for size, _ in rows], [cost / rows[0][1] for _, cost in rows], marker="o")
-        axes.set(xlabel=name, ylim=(0, None))
+        axes.set(xlabel=name, xticks=[size for size, _ in rows], xticklabels=[f"{size:,}" for size, _ in rows])
         axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("cost of a training step")
+    figure.axes[0].set(ylabel="cost of a training step", ylim=(0, 2))
     figure.savefig(path, dpi=120)
 
 
