@@ -10,6 +10,7 @@ The first frame is neutral, as somebody's face at rest is recorded before a take
 """
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -89,8 +90,9 @@ def compare(folder: Path, found: Path) -> None:
     print(f" (neutral {neutral:.2f} mm)")
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(about: str | None, make: Callable[[Path], None]) -> None:
+    """Make a take, or compare what was found of it with the truth, as the command line says."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--compare", type=Path, default=None, help="the folder of riginv.invert")
     given = parser.parse_args()
@@ -98,3 +100,7 @@ if __name__ == "__main__":
         make(given.folder)
     else:
         compare(given.folder, given.compare)
+
+
+if __name__ == "__main__":
+    main(__doc__, make)

@@ -9,14 +9,13 @@ The scans are every third frame of examples/marker_take.py. The controls that ma
 says how far the meshes of the found curves are from theirs.
 """
 
-import argparse
 from pathlib import Path
 
 import fast_simplification
 import numpy as np
 import torch
 import trimesh
-from marker_take import compare, performance
+from marker_take import main, performance
 from scipy.spatial.transform import Rotation
 
 from rigs.face import FaceRig
@@ -44,11 +43,4 @@ def make(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--compare", type=Path, default=None, help="the folder of riginv.invert")
-    given = parser.parse_args()
-    if given.compare is None:
-        make(given.folder)
-    else:
-        compare(given.folder, given.compare)
+    main(__doc__, make)

@@ -45,14 +45,14 @@ from riginv.tracking.markers.tracking import track_markers
 from riginv.tracking.markers.views import write_marker_views
 from riginv.tracking.options import AfterOptions, LookOptions, TrackingOptions
 from riginv.tracking.report import InversionProgress, show
-from riginv.tracking.results import write_curves, write_views
+from riginv.tracking.results import source_of, write_curves, write_look, write_views
 from riginv.tracking.rigs import build_rig, build_true_rig
 from riginv.tracking.run import invert_clip, invert_smoothly
 from riginv.tracking.surfaces.assembly import build_scan_parts
 from riginv.tracking.surfaces.results import frame_errors, remarks_of, write_scan_table
 from riginv.tracking.surfaces.scan_files import is_ragged
 from riginv.tracking.surfaces.tracking import track_scans
-from riginv.tracking.surfaces.views import ScanViews, write_scan_views
+from riginv.tracking.surfaces.views import ScanViews
 
 Formats = Annotated[Sequence[str], Bound("a list: formats=[csv,glb]", lambda value: True)]
 
@@ -193,8 +193,8 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
             if parts.actor is not None:
                 files += write_actor(folder, parts.actor, rig.faces, settings.look.sheet)
             shown, views = replace(animation, rig=posed_actor(true_rig, parts.actor)), ScanViews(parts, track)
-            looks = (settings.look, described, progress.advance)
-            names, view_notes = write_scan_views(folder, views, shown, errors, *looks)
+            looks = (settings.look, source_of(described), views.nearest, progress.advance, views.drawn)
+            names, view_notes = write_look(folder, shown, errors, *looks)
     rows = ("scan's points from the rig", "rig's skin from the scan")
     remarks = [*remarks_of(track), *curve_notes, *view_notes]
     show(animation, errors, true_rig, out, [*files, *names], remarks, "mean surface distances", rows)
@@ -220,8 +220,8 @@ def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
             curves = (described, settings.formats, settings.after, progress.advance)
             files, curve_notes = write_curves(folder, animation, errors, *curves)
             files += write_marker_tables(folder, track, errors, numbers)
-            progress.advance("page", 0)
-            views, view_notes = write_marker_views(folder, track, animation, errors, settings.look, described)
+            looks = (settings.look, described, progress.advance)
+            views, view_notes = write_marker_views(folder, track, animation, errors, *looks)
     rows = ("mean over the markers", "farthest marker")
     remarks = [*marker_remarks(errors), *curve_notes, *view_notes]
     show(animation, errors, true_rig, out, [*files, *views], remarks, "distances of the markers", rows)

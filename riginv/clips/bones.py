@@ -69,7 +69,7 @@ class BonesClip(MeshSequence):
         self.to_rest = self._to_rest()
         bent = int(((self.to_rest - torch.eye(3)).abs().amax(dim=(1, 2)) > 1e-6).sum())
         missing = [name for name, source in zip(skeleton.joint_names, self.source) if source < 0]
-        known = {name for name, source in zip(motion.names, range(len(motion.names))) if source in self.source}
+        known = {name for number, name in enumerate(motion.names) if number in self.source}
         notes.append(f"The motion of {len(known)} joints, found by name, moves the joints of rig '{rig.name}'.")
         if missing:
             notes.append(f"Joints of the rig that it does not name keep their place on their parents: {listed(missing)}.")

@@ -46,8 +46,8 @@ class QuickEncoder(nn.Module):
 
     @functools.cached_property
     def sparse(self) -> SparseEncoder | None:
-        """The encoder by way of the basis; None where there is nothing to gain, and for meshes that may move by metres."""
-        return SparseEncoder.for_rig(self.rig[0]) if self.rig[0].source.has_blendshapes else None
+        """The encoder by way of the basis; None where it is not for the rig."""
+        return SparseEncoder.for_rig(self.rig[0])
 
     @functools.cached_property
     def frame(self) -> Tensor | None:

@@ -33,6 +33,11 @@ class PoseBatch(TypedDict, total=False):
     coefficients: Tensor
 
 
+def known_controls(batch: PoseBatch) -> Tensor | None:
+    """The controls that made a batch, `(batch, control)`, NaN for meshes that are no poses of the rig; None: all are none."""
+    return batch.get("known_controls", batch.get("controls"))
+
+
 def map_batches(function: Callable[..., Tensor], *batches: PoseBatch) -> PoseBatch:
     """Apply a function to the tensors of batches, key by key; keys that are not in all of them are left out."""
     common = [key for key in batches[0] if all(key in batch for batch in batches)]

@@ -48,11 +48,14 @@ class SparseEncoder:
 
     @classmethod
     def for_rig(cls, rig: RigInMeshSpace) -> "SparseEncoder | None":
-        """None where a rig's basis is small or not sparse, does not span the space, or there are no kernels for it."""
+        """None where a rig's basis is small or not sparse, does not span the space, or there are no kernels for it.
+
+        Nor for rigs without blendshapes, which may move by metres: the tolerance is relative to that.
+        """
         directions, basis = rig.space.directions, rig.source.basis
         if kernels_for(directions, basis) is None or basis.dtype != torch.float32:
             return None
-        if directions.numel() < MIN_NUMBERS or len(basis) < len(directions):
+        if not rig.source.has_blendshapes or directions.numel() < MIN_NUMBERS or len(basis) < len(directions):
             return None
         moves = basis.abs().amax(dim=2) > ZERO * basis.flatten(1).norm(dim=1, keepdim=True)
         if float(moves.float().mean()) > MAX_DENSITY:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from riginv.config.building import class_of
 from riginv.config.values import Fraction, PositiveInt
 from riginv.errors import InputError
-from riginv.rig.batches import PoseBatch, map_batches
+from riginv.rig.batches import PoseBatch, known_controls, map_batches
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.rig.random_controls import choose, log_uniform_counts, uniform_counts
@@ -159,7 +159,7 @@ class Mixture(MeshSampler):
 
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
         parts = [sampler.sample(size, generator) for sampler, size in self._sizes(count)]
-        known = [part.get("known_controls", part.get("controls")) for part in parts]
+        known = [known_controls(part) for part in parts]
         batch = map_batches(lambda *values: torch.cat(values), *parts)
         if "controls" not in batch and (some := [controls for controls in known if controls is not None]):
             unknown = some[0].new_full((count, some[0].shape[1]), torch.nan)

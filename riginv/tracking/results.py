@@ -1,6 +1,6 @@
 """The folder of an inversion: curves in every requested format, and views of the result."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -19,7 +19,8 @@ from riginv.tracking.actors.actor import Actor
 from riginv.tracking.actors.files import write_actor
 from riginv.tracking.options import AfterOptions, LookOptions
 from riginv.tracking.run import Advance
-from riginv.viewer.page import ClipSource, write_viewer
+from riginv.viewer.page import ClipSource, Targets, write_viewer
+from riginv.viewer.scans import Scans
 from riginv.viewer.sheet import write_sheet
 from riginv.viewer.tensorboard import write_tensorboard
 
@@ -75,26 +76,50 @@ def write_views(
     Args:
         animation: of a rig with the actor's neutral, if there is an actor.
     """
-    described, targets = describe(clip), _targets(clip, animation)
     names = [] if actor is None else write_actor(folder, actor, animation.rig.faces, look.sheet)
+    source = source_of(describe(clip))
+    facts = [*source.rows, *([("actor", actor.sentence)] if actor else [])]
+    source = source._replace(rows=facts, notes=(*source.notes, *control_lines(errors.controls)))
+    views, notes = write_look(folder, animation, errors, look, source, _targets(clip, animation), advance)
+    return [*names, *views], notes
+
+
+def source_of(clip: ClipDescription) -> ClipSource:
+    """What the page says of a clip."""
+    return ClipSource(in_short(clip), rows(clip, None), clip.warnings, clip.notes)
+
+
+def write_look(
+    folder: Path,
+    animation: Animation,
+    errors: FrameErrors,
+    look: LookOptions,
+    source: ClipSource,
+    targets: Targets,
+    advance: Advance,
+    scans: Scans | None = None,
+) -> tuple[list[str], list[str]]:
+    """Write the page, the contact sheet and TensorBoard events into a folder; returns as `write_curves`.
+
+    Args:
+        source, targets, scans: as for `write_viewer`.
+    """
+    names: list[str] = []
     notes: list[str] = []
     if look.page:
         advance("page", 0)
         names.append(PAGE)
-        facts = [*rows(described, None), *([("actor", actor.sentence)] if actor else [])]
-        notes_of_clip = (*described.notes, *control_lines(errors.controls))
-        source = ClipSource(in_short(described), facts, described.warnings, notes_of_clip)
-        note = write_viewer(folder / PAGE, animation, errors, targets, clip=source).note
-        notes += [f"{PAGE}: {note}"]
+        page = write_viewer(folder / PAGE, animation, errors, targets, clip=source, scans=scans)
+        notes.append(f"{PAGE}: {page.note}")
     if look.sheet:
         names.append(SHEET)
-        write_sheet(folder / SHEET, animation, errors, targets)
+        write_sheet(folder / SHEET, animation, errors, targets, scans)
     if look.tensorboard:
         write_tensorboard(folder, animation, errors, folder / SHEET if look.sheet else None)
     return names, notes
 
 
-def _targets(clip: Clip, animation: Animation) -> Callable[[Sequence[int]], Tensor]:
+def _targets(clip: Clip, animation: Animation) -> Targets:
     """The clip's meshes without rigid motion, by rows of the animation."""
 
     def targets(wanted: Sequence[int]) -> Tensor:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from riginv.config.values import NonNegativeFloat, NonNegativeInt
 from riginv.errors import InputError
 from riginv.networks.inverse import Estimate, InverseNetwork
-from riginv.rig.batches import PoseBatch
+from riginv.rig.batches import PoseBatch, known_controls
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import Workers
@@ -82,8 +82,8 @@ class InverseModule(RigModule):
         """The loss of a stage's estimate, and its gradient `(batch, control)` by the raw outputs; neither has a graph."""
         last = len(self.network.learned_parts()) - 1
         value, gradient = value_and_gradient(self.last_loss if number == last else self.loss, estimate)
-        known = batch.get("known_controls", batch.get("controls"))
-        if not self.control_weight or known is None or 0 < number > last - MESH_STAGES:
+        known = known_controls(batch)
+        if not self.control_weight or known is None or number > max(0, last - MESH_STAGES):
             return value, gradient
         distance, by_raw = control_distance(estimate, known)
         return value + self.control_weight * distance, gradient + self.control_weight * by_raw

@@ -15,9 +15,7 @@ WORST, SPREAD = 3, 3  # frames
 
 
 @torch.no_grad()
-def write_sheet(
-    path: Path, animation: Animation, errors: FrameErrors, targets: Targets, scans: Scans = lambda row: None
-) -> None:
+def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: Targets, scans: Scans | None = None) -> None:
     """Write a PNG with target mesh, recovered mesh and a heat map of the error for each frame, on one scale.
 
     Unknown vertices are drawn at their recovered positions, and grey in the heat map.
@@ -35,7 +33,7 @@ def write_sheet(
     pictures, labels = [], []
     for (row, name), target, mesh, distance in zip(rows.items(), target_meshes, recovered, distances):
         view = camera.following(target, mesh)
-        scan = scans(row)
+        scan = None if scans is None else scans(row)
         if scan is not None and len(scan.faces):
             heat = heat_colors(torch.from_numpy(scan.distance), top)
             pictures.append(view.picture(torch.from_numpy(scan.points), torch.from_numpy(scan.faces), heat))

@@ -41,8 +41,7 @@ def _of_frames(options: ActorOptions, scans: ScanSequence, units: ClipUnits, rig
     rows = frames_named(scans.path, torch.tensor(scans.frame_numbers), frames, "actor.neutral_frames").nonzero()[:, 0]
     found, notes = [], []
     for row in rows.tolist():
-        scan = scans.scan(row)
-        cleaned = None if scan is None else scan.cleaned()
+        cleaned = scans.cleaned(row)
         if cleaned is None:
             raise InputError(f"{key}: frame {scans.frame_numbers[row]} of {scans.path} has no scan of 50 points or more")
         vertices, note = wrapped(cleaned, units, rig, key)

@@ -10,17 +10,14 @@ from torch import Tensor
 
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.clips.description import ClipDescription
-from riginv.clips.description_text import in_short, rows
 from riginv.geometry.kinematics import remove_motion
 from riginv.meshes.rendering import CLAY
 from riginv.rig.interface import RigBackend
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.tracking import MarkerTrack
 from riginv.tracking.options import LookOptions
-from riginv.tracking.results import PAGE, SHEET
-from riginv.viewer.page import ClipSource, write_viewer
-from riginv.viewer.sheet import write_sheet
-from riginv.viewer.tensorboard import write_tensorboard
+from riginv.tracking.results import source_of, write_look
+from riginv.tracking.run import Advance
 
 BALL = 0.012  # radius of a marker, relative to the rig's size
 RED = np.array([0.85, 0.1, 0.1])
@@ -68,7 +65,13 @@ def with_balls(meshes: Tensor, points: Tensor, balls: Tensor) -> Tensor:
 
 
 def write_marker_views(
-    folder: Path, track: MarkerTrack, animation: Animation, errors: FrameErrors, look: LookOptions, clip: ClipDescription
+    folder: Path,
+    track: MarkerTrack,
+    animation: Animation,
+    errors: FrameErrors,
+    look: LookOptions,
+    clip: ClipDescription,
+    advance: Advance,
 ) -> tuple[list[str], list[str]]:
     """Write the page, the contact sheet and TensorBoard events into a folder; the names of the files, and notes."""
     rig = RigWithMarkers(animation.rig, track.placement)
@@ -80,15 +83,4 @@ def write_marker_views(
         some = list(wanted)
         return with_balls(animation.rig(track.controls[some]), observed[some], rig.balls)
 
-    names: list[str] = []
-    notes: list[str] = []
-    if look.page:
-        source = ClipSource(in_short(clip), rows(clip, None), clip.warnings, clip.notes)
-        notes.append(f"{PAGE}: {write_viewer(folder / PAGE, shown, errors, targets, clip=source).note}")
-        names.append(PAGE)
-    if look.sheet:
-        write_sheet(folder / SHEET, shown, errors, targets)
-        names.append(SHEET)
-    if look.tensorboard:
-        write_tensorboard(folder, animation, errors, folder / SHEET if look.sheet else None)
-    return names, notes
+    return write_look(folder, shown, errors, look, source_of(clip), targets, advance)

@@ -51,9 +51,8 @@ class ScanParts:
     def describe(self) -> ClipDescription:
         """The description of the clip; its size is that of the first scan."""
         numbers, size, points = self.frame_numbers.numpy(), (0.0, 0.0, 0.0), 0
-        for row in (row for row in self.rows if row >= 0):
-            scan = self.scans.scan(row)
-            cleaned = None if scan is None else scan.cleaned()
+        for row in self.rows:
+            cleaned = self.scans.cleaned(row)
             if cleaned is not None:
                 upright = self.units.mm * cleaned.points @ self.units.axes.numpy().T
                 size, points = tuple(np.ptp(upright, axis=0).tolist()), len(cleaned.points)

@@ -130,8 +130,7 @@ def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "s
     scans = FileScans(path, reading)
     if len(scans) != 1:
         raise InputError(f"{key}={path}: {len(scans)} files, expected one scan of a neutral face")
-    scan = scans.scan(0)
-    cleaned = None if scan is None else scan.cleaned()
+    cleaned = scans.cleaned(0)
     if cleaned is None:
         raise InputError(f"{key}={path}: fewer than 50 points: there is nothing to fit")
     return cleaned, resolve_scan_units(scans, rig, reading)

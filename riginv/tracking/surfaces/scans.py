@@ -79,6 +79,15 @@ class ScanSequence(ABC):
     def __len__(self) -> int:
         return len(self.frame_numbers)
 
+    def cleaned(self, index: int) -> Scan | None:
+        """The cleaned scan of a frame, by its index; None where there is none, as for an index of -1.
+
+        Raises:
+            InputError: as `scan`.
+        """
+        scan = self.scan(index) if index >= 0 else None
+        return None if scan is None else scan.cleaned()
+
     @abstractmethod
     def scan(self, index: int) -> Scan | None:
         """The scan of a frame, by its index; None where there is none.

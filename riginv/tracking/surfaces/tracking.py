@@ -67,8 +67,7 @@ def track_scans(
     """
 
     def load(row: int) -> Target | None:
-        scan = scans.scan(frames[row]) if frames[row] >= 0 else None
-        cleaned = None if scan is None else scan.cleaned()
+        cleaned = scans.cleaned(frames[row])
         return None if cleaned is None else solver.target(cleaned.surface(units.mm, units.axes.double().numpy()))
 
     solutions: list[SolvedScan | None] = []

@@ -30,8 +30,7 @@ def robust_size(points: np.ndarray) -> float:
 
 def _size_of_scans(scans: ScanSequence) -> float:
     for index in np.unique(np.linspace(0, len(scans) - 1, min(len(scans), SAMPLED_FRAMES)).astype(int)).tolist():
-        scan = scans.scan(index)
-        cleaned = None if scan is None else scan.cleaned()
+        cleaned = scans.cleaned(index)
         if cleaned is not None:
             return robust_size(cleaned.points)
     raise InputError(f"{scans.path}: no frame holds a scan of 50 points or more: there is nothing to fit")
