@@ -8,7 +8,7 @@ from torch import Tensor
 
 from riginv.rig.batches import generator_at
 
-CORNER_MM = 0.1
+CORNER_MM = 0.03
 VERTICES = 2048
 
 
