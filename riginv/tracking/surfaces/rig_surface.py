@@ -1,5 +1,6 @@
 """A rig's mesh as a surface: poses, samples, and derivatives of its points along normals."""
 
+import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,12 @@ class RigSurface:
         self._basis = rig.basis.float().flatten(1)  # (coefficient, 3 vertices)
         self._rows = self._basis.T.contiguous()  # (3 vertices, coefficient)
         self._neutral = rig.neutral_coefficients()[0].detach().float()
+
+    def with_rest(self, rest: np.ndarray) -> "RigSurface":
+        """The same rig with another mesh at rest `(vertex, 3)`, mm."""
+        other = copy.copy(self)
+        other._rest = torch.from_numpy(rest).float()
+        return other
 
     @torch.no_grad()
     def pose(self, controls: Tensor) -> Posed:
