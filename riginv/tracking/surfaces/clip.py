@@ -117,7 +117,8 @@ class _Window:
         target, found = self.load(frame), self.result[frame]
         if target is None:
             return self._prior_alone(found)
-        fit, target = self.solver.fit(target, found), self.solver.finer(target)
+        target = self.solver.finer(target)
+        fit = self.solver.fit(target, found)
         schedule = self.solver.settings.from_near
         scale = max(schedule.last_scale_mm, SCALE * float(np.nan_to_num(found.quality.scan_mm)))
         posed = fit.surface.posed(fit.coefficients(found.state.units))

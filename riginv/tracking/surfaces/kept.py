@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 Value = TypeVar("Value")
-MAX_POINTS = 1_000_000  # of the kept scans together: some 300 MB
+MAX_POINTS = 500_000  # of the kept scans together: some 200 MB with their search trees
 
 
 class Kept(Generic[Value]):

@@ -113,10 +113,11 @@ class ScanSolver:
         Args:
             found: a solution, whose distances from the scan show how noisy it is; None: as noisy as the settings say.
         """
-        noise_mm = self.settings.noise_mm
-        if found is not None:
-            noise_mm = float(np.hypot(noise_mm, DEVIATION * np.nan_to_num(found.quality.scan_mm)))
-        return self.fit_of(independent_measurements(torch.from_numpy(target.points)), noise_mm)
+        measurements, noise_mm = independent_measurements(torch.from_numpy(target.points)), self.settings.noise_mm
+        if found is not None:  # noise is independent from point to point, unlike what the rig cannot make
+            white = DEVIATION * float(np.nan_to_num(found.quality.scan_mm))
+            noise_mm = float(np.hypot(noise_mm, white * (measurements / len(target.surface.points)) ** 0.5))
+        return self.fit_of(measurements, noise_mm)
 
     def variance_per_measurement(self, target: Target) -> float:
         """The weight of the prior for a scan, mm^2."""
@@ -152,7 +153,8 @@ class ScanSolver:
 
     def finished(self, target: Target, found: SolvedScan) -> SolvedScan:
         """A solution after the last steps, with more of the scan's points and with a prior as strong as they are noisy."""
-        state = self.fit(target, found).fit(self.finer(target), found.state, self.settings.finish)
+        finer = self.finer(target)
+        state = self.fit(finer, found).fit(finer, found.state, self.settings.finish)
         return replace(found, state=state, quality=quality(self.fit(target), target, state))
 
     def _restart(self, fit: SurfaceFit, target: Target, best: SolvedScan) -> SolvedScan:
