@@ -200,24 +200,31 @@ class Objective:
         return (coefficients - self.rest) @ self.map - coordinates
 
     def _prior(self, units: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Prior and sparsity: their cost `(mesh,)`, gradient and curvature, both `(mesh, control)`.
-
-        The sparsity of a control that is neutral at a limit is linear; inside its range it is rounded at neutral, with the
-        curvature of the parabola that bounds it from above.
-        """
+        """Prior and sparsity: their cost `(mesh,)`, gradient and curvature, both `(mesh, control)`."""
         away = units - self.neutral
         cost, gradient = 0.5 * (self.prior * away.square()).sum(dim=1), self.prior * away
         curvature = torch.zeros_like(away) + self.prior
         if self.learned is not None:  # its curvature is not diagonal: `linearise` adds it
             cost, gradient = cost + self.learned.cost(units), gradient + self.learned.gradient(units)
         if self.is_sparse:
-            rounded = (away.square() + CORNER**2).sqrt()
-            inside = (self.neutral > 0) & (self.neutral < 1)
-            cost = cost + (self.sparsity * torch.where(inside, rounded - CORNER, away.abs())).sum(dim=1)
-            direction = torch.where(self.neutral <= 0, 1.0, -1.0)
-            gradient = gradient + self.sparsity * torch.where(inside, away / rounded, direction)
-            curvature = curvature + self.sparsity * torch.where(inside, 1 / rounded, 0.0)
+            terms = sparsity_terms(units, self.neutral, self.sparsity)
+            cost, gradient, curvature = cost + terms[0], gradient + terms[1], curvature + terms[2]
         return cost, gradient, curvature
+
+
+def sparsity_terms(units: Tensor, neutral: Tensor, sparsity: float | Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """An L1 penalty on controls `(mesh, control)`: its cost `(mesh,)`, gradient and curvature, both `(mesh, control)`.
+
+    That of a control that is neutral at a limit is linear; inside its range it is rounded at neutral, with the curvature of the
+    parabola that bounds it from above.
+    """
+    away = units - neutral
+    rounded = (away.square() + CORNER**2).sqrt()
+    inside = (neutral > 0) & (neutral < 1)
+    cost = (sparsity * torch.where(inside, rounded - CORNER, away.abs())).sum(dim=1)
+    direction = torch.where(neutral <= 0, 1.0, -1.0)
+    gradient = sparsity * torch.where(inside, away / rounded, direction)
+    return cost, gradient, sparsity * torch.where(inside, 1 / rounded, 0.0)
 
 
 def _move_together(rows: Tensor) -> Tensor:

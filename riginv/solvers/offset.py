@@ -128,7 +128,7 @@ class OffsetSolver:
             neutral = _rotated(neutral[None], pose, centre, radius)[0]
         return OffsetSolution(neutral, units, vertices, at.cost, at.steps)
 
-    def _linearise(self, at: OffsetSolution) -> "_Arrow":
+    def _linearise(self, at: OffsetSolution) -> "Arrow":
         objective, frames = self.objective, len(at.units)
         centre, radius = _centre(at.neutral)
         rigid = _generators(at.neutral[None], centre, radius)[0]
@@ -148,11 +148,11 @@ class OffsetSolver:
         shared_slope = (basis @ residual.sum(dim=0)).double()
         if self.is_free:
             own = frames * torch.eye(len(basis), dtype=torch.float64)
-            return _Arrow(hessian, gradient, coupling.mT.double(), own, shared_slope, objective.controls)
+            return Arrow(hessian, gradient, coupling.mT.double(), own, shared_slope, objective.controls)
         rotations = rigid[:3]
         field = basis @ rotations.T  # (coordinate, 3)
         own = frames * (rotations @ rotations.T).double()
-        return _Arrow(hessian, gradient, (coupling.mT @ field).double(), own, shared_slope @ field.double(), objective.controls)
+        return Arrow(hessian, gradient, (coupling.mT @ field).double(), own, shared_slope @ field.double(), objective.controls)
 
     def _control_columns(self, units: Tensor, coordinates: int) -> Tensor:
         """The derivatives of mesh coordinates, `(frame, coordinate, control)`; 0 for those beyond the mesh space."""
@@ -173,7 +173,7 @@ class OffsetSolver:
 
 
 @dataclass
-class _Arrow:
+class Arrow:
     """Normal equations: a block for each frame, a shared block, and what couples them; all in float64.
 
     Attributes:

@@ -7,7 +7,7 @@ from riginv.rig.batches import generator_at
 from riginv.rig.interface import Control, LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.objective import Objective
-from riginv.solvers.offset import OffsetSolver, _Arrow
+from riginv.solvers.offset import Arrow, OffsetSolver
 from tests.support.toys import ToyRig
 
 
@@ -35,7 +35,7 @@ def test_elimination_is_the_dense_solve():
     couples = torch.randn(12, shared, generator=random, dtype=torch.float64)
     gradient = torch.randn(frames, unknowns, generator=random, dtype=torch.float64)
     slope = torch.randn(shared, generator=random, dtype=torch.float64)
-    arrow = _Arrow(rows.mT @ rows, gradient, rows.mT @ couples, frames * couples.T @ couples, slope, unknowns)
+    arrow = Arrow(rows.mT @ rows, gradient, rows.mT @ couples, frames * couples.T @ couples, slope, unknowns)
     added = torch.rand(frames, unknowns, generator=random, dtype=torch.float64) + 0.1
     free = torch.rand(frames, unknowns, generator=random) > 0.3
     pinned = torch.where(free, 0.0, torch.randn(frames, unknowns, generator=random, dtype=torch.float64))

@@ -8,11 +8,12 @@ import trimesh
 from riginv.solvers.band import second_difference_bands, second_differences
 from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.priors.performances import default_prior
-from riginv.tracking.priors.prior import independent_measurements
+from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.alignment import Aligner
 from riginv.tracking.surfaces.clip import ScanSmoothness, eliminate_motion, smooth_scans
 from riginv.tracking.surfaces.fitting import ROTATION, Linearised, State, SurfaceFit
+from riginv.tracking.surfaces.kept import Kept
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.rig_surface import RigSurface, farthest_points
@@ -182,3 +183,27 @@ def test_an_open_mouth_with_the_tongue_out_is_found(face):
     found = solver.solve(solver.target(TriangleMesh(scan, faces)))
     mesh = solver.surface.vertices(solver.fit_of(1.0).coefficients(found.state.units))
     assert np.linalg.norm(mesh - truth, axis=1).mean() < 1.0
+
+
+def test_values_are_computed_once_while_there_is_room():
+    asked = []
+    kept = Kept(lambda row: asked.append(row) or [row] * 10, len, limit=25)
+    assert [kept(row)[0] for row in (0, 1, 2, 0, 1, 2)] == [0, 1, 2, 0, 1, 2] and asked == [0, 1, 2, 2]
+    kept.forget_before(1)
+    assert [kept(row)[0] for row in (2, 2, 0)] == [2, 2, 0] and asked == [0, 1, 2, 2, 2, 0]
+
+
+def test_more_points_of_a_noisy_scan_lower_the_error(rig):
+    prior = ControlPrior(rig.control_names, torch.full((7,), 0.5).double(), 10 * torch.eye(7).double())
+    solver = ScanSolver(rig, prior, ScanSettings(samples=150, fine_samples=2000), moves=False)
+    errors = []
+    for seed in range(4):
+        controls = torch.tensor([0.3, 0.6, 0.2, 0.5, 0.4, -0.5, 0.3])
+        scan, rng = resampled(rig, controls, seed), np.random.default_rng(seed)
+        noisy = TriangleMesh(scan.points + rng.normal(0, 0.5, scan.points.shape), scan.faces)
+        found = solver.solve(solver.target(noisy))
+        both = (found, solver.finished(solver.target(noisy), found))
+        poses = [rig(solver.fit_of(1.0).controls(each.state.units)[None]) for each in both]
+        errors.append([float((pose - rig(controls[None])).norm(dim=2).mean()) for pose in poses])
+    coarse, fine = np.mean(errors, axis=0)
+    assert fine < 0.9 * coarse, errors

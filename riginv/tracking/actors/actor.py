@@ -10,6 +10,8 @@ from torch import Tensor
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.tracking.fixed_controls import FixedControlsRig
 
+SOLVE = "solve"  # the setting, in place of a file
+
 
 @dataclass(frozen=True)
 class Actor:
@@ -88,6 +90,14 @@ class PosedActor(RigBackend):
 
     def vertex_colors(self) -> Float[Tensor, "vertex 3"] | None:
         return self.rig.vertex_colors()
+
+
+def solved_note(steps: int) -> str:
+    """A sentence on a neutral that was solved for."""
+    return (
+        f"the neutral was found in {steps} steps: a control that never comes to rest in the clip may keep an error "
+        f"(actor.neutral=FILE avoids it)"
+    )
 
 
 def posed_actor(rig: RigBackend, actor: Actor | None) -> RigBackend:

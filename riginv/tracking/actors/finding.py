@@ -13,7 +13,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.console import show_lines
 from riginv.solvers.offset import OffsetSolver
-from riginv.tracking.actors.actor import Actor, ActorRig
+from riginv.tracking.actors.actor import SOLVE, Actor, ActorRig, solved_note
 from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, neutral_of_frames, read_neutral
 from riginv.tracking.alternation import MIN_KNOWN
 from riginv.tracking.assembly import build_solver
@@ -24,7 +24,6 @@ from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls, stability_weights
 from riginv.tracking.static_controls import spread_frames
 
-SOLVE = "solve"
 SPARSITY = 3e-5  # mm^2, an L1 penalty, without which the neutral pose would be ambiguous
 FRAMES, FRAMES_TO_ALIGN = 60, 16  # frames spread over the clip, to solve for an offset, and for a rotation alone
 STEPS, STEPS_TO_ALIGN = 40, 12
@@ -78,10 +77,7 @@ class _Finder:
         start = torch.where(known.any(dim=0), mean, self.rest)
         show_lines([], [f"the actor's neutral is solved for with {len(frames)} frames spread over the clip"])
         found = self._solver(is_free=True).solve(frames, start, STEPS)
-        notes = [
-            f"the neutral was found in {found.steps} steps: a control that never comes to rest in the clip may keep an error "
-            f"(actor.neutral=FILE avoids it)"
-        ]
+        notes = [solved_note(found.steps)]
         if not bool(known.any(dim=0).all()):
             notes.append(f"{int((~known.any(dim=0)).sum()):,} vertices are never known: the actor has the rig's there")
         return self._actor(found.neutral, SOLVE, notes, {"frames": len(frames), "steps": found.steps})

@@ -1,5 +1,8 @@
-"""The actor of a clip of scans: a mesh of the rig's topology, or a scan or frames of the clip, which are wrapped."""
+"""The actor of a clip of scans: a mesh of the rig's topology, a scan frames of the clip, or what is solved for."""
 
+from collections.abc import Sequence
+
+import numpy as np
 import torch
 
 from riginv.clips.clip import frames_named
@@ -7,32 +10,58 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
-from riginv.tracking.actors.actor import Actor
+from riginv.runs.console import show_lines
+from riginv.tracking.actors.actor import SOLVE, Actor, solved_note
 from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, read_neutral, wrapped
+from riginv.tracking.actors.scan_offset import ScanOffset, ScanOffsetSettings
 from riginv.tracking.options import ActorOptions
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.scans import ScanSequence
+from riginv.tracking.surfaces.solving import ScanSolver
 
 
 @torch.no_grad()
 def actor_of_scans(
     options: ActorOptions, reading: ReadingOptions, scans: ScanSequence, units: ClipUnits, rig: LinearRig
 ) -> Actor | None:
-    """The actor of a clip of scans; None where the options name none.
+    """The actor of a clip of scans whose neutral is given; None where the options name none, or it is to be solved for.
 
     Raises:
-        InputError: the neutral is to be solved for, cannot be read, or cannot be wrapped.
+        InputError: the neutral cannot be read, or cannot be wrapped.
     """
-    if not options.is_given:
+    if not options.is_given or options.neutral == SOLVE:
         return None
-    if options.neutral == "solve":
-        raise InputError(
-            "actor.neutral=solve needs meshes of the rig's topology, and the clip is fitted by its surface: give actor.neutral="
-            "FILE, a scan of the actor at rest, or actor.neutral_frames"
-        )
     given = read_neutral(options.neutral, rig, reading) if options.neutral else _of_frames(options, scans, units, rig)
     neutral = in_rig_space(given, rig.rest_vertices, stability_weights(rig), True)
     return Actor(neutral, neutral - rig.rest_vertices, options.scale, given.source, tuple(given.notes))
+
+
+@torch.no_grad()
+def solve_actor(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows: Sequence[int], scale: float) -> Actor:
+    """The actor of a clip of scans, found together with the controls of scans spread over it.
+
+    Args:
+        solver: of the rig, or of the rig with the actor's scale.
+        rows: indices of the frames in the clip; -1 for an excluded one.
+
+    Raises:
+        InputError: no frame has a scan, or what was found is far from the rig's shape.
+    """
+    settings = ScanOffsetSettings()
+    targets, axes = [], units.axes.double().numpy()
+    for place in np.unique(np.linspace(0, len(rows) - 1, settings.frames).round().astype(int)).tolist():
+        cleaned = scans.cleaned(rows[place])
+        if cleaned is not None:
+            targets.append(solver.target(cleaned.surface(units.mm, axes)))
+    if not targets:
+        raise InputError(f"{scans.path}: none of {settings.frames} frames spread over it holds a scan of 50 points or more")
+    show_lines([], [f"the actor's neutral is solved for with {len(targets)} scans spread over the clip"])
+    found = ScanOffset(solver, settings).solve(targets)
+    rig = solver.rig
+    given = GivenNeutral(torch.from_numpy(found), SOLVE, [])
+    neutral = in_rig_space(given, rig.rest_vertices, stability_weights(rig), solver.moves)
+    facts = {"frames": len(targets), "steps": settings.rounds}
+    return Actor(neutral, neutral - rig.rest_vertices, scale, SOLVE, (solved_note(settings.rounds),), facts)
 
 
 def _of_frames(options: ActorOptions, scans: ScanSequence, units: ClipUnits, rig: LinearRig) -> GivenNeutral:

@@ -12,8 +12,8 @@ from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
-from riginv.tracking.actors.actor import Actor, ActorRig
-from riginv.tracking.actors.scans import actor_of_scans
+from riginv.tracking.actors.actor import SOLVE, Actor, ActorRig
+from riginv.tracking.actors.scans import actor_of_scans, solve_actor
 from riginv.tracking.options import ControlOptions, TrackingOptions
 from riginv.tracking.priors.files import prior_or_default
 from riginv.tracking.stability import stability_weights
@@ -81,11 +81,15 @@ def build_scan_parts(
     rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
     settings = ScanSettings(noise_mm=options.noise_of_measurements_mm)
     actor = actor_of_scans(options.actor, reading, scans, units, rig)
+    how = prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy()
+    if options.actor.neutral == SOLVE:
+        none = Actor(rig.rest_vertices, torch.zeros_like(rig.rest_vertices), options.actor.scale, "")
+        actor = solve_actor(ScanSolver(ActorRig(rig, none), *how), scans, units, rows, options.actor.scale)
     fitted = rig if actor is None else ActorRig(rig, actor)
     notes = [*scans.facts.notes, *units.notes, note]
     if actor is not None:
         notes += [*actor.notes, f"the actor is {actor.sentence}"]
-    solver = ScanSolver(fitted, prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy())
+    solver = ScanSolver(fitted, *how)
     smoothness = ScanSmoothness() if options.method in (None, "clip") else None
     return ScanParts(scans, units, solver, rows, kept, smoothness, actor, notes)
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from riginv.solvers.band import second_difference_bands, second_differences
 from riginv.solvers.band_step import band_box_step
 from riginv.tracking.surfaces.fitting import ROTATION, SHIFT_MM, Linearised, State, SurfaceFit
+from riginv.tracking.surfaces.kept import Kept
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.quality import quality
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
@@ -62,18 +63,24 @@ def smooth_scans(
     """Minimise the robust distance of all scans, the prior, and the squared second differences of the controls.
 
     Args:
-        load: called once per frame and iteration.
+        load: the scan of a frame.
         found: the solution of each frame; None where it has no scan: it follows its neighbours.
         advance: reports progress.
     """
-    result = nearest_known(found)
+    result, load = nearest_known(found), load if isinstance(load, Kept) else kept_scans(load)
     for first in range(0, len(result), WINDOW):
+        load.forget_before(first)
         stop = min(first + WINDOW + LOOKAHEAD, len(result))
         stop = len(result) if len(result) - stop <= LOOKAHEAD else stop
         _Window(solver, load, result, first, stop, options).solve(advance)
         if stop == len(result):
             break
     return result
+
+
+def kept_scans(load: Load) -> Kept[Target | None]:
+    """Scans that are kept in memory as far as there is room."""
+    return Kept(load, lambda target: 0 if target is None else len(target.surface.points))
 
 
 class _Window:
@@ -110,7 +117,8 @@ class _Window:
         target, found = self.load(frame), self.result[frame]
         if target is None:
             return self._prior_alone(found)
-        fit = self.solver.fit(target)
+        target = self.solver.finer(target)
+        fit = self.solver.fit(target, found)
         schedule = self.solver.settings.from_near
         scale = max(schedule.last_scale_mm, SCALE * float(np.nan_to_num(found.quality.scan_mm)))
         posed = fit.surface.posed(fit.coefficients(found.state.units))

@@ -48,6 +48,7 @@ class Schedule:
 
 FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
 FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, converged=0.01)
+FINISH = Schedule(steps=6, first_scale_mm=0.5, converged=0.003)
 
 
 class State(NamedTuple):
@@ -153,7 +154,13 @@ class SurfaceFit:
 
 
 class Linearised:
-    """Residuals of pairs near a state, linear in the rig's coefficients and in rigid motion."""
+    """Residuals of pairs near a state, linear in the rig's coefficients and in rigid motion.
+
+    Attributes:
+        residual, weights: of the pairs, `(pair,)`.
+        columns: derivatives of the residuals by controls and rigid motion, `(pair, control + motion)`.
+        normal: the normal equations.
+    """
 
     def __init__(self, fit: SurfaceFit, state: State, pairs: Pairs) -> None:
         self.fit, self.state = fit, state
@@ -165,6 +172,7 @@ class Linearised:
             box = np.array([ROTATION] * 3 + [SHIFT_MM] * 3)
             self.motion_rows = as_tensor(pairs.motion_rows(fit.surface.centre) * box)
             columns = torch.cat([columns, self.motion_rows], dim=1)
+        self.columns = columns
         weighted = self.weights[:, None] * columns
         cost = 0.5 * float(self.weights @ self.residual.square())
         self.normal = Normal(cost, (weighted.T @ self.residual).double(), (weighted.T @ columns).double())

@@ -1,5 +1,6 @@
 """A rig's mesh as a surface: poses, samples, and derivatives of its points along normals."""
 
+import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from riginv.rig.interface import LinearRig
 from riginv.rig.jacobian import Jacobian
-from riginv.tracking.surfaces.triangles import TriangleMesh, border_edges, unit
+from riginv.tracking.surfaces.triangles import TriangleMesh, border_edges, faces_around, unit
 
 DIRECTIONS = 64  # rays from each vertex
 EXPOSED = 0.15  # fraction of unoccluded rays of an outer vertex
@@ -46,6 +47,7 @@ class RigSurface:
         self.stability = np.ones(len(rig.rest_vertices)) if stability is None else stability
         self.faces = np.ascontiguousarray(rig.faces.cpu().numpy(), np.int64)
         self.border = border_edges(self.faces)
+        self._around = faces_around(self.faces, len(rig.rest_vertices))
         rest = rig.rest_vertices.cpu().numpy().astype(np.float64)
         self.outer = exposure(rest, self.faces) > EXPOSED
         if not self.outer.any():
@@ -58,6 +60,12 @@ class RigSurface:
         self._rows = self._basis.T.contiguous()  # (3 vertices, coefficient)
         self._neutral = rig.neutral_coefficients()[0].detach().float()
 
+    def with_rest(self, rest: np.ndarray) -> "RigSurface":
+        """The same rig with another mesh at rest `(vertex, 3)`, mm."""
+        other = copy.copy(self)
+        other._rest = torch.from_numpy(rest).float()
+        return other
+
     @torch.no_grad()
     def pose(self, controls: Tensor) -> Posed:
         """The rig's surface at controls `(control,)`."""
@@ -67,7 +75,7 @@ class RigSurface:
     @torch.no_grad()
     def posed(self, coefficients: Tensor) -> Posed:
         """The rig's surface at coefficients `(coefficient,)`."""
-        return Posed(coefficients, TriangleMesh(self.vertices(coefficients), self.faces, self.border))
+        return Posed(coefficients, TriangleMesh(self.vertices(coefficients), self.faces, self.border, self._around))
 
     @torch.no_grad()
     def vertices(self, coefficients: Tensor) -> np.ndarray:

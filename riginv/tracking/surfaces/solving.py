@@ -10,7 +10,7 @@ from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.priors.performances import STRONG, PoseLibrary
 from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.surfaces.alignment import Aligner
-from riginv.tracking.surfaces.fitting import FROM_NEAR, FROM_SCRATCH, Schedule, State, SurfaceFit
+from riginv.tracking.surfaces.fitting import FINISH, FROM_NEAR, FROM_SCRATCH, Schedule, State, SurfaceFit
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.quality import Quality, quality
@@ -18,6 +18,7 @@ from riginv.tracking.surfaces.restarts import hidden_controls, promising_starts
 from riginv.tracking.surfaces.rig_surface import RigSurface
 from riginv.tracking.surfaces.triangles import Surface
 
+DEVIATION = 1.2533  # of a Gaussian, relative to its mean distance from 0
 MARGIN = 0.02  # of a control's range between a start and its limits
 
 
@@ -27,9 +28,10 @@ class ScanSettings:
 
     Attributes:
         samples: number of samples of the rig's skin, and of the scan.
+        fine_samples: of the scan in the last steps, where more of them lower the effect of noise.
         noise_mm: standard deviation of the residual between the scan and the rig's best mesh, which weights the prior.
         base: mm^2 for a control that leaves neutral by its whole range, beside the prior.
-        from_scratch, from_near: the steps of a fit.
+        from_scratch, from_near, finish: the steps of a fit.
         explained: fraction of explained points below which further starts are tried.
         starts: number of these for each ranking of poses: near the solution, near the prior's mean, with hidden parts shown.
         seen: the fraction of the rig's skin below which a frame is flagged as `little_seen`.
@@ -39,10 +41,12 @@ class ScanSettings:
     """
 
     samples: int = 1500
+    fine_samples: int = 4000
     noise_mm: float = 0.1
     base: float = 1e-6
     from_scratch: Schedule = FROM_SCRATCH
     from_near: Schedule = FROM_NEAR
+    finish: Schedule = FINISH
     explained: float = 0.98
     starts: int = 1
     seen: float = 0.25
@@ -99,17 +103,29 @@ class ScanSolver:
         """The target of a scan."""
         return Target.of(surface, self.settings.samples)
 
-    def fit(self, target: Target) -> SurfaceFit:
-        """The fit of a scan, with the prior weighted for its measurements."""
-        return self.fit_of(independent_measurements(torch.from_numpy(target.points)))
+    def finer(self, target: Target) -> Target:
+        """The same scan with the samples of the last steps."""
+        return target.resampled(self.settings.fine_samples)
+
+    def fit(self, target: Target, found: SolvedScan | None = None) -> SurfaceFit:
+        """The fit of a scan, with the prior weighted for its measurements.
+
+        Args:
+            found: a solution, whose distances from the scan show how noisy it is; None: as noisy as the settings say.
+        """
+        measurements, noise_mm = independent_measurements(torch.from_numpy(target.points)), self.settings.noise_mm
+        if found is not None:  # noise is independent from point to point, unlike what the rig cannot make
+            white = DEVIATION * float(np.nan_to_num(found.quality.scan_mm))
+            noise_mm = float(np.hypot(noise_mm, white * (measurements / len(target.surface.points)) ** 0.5))
+        return self.fit_of(measurements, noise_mm)
 
     def variance_per_measurement(self, target: Target) -> float:
         """The weight of the prior for a scan, mm^2."""
         return self.settings.noise_mm**2 / max(independent_measurements(torch.from_numpy(target.points)), 1)
 
-    def fit_of(self, measurements: float) -> SurfaceFit:
-        """The fit of a scan with a number of independent measurements."""
-        weighed: GaussianPrior = self.prior.weighed(self.settings.noise_mm, measurements)
+    def fit_of(self, measurements: float, noise_mm: float | None = None) -> SurfaceFit:
+        """The fit of a scan with a number of independent measurements, and a noise; None: that of the settings."""
+        weighed: GaussianPrior = self.prior.weighed(noise_mm or self.settings.noise_mm, measurements)
         return SurfaceFit(self.surface, weighed, self.moves, self.settings.base)
 
     def solve(self, target: Target, before: SolvedScan | None = None) -> SolvedScan:
@@ -134,6 +150,12 @@ class ScanSolver:
         if best.quality.explained < self.settings.explained and self.settings.starts:
             best = self._restart(fit, target, best)
         return best
+
+    def finished(self, target: Target, found: SolvedScan) -> SolvedScan:
+        """A solution after the last steps, with more of the scan's points and with a prior as strong as they are noisy."""
+        finer = self.finer(target)
+        state = self.fit(finer, found).fit(finer, found.state, self.settings.finish)
+        return replace(found, state=state, quality=quality(self.fit(target), target, state))
 
     def _restart(self, fit: SurfaceFit, target: Target, best: SolvedScan) -> SolvedScan:
         motion, found = best.state.motion, best.quality

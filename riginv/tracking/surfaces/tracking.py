@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
-from riginv.tracking.surfaces.clip import ScanSmoothness, nearest_known, smooth_scans
+from riginv.tracking.surfaces.clip import ScanSmoothness, kept_scans, nearest_known, smooth_scans
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
@@ -66,18 +66,20 @@ def track_scans(
         InputError: no frame has a scan, or none can be brought onto the rig.
     """
 
-    def load(row: int) -> Target | None:
+    def read(row: int) -> Target | None:
         cleaned = scans.cleaned(frames[row])
         return None if cleaned is None else solver.target(cleaned.surface(units.mm, units.axes.double().numpy()))
 
+    load, is_smooth = kept_scans(read), smoothness is not None and len(frames) > 2
     solutions: list[SolvedScan | None] = []
     for row in range(len(frames)):
         target, before = load(row), next((solution for solution in reversed(solutions[-3:]) if solution is not None), None)
-        solutions.append(None if target is None else solver.solve(target, before))
+        solution = None if target is None else solver.solve(target, before)
+        solutions.append(solution if is_smooth or target is None or solution is None else solver.finished(target, solution))
         advance("each frame", 1)
     has_scan = [solution is not None for solution in solutions]
     _check(scans, [solution for solution in solutions if solution is not None], solver)
-    if smoothness is not None and len(solutions) > 2:
+    if smoothness is not None and is_smooth:
         solved = smooth_scans(solver, load, solutions, smoothness, lambda done: advance("the whole clip", done))
     else:
         solved = nearest_known(solutions)

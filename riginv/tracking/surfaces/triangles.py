@@ -65,17 +65,23 @@ class TriangleMesh(Surface):
     Args:
         points: `(point, 3)`, mm.
         faces: `(face, 3)`.
-        border: `border_edges(faces)`, if it is known already.
+        border, around: `border_edges(faces)` and `faces_around(faces, len(points))`, if they are known already.
     """
 
-    def __init__(self, points: np.ndarray, faces: np.ndarray, border: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        points: np.ndarray,
+        faces: np.ndarray,
+        border: np.ndarray | None = None,
+        around: sparse.csr_array | None = None,
+    ) -> None:
         self.points = np.ascontiguousarray(points, np.float64)
         self.faces = np.ascontiguousarray(faces, np.int64)
         self.border = border_edges(self.faces) if border is None else border
         corners = self.points[self.faces]
         crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.areas = 0.5 * np.linalg.norm(crossed, axis=1)
-        self.normals = unit(_scatter(self.faces, len(self.points)) @ crossed)
+        self.normals = unit((faces_around(self.faces, len(self.points)) if around is None else around) @ crossed)
 
     @cached_property
     def border_points(self) -> np.ndarray:
@@ -199,7 +205,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def _scatter(faces: np.ndarray, points: int) -> sparse.csr_array:
+def faces_around(faces: np.ndarray, points: int) -> sparse.csr_array:
     """A matrix `(point, face)` that sums values of the faces around each point."""
     rows, columns = faces.reshape(-1), np.repeat(np.arange(len(faces)), 3)
     return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(points, len(faces)))

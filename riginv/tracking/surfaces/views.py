@@ -1,17 +1,21 @@
 """Scans beside the recovered mesh, with distances both ways, for the page and the contact sheet."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from riginv.tracking.surfaces.assembly import ScanParts
+from riginv.tracking.surfaces.kept import Kept
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.quality import DEGREES, SEEN_MM
 from riginv.tracking.surfaces.tracking import ScanTrack
 from riginv.tracking.surfaces.triangles import Surface, TriangleMesh
 from riginv.viewer.scans import DrawnScan
+
+MAX_NUMBERS = 20_000_000  # of the matched scans together: some 120 MB
 
 
 class ScanViews:
@@ -20,6 +24,7 @@ class ScanViews:
     def __init__(self, parts: ScanParts, track: ScanTrack) -> None:
         self.parts, self.track = parts, track
         self.outer = np.flatnonzero(parts.solver.surface.outer)
+        self.matched = Kept(self._match, lambda matched: matched.size, MAX_NUMBERS)  # asked for by page and contact sheet
 
     def surface(self, row: int) -> Surface | None:
         """The scan of a row; None where there is none."""
@@ -37,22 +42,40 @@ class ScanViews:
 
     def nearest(self, wanted: Sequence[int]) -> Tensor:
         """The scan's points that are nearest to the rig's vertices, `(row, vertex, 3)`, mm; NaN where the scan sees none."""
-        found = torch.full((len(wanted), len(self.parts.solver.surface.outer), 3), torch.nan)
-        for place, row in enumerate(wanted):
-            scan = self.surface(row)
-            if scan is not None:
-                mesh = self.posed(row)
-                hits = scan.closest(mesh.points[self.outer])
-                facing = (hits.normals * mesh.normals[self.outer]).sum(axis=1) > np.cos(np.radians(DEGREES))
-                seen = facing & ~hits.on_border & (hits.distance < SEEN_MM)
-                found[place, self.outer[seen]] = torch.from_numpy(hits.points[seen]).float()
-        return found
+        return torch.stack([self.matched(row).nearest for row in wanted])
 
     def drawn(self, row: int) -> DrawnScan | None:
         """The scan of a row, with its distances from the rig."""
+        return self.matched(row).drawn
+
+    def _match(self, row: int) -> "_Matched":
         scan = self.surface(row)
+        found = torch.full((len(self.parts.solver.surface.outer), 3), torch.nan)
         if scan is None:
-            return None
-        hits = self.posed(row).closest(scan.points)
+            return _Matched(found, None)
+        mesh = self.posed(row)
+        hits = scan.closest(mesh.points[self.outer])
+        facing = (hits.normals * mesh.normals[self.outer]).sum(axis=1) > np.cos(np.radians(DEGREES))
+        seen = facing & ~hits.on_border & (hits.distance < SEEN_MM)
+        found[self.outer[seen]] = torch.from_numpy(hits.points[seen]).float()
+        back = mesh.closest(scan.points)
         faces = scan.faces if isinstance(scan, TriangleMesh) else np.zeros((0, 3), np.int64)
-        return DrawnScan(scan.points, scan.normals, faces, np.where(hits.on_border, np.nan, hits.distance))
+        distance = np.where(back.on_border, np.nan, back.distance)
+        return _Matched(found, DrawnScan(scan.points, scan.normals, faces, distance))
+
+
+class _Matched(NamedTuple):
+    """A scan and a recovered mesh, matched both ways.
+
+    Attributes:
+        nearest: of the scan to the rig's vertices, `(vertex, 3)`.
+        drawn: the scan with its distances; None where there is none.
+    """
+
+    nearest: Tensor
+    drawn: DrawnScan | None
+
+    @property
+    def size(self) -> int:
+        """How many numbers it holds, about."""
+        return self.nearest.numel() + (0 if self.drawn is None else 7 * len(self.drawn.points) + 3 * len(self.drawn.faces))

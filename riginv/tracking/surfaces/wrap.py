@@ -85,7 +85,7 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
     moving, displacement = np.flatnonzero(skin), np.zeros_like(rest)
     attracted = np.zeros(len(rest), bool)
     attracted[outer] = True
-    smoothness = _smoothness(faces, skin)
+    smoothness = smoothness_matrix(faces, skin)
     least = np.geomspace(WIDE_MM, SCALE_MM, len(settings.stiffness))
     for stiffness, least_mm in zip(settings.stiffness, least):
         mesh = TriangleMesh(rest + displacement, faces, border)
@@ -98,7 +98,7 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
         matrix = sparse.diags_array(weights) + stiffness * smoothness
         factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         displacement[moving] = factor.solve(weights[:, None] * aim)
-        displacement = _with_loose_parts(rest, faces, skin, displacement)
+        displacement = with_loose_parts(rest, faces, skin, displacement)
     local = rest + displacement
     hits, weights = _attract(TriangleMesh(local, faces, border), np.arange(len(rest)), scan, motion, scale, settings)
     distance = np.where((weights > 0) & (hits.distance < settings.usable_mm) & attracted, hits.distance, np.nan)
@@ -171,7 +171,7 @@ def skin_component(rest: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> np
     return part == np.bincount(part[outer]).argmax()
 
 
-def _smoothness(faces: np.ndarray, skin: np.ndarray) -> sparse.csc_array:
+def smoothness_matrix(faces: np.ndarray, skin: np.ndarray) -> sparse.csc_array:
     """The smoothness matrix of skin displacements: half the squared edges plus five times the squared Laplacian."""
     adjacency = _adjacency(faces, len(skin))[skin][:, skin]
     degrees = adjacency.sum(axis=1)
@@ -188,7 +188,7 @@ def _adjacency(faces: np.ndarray, count: int) -> sparse.csr_array:
     return matrix.tocsr()
 
 
-def _with_loose_parts(rest: np.ndarray, faces: np.ndarray, skin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def with_loose_parts(rest: np.ndarray, faces: np.ndarray, skin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Displacements where loose parts, such as eyeballs and teeth, follow the nearby skin rigidly."""
     if skin.all():
         return displacement
