@@ -5,6 +5,7 @@ With the basis B = M Q, Q the orthonormal directions of the mesh space, the coor
 
 from functools import partial
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -29,19 +30,24 @@ class SparseEncoder:
 
     Args:
         rig: in mesh space.
-        moves: whether each row moves each vertex, `(row, vertex)`.
-        groups: the vertices of each group.
+        used: whether each row moves a vertex of each group, `(group, row)`.
+        members: the vertices of each group, `(group, 16)`; -1 where there are no more.
     """
 
-    def __init__(self, rig: RigInMeshSpace, moves: Tensor, groups: list[Tensor]) -> None:
+    def __init__(self, rig: RigInMeshSpace, used: Tensor, members: Tensor) -> None:
         basis = rig.source.basis
-        self.rows, self.groups = len(basis), len(groups)
-        members = torch.stack([torch.nn.functional.pad(group, (0, GROUP - len(group)), value=-1) for group in groups])
-        used = [moves[:, group].any(dim=1).nonzero()[:, 0] for group in groups]
-        padded = [torch.nn.functional.pad(rows, (0, -len(rows) % BLOCK), value=self.rows) for rows in used]
-        blocks = [_blocks(basis, rows, group) for rows, group in zip(padded, members)]
-        self.members, self.row, self.values = members.int(), torch.cat(padded).int(), torch.cat(blocks)
-        self.starts = torch.tensor([0, *(len(rows) for rows in padded)]).cumsum(dim=0).int()
+        self.rows, self.groups, self.members = len(basis), len(members), members.int()
+        counts = used.sum(dim=1)
+        starts = torch.nn.functional.pad((-(-counts // BLOCK) * BLOCK).cumsum(dim=0), (1, 0))
+        group, row = used.nonzero().unbind(dim=1)
+        index = starts[group] + torch.arange(len(row)) - (counts.cumsum(dim=0) - counts)[group]
+        self.starts = starts.int()
+        self.row = torch.full((int(starts[-1]),), self.rows, dtype=torch.int32).index_copy_(0, index, row.int())
+        vertex = members[group]
+        moved = basis.flatten(0, 1).index_select(0, (row[:, None] * basis.shape[1] + vertex.clamp_min(0)).flatten())
+        moved = (moved.unflatten(0, vertex.shape) * (vertex >= 0)[:, :, None]).flatten(1)
+        blocks = basis.new_zeros(len(self.row), 3 * GROUP).index_copy_(0, index, moved)
+        self.values = blocks.unflatten(0, (-1, BLOCK)).transpose(1, 2).flatten()  # eight rows after eight
         directions = rig.space.directions  # which the basis spans: the products are of full column rank
         left, upper = torch.linalg.qr(self._products(torch.zeros_like(directions[0]), directions, None).T)
         self.matrix = torch.linalg.solve_triangular(upper, left.T, upper=True).T.contiguous()
@@ -62,10 +68,12 @@ class SparseEncoder:
             return None
         generator = torch.Generator().manual_seed(0)
         moved_by = moves.T.float() @ torch.randn(len(moves), SKETCH, generator=generator)  # keeps how much vertices differ
-        groups = _alike(moved_by, torch.arange(basis.shape[1]))
-        if sum(int(moves[:, group].any(dim=1).sum()) * GROUP for group in groups) > MAX_DENSITY * moves.numel():
+        vertices = torch.from_numpy(_alike(moved_by.numpy(), np.arange(basis.shape[1])))
+        members = torch.nn.functional.pad(vertices, (0, -len(vertices) % GROUP), value=-1).unflatten(0, (-1, GROUP))
+        used = (moves[:, members.clamp_min(0)] & (members >= 0)).any(dim=2).T
+        if float(used.float().mean()) > MAX_DENSITY:
             return None
-        found = cls(rig, moves, groups)
+        found = cls(rig, used, members)
         meshes = rig.space.rest_vertices + torch.randn(PROBES, *basis.shape[1:], generator=generator)
         apart = (found(rig.space.rest_vertices, meshes) - rig.space.encode(meshes)).norm(dim=1)
         size = (meshes - rig.space.rest_vertices).flatten(1).norm(dim=1)
@@ -104,23 +112,16 @@ class SparseEncoder:
         return tiles.transpose(1, 2).flatten(0, 1)[: len(vertices), :-1]
 
 
-def _blocks(basis: Tensor, rows: Tensor, members: Tensor) -> Tensor:
-    """The numbers of a group's vertices `(16,)` in some rows, eight rows after eight; 0 where there is no vertex or row."""
-    chosen = basis[rows.clamp_max(len(basis) - 1)[:, None], members.clamp_min(0)]
-    chosen = chosen * (rows < len(basis))[:, None, None] * (members >= 0)[:, None]
-    return chosen.flatten(1).unflatten(0, (-1, BLOCK)).transpose(1, 2).flatten()
-
-
-def _alike(moved_by: Tensor, vertices: Tensor) -> list[Tensor]:
-    """Vertices `(vertex,)` in groups by what moves them `(vertex, number)`: halved where they differ most, again and again."""
+def _alike(moved_by: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Vertices `(vertex,)` in order of what moves them `(vertex, number)`: halved where they differ most, again and again."""
     if len(vertices) <= GROUP:
-        return [vertices]
+        return vertices
     here = moved_by[vertices]
-    here = here - here.mean(dim=0)
-    direction = torch.ones(here.shape[1])
+    here = here - here.mean(axis=0)
+    direction = np.ones(here.shape[1], here.dtype)
     for _ in range(PASSES):
         direction = here.T @ (here @ direction) + 1e-6 * direction
-        direction /= direction.abs().max().clamp_min(1e-30)
-    order = vertices[(here @ direction).argsort(stable=True)]
+        direction /= max(float(np.abs(direction).max()), 1e-30)
+    order = vertices[(here @ direction).argsort(kind="stable")]
     half = -(-len(order) // (2 * GROUP)) * GROUP
-    return [*_alike(moved_by, order[:half]), *_alike(moved_by, order[half:])]
+    return np.concatenate([_alike(moved_by, order[:half]), _alike(moved_by, order[half:])])
