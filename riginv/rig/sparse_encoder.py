@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from riginv.geometry.kernels.library import kernels, kernels_for
+from riginv.geometry.kernels.library import Kernels, kernels, kernels_for
+from riginv.meshes.metrics import FrameDistances
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import workers
 
@@ -90,6 +91,37 @@ class SparseEncoder:
         """
         return (self._products(rest, vertices, motion) @ self.matrix).float()
 
+    def compare(
+        self,
+        rest: Float[Tensor, "vertex 3"],
+        vertices: Float[Tensor, "batch vertex 3"],
+        motion: Tensor | None,
+        coefficients: Float[Tensor, "batch coefficient"],
+    ) -> tuple[Tensor, FrameDistances, FrameDistances]:
+        """The coordinates of meshes, and their distances from the meshes of a rig and from the rest mesh, in one pass.
+
+        Args:
+            rest, vertices, motion: as for the coordinates.
+            coefficients: of the rig's meshes, as differences from the neutral ones.
+
+        Returns:
+            the coordinates, the distances from the rig's meshes, and those from the rest mesh, whose `worst` and `vertex` are
+            0. `known` is the number of vertices that are finite; where it is not all of them nothing else is meaningful.
+        """
+        count = len(vertices)
+        padded = torch.nn.functional.pad(coefficients, (0, 1, 0, -count % TILE)).unflatten(0, (-1, TILE))
+        tiles, rows = self._tiles(count), torch.empty(len(padded), 7, TILE, dtype=torch.float64)
+        given = self._given(rest, vertices, motion)
+        _compiled().call("compare", torch.float32, *given, padded.transpose(1, 2).contiguous(), tiles, rows, count)
+        known, total, square, vertex, squares, rest_total, rest_squares = rows.transpose(0, 1).flatten(1)[:, :count]
+        size = vertices.shape[1]
+        distances = FrameDistances(
+            known.long(), (total / size).float(), square.clamp_min(0).sqrt().float(), vertex.long(), squares
+        )
+        zeros = torch.zeros_like(distances.vertex)
+        neutral = FrameDistances(known.long(), (rest_total / size).float(), zeros.float(), zeros, rest_squares)
+        return (self._of_tiles(tiles, count) @ self.matrix).float(), distances, neutral
+
     def _products(self, rest: Tensor, vertices: Tensor, motion: Tensor | None) -> Tensor:
         """The products `(batch, row)` of displacements with the basis, in float64."""
         size = max(MESHES_OF_THREAD, -(-len(vertices) // 2))
@@ -98,18 +130,27 @@ class SparseEncoder:
         return torch.cat(workers().run([partial(self._multiply, rest, *part) for part in parts]))
 
     def _multiply(self, rest: Tensor, vertices: Tensor, motion: Tensor | None) -> Tensor:
-        tiles = torch.empty(-(-len(vertices) // TILE), self.rows + 1, TILE, dtype=torch.float64)
-        given = (
-            vertices.detach().contiguous(),
-            rest.contiguous(),
-            rest.numel(),
-            None if motion is None else motion.contiguous(),
-        )
+        tiles = self._tiles(len(vertices))
+        _compiled().call("encode", torch.float32, *self._given(rest, vertices, motion), tiles, len(vertices))
+        return self._of_tiles(tiles, len(vertices))
+
+    def _given(self, rest: Tensor, vertices: Tensor, motion: Tensor | None) -> tuple[Tensor | int | None, ...]:
+        """The arguments that the kernels have in common."""
+        motion = None if motion is None else motion.contiguous()
         layout = (self.members, self.groups, self.starts, self.row, self.values, self.rows)
-        compiled = kernels()
-        assert compiled is not None
-        compiled.call("encode", torch.float32, *given, *layout, tiles, len(vertices))
-        return tiles.transpose(1, 2).flatten(0, 1)[: len(vertices), :-1]
+        return vertices.detach().contiguous(), rest.contiguous(), rest.numel(), motion, *layout
+
+    def _tiles(self, count: int) -> Tensor:
+        return torch.empty(-(-count // TILE), self.rows + 1, TILE, dtype=torch.float64)
+
+    def _of_tiles(self, tiles: Tensor, count: int) -> Tensor:
+        return tiles.transpose(1, 2).flatten(0, 1)[:count, :-1]
+
+
+def _compiled() -> Kernels:
+    found = kernels()
+    assert found is not None
+    return found
 
 
 def _alike(moved_by: np.ndarray, vertices: np.ndarray) -> np.ndarray:

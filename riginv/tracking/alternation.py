@@ -4,6 +4,7 @@ Alternation minimises the distance of the known vertices over controls and rigid
 controls fills in unknown vertices.
 """
 
+import functools
 from dataclasses import dataclass
 
 import roma
@@ -61,23 +62,42 @@ def _neighbours(known: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
 @dataclass
 class WindowResult:
-    """The result of a window.
+    """The result of a window; meshes without rigid motion are computed on first use.
 
     Attributes:
+        rig: that was fitted.
+        vertices: the meshes, `(frame, vertex, 3)`; NaN where a vertex is not known.
         controls: `(frame, control)`; neutral where the frame cannot be solved.
         motion: `(frame, 4, 4)` from the rig's mesh to the world; None where rigid motion is kept.
-        stabilised: the meshes without rigid motion, `(frame, vertex, 3)`; NaN where a vertex is not known.
-        filled: the same, with the rig's mesh where a vertex is not known; `stabilised` itself where all are.
-        recovered: the rig at the controls, `(frame, vertex, 3)`.
         solvable: whether enough vertices are known to solve the frame, `(frame,)`.
     """
 
+    rig: LinearRig
+    vertices: Tensor
     controls: Tensor
     motion: Tensor | None
-    stabilised: Tensor
-    filled: Tensor
-    recovered: Tensor
     solvable: Tensor
+
+    @functools.cached_property
+    @torch.no_grad()
+    def stabilised(self) -> Tensor:
+        """The meshes without rigid motion, `(frame, vertex, 3)`; NaN where a vertex is not known."""
+        return self.vertices if self.motion is None else remove_motion(self.motion, self.vertices)
+
+    @functools.cached_property
+    @torch.no_grad()
+    def recovered(self) -> Tensor:
+        """The rig at the controls, `(frame, vertex, 3)`."""
+        return self.rig(self.controls)
+
+    @functools.cached_property
+    @torch.no_grad()
+    def filled(self) -> Tensor:
+        """`stabilised` itself where all vertices are known, else with the rig's mesh where a vertex is not."""
+        stabilised = self.stabilised
+        if is_finite(stabilised):
+            return stabilised
+        return torch.where(torch.isfinite(stabilised).all(dim=2, keepdim=True), stabilised, self.recovered)
 
 
 class WindowInverter:
@@ -114,15 +134,9 @@ class WindowInverter:
                 motion[rows] = alternation.rigid.motion
         return self.result(vertices, controls, motion, solvable)
 
-    @torch.no_grad()
     def result(self, vertices: Tensor, controls: Tensor, motion: Tensor | None, solvable: Tensor) -> WindowResult:
         """The result for given controls and motion."""
-        stabilised = vertices if motion is None else remove_motion(motion, vertices)
-        recovered = self.rig(controls)
-        filled = stabilised
-        if not is_finite(stabilised):
-            filled = torch.where(torch.isfinite(stabilised).all(dim=2, keepdim=True), stabilised, recovered)
-        return WindowResult(controls, motion, stabilised, filled, recovered, solvable)
+        return WindowResult(self.rig, vertices, controls, motion, solvable)
 
 
 class _RigidState:
