@@ -11,13 +11,12 @@ import roma
 import torch
 from torch import Tensor
 
-from riginv.geometry.kinematics import apply_motion, remove_motion
+from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import LinearRig
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.estimators import ControlEstimator
-from riginv.tracking.rigid import fit_rigid
+from riginv.tracking.rigid import fit_rigid, rigid_change
 
-CONVERGED_MM = 0.01  # mean vertex displacement by an iteration, below which a frame is finished
 MIN_KNOWN = 0.02  # fraction of the vertices that must be known to solve a frame
 MIN_KNOWN_VERTICES = 3
 KEY_STRIDE = 8  # between the frames of a window that are solved first
@@ -148,11 +147,12 @@ class _RigidState:
         self.motion = fit_rigid(self.positions, vertices[:, anchors.vertices], anchors.weights)
 
     def update(self, rows: Tensor, positions: Tensor, target: Tensor) -> Tensor:
-        """Fit the motion of frames to new anchors `(row, anchor, 3)`; returns the displacement of the moved anchors."""
-        before = apply_motion(self.motion[rows], self.positions[rows])
-        motion = fit_rigid(positions, target[:, self.anchors.vertices], self.anchors.weights, self.motion[rows])
+        """Fit the motion of frames to new anchors `(row, anchor, 3)`; returns the anchors' mean displacement `(row,)`, mm."""
+        before = self.motion[rows]
+        motion = fit_rigid(positions, target[:, self.anchors.vertices], self.anchors.weights, before)
+        change = rigid_change(before, self.positions[rows], motion, positions)
         self.motion[rows], self.positions[rows] = motion, positions
-        return apply_motion(motion, positions) - before
+        return change
 
 
 class _AlternatingSolve:
@@ -203,15 +203,15 @@ class _AlternatingSolve:
                 vertices = recovered + weights[:, None] * (vertices - recovered)
         refined = estimator.refine(vertices, self.controls[rows], motion) if iteration else estimator.estimate(vertices, motion)
         self.controls[rows] = refined
-        return self._update(rows).norm(dim=2).mean(dim=1) > CONVERGED_MM
+        return self._update(rows) > estimator.tolerance_mm
 
     def _update(self, rows: Tensor) -> Tensor:
-        """Evaluate the rig at new controls and refit the motion; the displacement of vertices `(row, vertex, 3)`."""
+        """Evaluate the rig at new controls and refit the motion; the mean displacement of the vertices `(row,)`, mm."""
         controls, recovered = self.controls[rows], None
-        change = torch.zeros(len(rows), 1, 3)
+        change = torch.zeros(len(rows))
         if self.recovered is not None:
             recovered = self.inverter.rig(controls)
-            change = recovered - self.recovered[rows]
+            change = (recovered - self.recovered[rows]).norm(dim=2).mean(dim=1)
             self.recovered[rows] = recovered
         if self.rigid is not None:
             anchors = self.rigid.anchors
