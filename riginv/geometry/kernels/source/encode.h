@@ -1,4 +1,4 @@
-/* riginv.rig.sparse_encoder: products of meshes with the rows of a matrix that are 0 at most vertices; in float32 alone.
+/* riginv.rig.sparse_basis: products of meshes with the rows of a matrix that are 0 at most vertices; in float32 alone.
  *
  * The sum of a group of vertices is one chain of float32, and groups are summed in float64: no bit of a mesh's result depends on
  * the other meshes of a batch.
@@ -107,6 +107,28 @@ static void decode_group(const float *values, const int32_t *row, Index count, c
             memcpy(far + k * MESHES, &sum, sizeof sum);
         }
     }
+}
+
+/* result (batch, number): the rest mesh (number,) and what the rows make of it, for coefficients (batch / 8 rounded up, rows + 1, 8),
+ * 0 in the last row; the rest as for encode.
+ */
+API int decode_f32(const float *rest, Index numbers, const int32_t *vertex, Index groups, const int32_t *start, const int32_t *row,
+                   const float *values, Index rows, const float *coefficients, float *result, Index batch) {
+    for (Index group = 0; group < groups; group++) {
+        const int32_t *member = vertex + group * (GROUP / 3);
+        const Index first = start[group], count = start[group + 1] - first;
+        for (Index mesh = 0; mesh < batch; mesh += MESHES) {
+            float far[GROUP * MESHES];
+            decode_group(values + first * GROUP, row + first, count, coefficients + mesh * (rows + 1), far);
+            for (int number = 0; number < GROUP / 3 && member[number] >= 0; number++)
+                for (Index lane = 0; lane < MESHES && mesh + lane < batch; lane++)
+                    for (int axis = 0; axis < 3; axis++) {
+                        const Index at = 3 * (Index)member[number] + axis;
+                        result[(mesh + lane) * numbers + at] = rest[at] + far[(3 * number + axis) * MESHES + lane];
+                    }
+        }
+    }
+    return 0;
 }
 
 /* Adds the distances of a group's vertices to results (7, MESHES): the number that is finite, their sum, the largest square, its
