@@ -17,6 +17,7 @@ from riginv.errors import InputError
 from riginv.geometry.kernels.library import kernels_for
 from riginv.geometry.kinematics import remove_motion
 from riginv.inference.bundle import RIG, Bundle, read_bundle
+from riginv.meshes.metrics import FrameDistances
 from riginv.networks.inverse import InverseNetwork, StagedInverse
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
@@ -69,6 +70,14 @@ class QuickEncoder(nn.Module):
         if vertices.device.type != "cpu" or self.frame is None:
             return space.encode(vertices)
         return ((vertices - space.rest_vertices).flatten(1).bfloat16() @ self.frame.T).to(vertices.dtype)
+
+    def compare(
+        self, vertices: Tensor, motion: Tensor | None, coefficients: Tensor
+    ) -> tuple[Tensor, FrameDistances, FrameDistances] | None:
+        """`SparseEncoder.compare`; None where there is no sparse basis or no kernel for the meshes."""
+        if kernels_for(vertices, coefficients) is None or vertices.dtype != torch.float32 or self.sparse is None:
+            return None
+        return self.sparse.compare(self.rig[0].space.rest_vertices, vertices, motion, coefficients)
 
 
 def _multiplies_bfloat16() -> bool:

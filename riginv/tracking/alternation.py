@@ -4,19 +4,19 @@ Alternation minimises the distance of the known vertices over controls and rigid
 controls fills in unknown vertices.
 """
 
+import functools
 from dataclasses import dataclass
 
 import roma
 import torch
 from torch import Tensor
 
-from riginv.geometry.kinematics import apply_motion, remove_motion
+from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import LinearRig
 from riginv.tracking.anchors import Anchors
 from riginv.tracking.estimators import ControlEstimator
-from riginv.tracking.rigid import fit_rigid
+from riginv.tracking.rigid import fit_rigid, rigid_change
 
-CONVERGED_MM = 0.01  # mean vertex displacement by an iteration, below which a frame is finished
 MIN_KNOWN = 0.02  # fraction of the vertices that must be known to solve a frame
 MIN_KNOWN_VERTICES = 3
 KEY_STRIDE = 8  # between the frames of a window that are solved first
@@ -61,23 +61,42 @@ def _neighbours(known: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
 @dataclass
 class WindowResult:
-    """The result of a window.
+    """The result of a window; meshes without rigid motion are computed on first use.
 
     Attributes:
+        rig: that was fitted.
+        vertices: the meshes, `(frame, vertex, 3)`; NaN where a vertex is not known.
         controls: `(frame, control)`; neutral where the frame cannot be solved.
         motion: `(frame, 4, 4)` from the rig's mesh to the world; None where rigid motion is kept.
-        stabilised: the meshes without rigid motion, `(frame, vertex, 3)`; NaN where a vertex is not known.
-        filled: the same, with the rig's mesh where a vertex is not known; `stabilised` itself where all are.
-        recovered: the rig at the controls, `(frame, vertex, 3)`.
         solvable: whether enough vertices are known to solve the frame, `(frame,)`.
     """
 
+    rig: LinearRig
+    vertices: Tensor
     controls: Tensor
     motion: Tensor | None
-    stabilised: Tensor
-    filled: Tensor
-    recovered: Tensor
     solvable: Tensor
+
+    @functools.cached_property
+    @torch.no_grad()
+    def stabilised(self) -> Tensor:
+        """The meshes without rigid motion, `(frame, vertex, 3)`; NaN where a vertex is not known."""
+        return self.vertices if self.motion is None else remove_motion(self.motion, self.vertices)
+
+    @functools.cached_property
+    @torch.no_grad()
+    def recovered(self) -> Tensor:
+        """The rig at the controls, `(frame, vertex, 3)`."""
+        return self.rig(self.controls)
+
+    @functools.cached_property
+    @torch.no_grad()
+    def filled(self) -> Tensor:
+        """`stabilised` itself where all vertices are known, else with the rig's mesh where a vertex is not."""
+        stabilised = self.stabilised
+        if is_finite(stabilised):
+            return stabilised
+        return torch.where(torch.isfinite(stabilised).all(dim=2, keepdim=True), stabilised, self.recovered)
 
 
 class WindowInverter:
@@ -114,15 +133,9 @@ class WindowInverter:
                 motion[rows] = alternation.rigid.motion
         return self.result(vertices, controls, motion, solvable)
 
-    @torch.no_grad()
     def result(self, vertices: Tensor, controls: Tensor, motion: Tensor | None, solvable: Tensor) -> WindowResult:
         """The result for given controls and motion."""
-        stabilised = vertices if motion is None else remove_motion(motion, vertices)
-        recovered = self.rig(controls)
-        filled = stabilised
-        if not is_finite(stabilised):
-            filled = torch.where(torch.isfinite(stabilised).all(dim=2, keepdim=True), stabilised, recovered)
-        return WindowResult(controls, motion, stabilised, filled, recovered, solvable)
+        return WindowResult(self.rig, vertices, controls, motion, solvable)
 
 
 class _RigidState:
@@ -134,11 +147,12 @@ class _RigidState:
         self.motion = fit_rigid(self.positions, vertices[:, anchors.vertices], anchors.weights)
 
     def update(self, rows: Tensor, positions: Tensor, target: Tensor) -> Tensor:
-        """Fit the motion of frames to new anchors `(row, anchor, 3)`; returns the displacement of the moved anchors."""
-        before = apply_motion(self.motion[rows], self.positions[rows])
-        motion = fit_rigid(positions, target[:, self.anchors.vertices], self.anchors.weights, self.motion[rows])
+        """Fit the motion of frames to new anchors `(row, anchor, 3)`; returns the anchors' mean displacement `(row,)`, mm."""
+        before = self.motion[rows]
+        motion = fit_rigid(positions, target[:, self.anchors.vertices], self.anchors.weights, before)
+        change = rigid_change(before, self.positions[rows], motion, positions)
         self.motion[rows], self.positions[rows] = motion, positions
-        return apply_motion(motion, positions) - before
+        return change
 
 
 class _AlternatingSolve:
@@ -189,15 +203,15 @@ class _AlternatingSolve:
                 vertices = recovered + weights[:, None] * (vertices - recovered)
         refined = estimator.refine(vertices, self.controls[rows], motion) if iteration else estimator.estimate(vertices, motion)
         self.controls[rows] = refined
-        return self._update(rows).norm(dim=2).mean(dim=1) > CONVERGED_MM
+        return self._update(rows) > estimator.tolerance_mm
 
     def _update(self, rows: Tensor) -> Tensor:
-        """Evaluate the rig at new controls and refit the motion; the displacement of vertices `(row, vertex, 3)`."""
+        """Evaluate the rig at new controls and refit the motion; the mean displacement of the vertices `(row,)`, mm."""
         controls, recovered = self.controls[rows], None
-        change = torch.zeros(len(rows), 1, 3)
+        change = torch.zeros(len(rows))
         if self.recovered is not None:
             recovered = self.inverter.rig(controls)
-            change = recovered - self.recovered[rows]
+            change = (recovered - self.recovered[rows]).norm(dim=2).mean(dim=1)
             self.recovered[rows] = recovered
         if self.rigid is not None:
             anchors = self.rigid.anchors

@@ -4,7 +4,9 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.blendshapes import apply_deltas
+from riginv.geometry.kernels.library import kernels_for
 from riginv.rig.interface import LinearRig
+from riginv.rig.sparse_basis import SparseBasis
 
 COUNT = 1000  # about as many vertices, evenly spread, are used of larger meshes
 MIN_KNOWN = 100  # of them that must be known in every frame; else all vertices are used
@@ -25,11 +27,14 @@ class Anchors:
         self.vertices = slice(None, None, self.stride)
         self.weights = stability[self.vertices]
         self.rest, self.basis = rig.rest_vertices[self.vertices], rig.basis[:, self.vertices].contiguous()
+        self.sparse = SparseBasis.of(self.basis)
 
     @torch.no_grad()
     def mesh(self, controls: Tensor) -> Tensor:
         """Controls `(frame, control)` to the vertices `(frame, anchor, 3)`, mm."""
         change = self.rig.coefficients(controls) - self.rig.neutral_coefficients()
+        if self.sparse is not None and kernels_for(change, self.rest) is not None:
+            return self.sparse.vertices(self.rest, change)
         return apply_deltas(self.rest, self.basis, change)
 
     def for_window(self, known: Tensor) -> "Anchors":

@@ -28,9 +28,11 @@ class ControlEstimator(ABC):
 
     Attributes:
         frames_are_independent: whether the controls of a frame do not depend on the others.
+        tolerance_mm: mean vertex displacement by an iteration of rigid motion and controls, below which a frame is finished.
     """
 
     frames_are_independent = False
+    tolerance_mm = 0.01
 
     @abstractmethod
     def estimate(self, vertices: Tensor, motion: Tensor | None = None) -> Tensor:
@@ -53,6 +55,7 @@ class NetworkEstimator(ControlEstimator):
     """
 
     frames_are_independent = True
+    tolerance_mm = 0.03  # each iteration makes a tenth of the last one's displacement, and the network errs by far more
 
     def __init__(self, inverse: Inverse, constraints: ControlConstraints, rig: RigInMeshSpace) -> None:
         self.inverse, self.constraints = inverse, constraints

@@ -1,6 +1,7 @@
 """Errors and flags of every frame, measured by the true rig."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,13 +13,31 @@ from riginv.animation.animation import (
     OUTSIDE_TRAINING_RANGE,
     FrameErrors,
 )
+from riginv.inference.inverse import QuickEncoder
 from riginv.meshes.metrics import FrameDistances, frame_distances
-from riginv.rig.interface import RigBackend
+from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace
 from riginv.tracking.alternation import WindowResult
 from riginv.tracking.estimators import ControlEstimator, NetworkEstimator
 from riginv.tracking.options import FlagOptions
 from riginv.tracking.stability import TrainingRange
+
+
+class _Measured(NamedTuple):
+    """Measurements of a window's frames.
+
+    Attributes:
+        distances, neutral: of the meshes from the recovered ones, and from the rest mesh.
+        coordinates: mesh coordinates of the filled meshes, `(frame, coordinate)`.
+        squares: the sum of the squared distances of these from the rest mesh, `(frame,)`, mm^2.
+        has_unknown: whether a vertex is not known, `(frame,)`.
+    """
+
+    distances: FrameDistances
+    neutral: FrameDistances
+    coordinates: Tensor
+    squares: Tensor
+    has_unknown: Tensor
 
 
 class FrameEvaluator:
@@ -65,28 +84,49 @@ class FrameEvaluator:
             first: index of its first frame in the clip.
             converged: whether each frame did, `(frame,)`, where it is known; else the estimator tells.
         """
-        recovered = found.recovered if self.true_rig is self.rig else self.true_rig(found.controls)
-        distances = frame_distances(found.stabilised, recovered, self.evaluated)
-        neutral = frame_distances(found.stabilised, self.true_rig.rest_vertices[None], self.evaluated)
+        measured = self._at_once(found) or self._one_by_one(found)
+        distances, neutral = measured.distances, measured.neutral
         mean = torch.where(distances.known > 0, distances.mean, torch.nan)
         rows = slice(first, first + len(mean))
         self.mean[rows], self.vertex[rows] = mean, distances.vertex
         self.worst[rows] = torch.where(distances.known > 0, distances.worst, torch.nan)
         self.neutral[rows] = torch.where(neutral.known > 0, neutral.mean, torch.nan)
-        converged = self.estimator.converged(found.filled, found.controls) if converged is None else converged
-        self.flags[rows] = self._flags(found, mean, converged, neutral)
+        if converged is None:
+            is_network = isinstance(self.estimator, NetworkEstimator)
+            converged = self.estimator.converged(found.vertices if is_network else found.filled, found.controls)
+        self.flags[rows] = self._flags(found, measured, mean, converged)
 
-    def _flags(self, found: WindowResult, mean: Tensor, converged: Tensor, neutral: FrameDistances) -> list[list[str]]:
+    def _at_once(self, found: WindowResult) -> _Measured | None:
+        """The measurements by one pass over the vertices; None where a vertex is not known, or there is no kernel for it."""
+        rig, encode = self.rig, self.encode
+        if self.evaluated is not None or self.true_rig is not rig or not isinstance(encode, QuickEncoder):
+            return None
+        if encode.rig[0].source is not rig or not isinstance(rig, LinearRig):
+            return None
+        change = rig.coefficients(found.controls) - rig.neutral_coefficients()
+        given = encode.compare(found.vertices, found.motion, change)
+        if given is None or bool((given[1].known < found.vertices.shape[1]).any()):
+            return None
+        coordinates, distances, neutral = given
+        return _Measured(distances, neutral, coordinates, neutral.squares, torch.zeros_like(found.solvable))
+
+    def _one_by_one(self, found: WindowResult) -> _Measured:
+        recovered = found.recovered if self.true_rig is self.rig else self.true_rig(found.controls)
+        distances = frame_distances(found.stabilised, recovered, self.evaluated)
+        neutral = frame_distances(found.stabilised, self.true_rig.rest_vertices[None], self.evaluated)
         filled = found.filled
         if self.evaluated is not None:
             filled = torch.where(self.evaluated[:, None], filled, found.recovered)
-        coordinates = self.encode(filled)
         if filled is found.stabilised and self.true_rig is self.rig:
-            squares, has_unknown = neutral.squares, torch.zeros_like(converged)
+            squares, has_unknown = neutral.squares, torch.zeros_like(found.solvable)
         else:
             squares = frame_distances(filled, self.space.rest_vertices[None]).squares
             has_unknown = ~torch.isfinite(found.stabilised).all(dim=2).all(dim=1)
-        residual = squares - coordinates.double().square().sum(dim=1)
+        return _Measured(distances, neutral, self.encode(filled), squares, has_unknown)
+
+    def _flags(self, found: WindowResult, measured: _Measured, mean: Tensor, converged: Tensor) -> list[list[str]]:
+        coordinates = measured.coordinates
+        residual = measured.squares - coordinates.double().square().sum(dim=1)
         unreachable = (residual.clamp_min(0) / self.space.vertex_count).sqrt() > self.limits.reach_mm
         is_poor = mean > self.limits.reach_mm
         if isinstance(self.estimator, NetworkEstimator):  # the error may be the network's, and only a solver could show it
@@ -98,7 +138,7 @@ class FrameEvaluator:
             OUTSIDE_TRAINING_RANGE: unusual & found.solvable,
             OUTSIDE_REACH: (unreachable | (is_poor & converged)) & found.solvable,
             NOT_CONVERGED: ~converged & found.solvable,
-            MISSING_VERTICES: has_unknown,
+            MISSING_VERTICES: measured.has_unknown,
         }
         rows = zip(*(flagged.tolist() for flagged in named.values()))
         return [[name for name, flagged in zip(named, row) if flagged] for row in rows]

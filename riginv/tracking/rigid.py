@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, kernels_for
+from riginv.geometry.kinematics import apply_motion
 
 ITERATIONS = 8  # of reweighting, without a start
 ITERATIONS_FROM_START = 3
@@ -54,6 +55,21 @@ def fit_rigid(source: Tensor, target: Tensor, weights: Tensor, start: Tensor | N
     motion = torch.eye(4).to(rotation).expand(len(rotation), -1, -1).clone()
     motion[enough, :3, :3], motion[enough, :3, 3] = rotation[enough], translation[enough]
     return motion
+
+
+def rigid_change(before: Tensor, points_before: Tensor, after: Tensor, points_after: Tensor) -> Tensor:
+    """The mean distance `(frame,)`, mm, between points `(frame, point, 3)` moved by `before` and others moved by `after`.
+
+    Args:
+        before, after: motions, `(frame, 4, 4)`.
+    """
+    given = before, points_before, after, points_after
+    if (compiled := kernels_for(*given)) is None:
+        return (apply_motion(after, points_after) - apply_motion(before, points_before)).norm(dim=2).mean(dim=1)
+    result = before.new_empty(len(before))
+    contiguous = [values.contiguous() for values in given]
+    compiled.call("rigid_change", before.dtype, *contiguous, points_after.shape[1], result, len(before))
+    return result
 
 
 def _compiled(compiled: Kernels, source: Tensor, target: Tensor, weights: Tensor, start: Tensor | None) -> Tensor:

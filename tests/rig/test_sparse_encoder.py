@@ -48,9 +48,9 @@ def test_coordinates_equal_the_dense_projection(face_in_space, encoder, meshes):
 
 def test_products_of_a_mesh_do_not_depend_on_the_batch(face_in_space, encoder, meshes):
     rest = face_in_space.space.rest_vertices
-    every = encoder._products(rest, meshes, None)
+    every = encoder.basis.products(rest, meshes)
     for rows in (slice(0, 1), slice(3, 5), slice(30, 37)):
-        assert torch.equal(encoder._products(rest, meshes[rows], None), every[rows])
+        assert torch.equal(encoder.basis.products(rest, meshes[rows]), every[rows])
 
 
 def test_rigid_motion_is_removed_first(face_in_space, encoder, meshes):

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 SOURCE = Path(__file__).parent / "source"
-FLAGS = ("-std=c11", "-O3", "-shared", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
+FLAGS = ("-std=c11", "-O3", "-shared", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-fopenmp-simd")
 # A processor runs the last of these that it supports. They are named, not "native": an installed library may be copied to
 # another machine.
 LEVELS: dict[str, tuple[str, ...]] = {"plain": ()}

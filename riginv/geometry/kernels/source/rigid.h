@@ -1,8 +1,7 @@
 /* riginv.tracking.rigid.fit_rigid: robust rigid motion between two meshes. Sums are in float64. */
 
-/* The median of values (count,), the lower one of two, which are reordered (Hoare's selection). */
-static REAL NAME(median)(REAL *values, Index count) {
-    const Index wanted = (count - 1) / 2;
+/* The value of rank `wanted` of values (count,), which are reordered (Hoare's selection). */
+static REAL NAME(select)(REAL *values, Index count, Index wanted) {
     Index low = 0, high = count - 1;
     while (low < high) {
         const REAL pivot = values[low + (high - low) / 2];
@@ -24,6 +23,35 @@ static REAL NAME(median)(REAL *values, Index count) {
             break;
     }
     return values[wanted];
+}
+
+#ifndef EXACT
+#define BUCKETS 4096
+#define BUCKET_BITS 19 /* of a float32 that do not count */
+
+/* Values from 0 upwards in the same order as the values: what a float32's exponent and the first bits of its mantissa make. */
+static inline uint32_t bucket_of(float value) {
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return (bits & 0x7fffffff) >> BUCKET_BITS; /* whatever the sign of a NaN */
+}
+#endif
+
+/* The median of values (count,) from 0 upwards, the lower one of two; they are reordered. Counted in buckets first: comparing
+ * values is slow where the outcome cannot be predicted.
+ */
+static REAL NAME(median)(REAL *values, Index count) {
+    int32_t counts[BUCKETS] = {0};
+    for (Index k = 0; k < count; k++) counts[bucket_of((float)values[k])]++;
+    Index wanted = (count - 1) / 2, kept = 0;
+    uint32_t bucket = 0;
+    while (wanted >= counts[bucket]) wanted -= counts[bucket++];
+    for (Index k = 0; k < count; k++) {
+        const REAL value = values[k];
+        values[kept] = value; /* kept <= k */
+        kept += bucket_of((float)value) == bucket;
+    }
+    return NAME(select)(values, kept, wanted);
 }
 
 #ifndef EXACT
@@ -78,25 +106,34 @@ static void rotation_of(const double h[3][3], double *rotation) {
 }
 #endif
 
-/* The motion (12,), rotation and translation row by row, that maps source to target (point, 3) best, by weights (point,). */
-static void NAME(register_points)(const REAL *source, const REAL *target, const REAL *weights, Index points, double *motion) {
-    double from[3] = {0}, to[3] = {0}, total = 0, h[3][3] = {{0}}, rotation[9];
-    for (Index point = 0; point < points; point++) {
-        const double weight = weights[point];
-        if (weight == 0) continue;
+/* Points (3, point), an axis after the other. */
+static void NAME(by_axis)(const REAL *points, Index count, double *result) {
+    for (int axis = 0; axis < 3; axis++)
+        for (Index point = 0; point < count; point++) result[axis * count + point] = points[3 * point + axis];
+}
+
+#ifndef EXACT
+/* The motion (12,), rotation and translation row by row, that maps source to target (3, point) best, by weights (point,). */
+static void register_points(const double *source, const double *target, const double *weights, Index points, double *motion) {
+    const double *px = source, *py = px + points, *pz = py + points, *qx = target, *qy = qx + points, *qz = qy + points;
+    double total = 0, a = 0, b = 0, c = 0, u = 0, v = 0, w = 0, h[3][3], rotation[9];
+#pragma omp simd reduction(+ : total, a, b, c, u, v, w)
+    for (Index k = 0; k < points; k++) {
+        const double weight = weights[k];
         total += weight;
-        for (int axis = 0; axis < 3; axis++) {
-            from[axis] += weight * source[3 * point + axis];
-            to[axis] += weight * target[3 * point + axis];
-        }
+        a += weight * px[k], b += weight * py[k], c += weight * pz[k];
+        u += weight * qx[k], v += weight * qy[k], w += weight * qz[k];
     }
-    for (int axis = 0; axis < 3; axis++) from[axis] /= total, to[axis] /= total;
-    for (Index point = 0; point < points; point++) {
-        const double weight = weights[point];
-        if (weight == 0) continue;
-        for (int row = 0; row < 3; row++)
-            for (int column = 0; column < 3; column++)
-                h[row][column] += weight * (target[3 * point + row] - to[row]) * (source[3 * point + column] - from[column]);
+    const double from[3] = {a / total, b / total, c / total}, to[3] = {u / total, v / total, w / total};
+    for (int row = 0; row < 3; row++) {
+        const double *q = target + row * points, at = to[row];
+        double x = 0, y = 0, z = 0;
+#pragma omp simd reduction(+ : x, y, z)
+        for (Index k = 0; k < points; k++) {
+            const double apart = weights[k] * (q[k] - at);
+            x += apart * (px[k] - from[0]), y += apart * (py[k] - from[1]), z += apart * (pz[k] - from[2]);
+        }
+        h[row][0] = x, h[row][1] = y, h[row][2] = z;
     }
     rotation_of(h, rotation);
     for (int row = 0; row < 3; row++) {
@@ -106,6 +143,28 @@ static void NAME(register_points)(const REAL *source, const REAL *target, const 
     }
 }
 
+/* The sum of the distances between points (3, point) and, as `moved` before the call, what an earlier motion made of them; then
+ * moved (3, point) is what this motion (12,) makes of them, and squares (point,) their squared distances from target (3, point).
+ */
+static double move_points(const double *motion, const double *source, const double *target, Index points, double *moved,
+                          double *squares) {
+    double change = 0;
+    const double *m = motion;
+#pragma omp simd reduction(+ : change)
+    for (Index k = 0; k < points; k++) {
+        const double px = source[k], py = source[points + k], pz = source[2 * points + k];
+        const double x = m[0] * px + m[1] * py + m[2] * pz + m[3], y = m[4] * px + m[5] * py + m[6] * pz + m[7],
+                     z = m[8] * px + m[9] * py + m[10] * pz + m[11];
+        const double u = x - moved[k], v = y - moved[points + k], w = z - moved[2 * points + k];
+        const double i = x - target[k], j = y - target[points + k], l = z - target[2 * points + k];
+        change += sqrt(u * u + v * v + w * w);
+        squares[k] = i * i + j * j + l * l;
+        moved[k] = x, moved[points + k] = y, moved[2 * points + k] = z;
+    }
+    return change;
+}
+#endif
+
 /* motion (frame, 4, 4) from source (frame, point, 3), or one of them where `shared`, to target (frame, point, 3), in which NaN
  * is not known; base (point,). Where `started`, motion holds approximate ones. numbers: scale of the weights in median
  * distances, its lower bound, and the mean displacement that ends the iterations. The identity where fewer than three points
@@ -113,48 +172,43 @@ static void NAME(register_points)(const REAL *source, const REAL *target, const 
  */
 API int NAME(fit_rigid)(const REAL *source, Index shared, const REAL *target, const REAL *base, const REAL *numbers, Index started,
                         Index iterations, Index points, REAL *motion, Index frames) {
-    REAL *known = malloc(sizeof(REAL) * (size_t)(6 * points + 1));
-    if (!known) return 1;
-    REAL *weights = known + points, *squares = weights + points, *moved = squares + points;
+    double *from = malloc(sizeof(double) * (size_t)(13 * points + 1));
+    if (!from) return 1;
+    double *to = from + 3 * points, *moved = to + 3 * points, *known = moved + 3 * points, *weights = known + points;
+    double *squares = weights + points;
+    REAL *sorted = (REAL *)(squares + points);
     for (Index frame = 0; frame < frames; frame++) {
-        const REAL *from = source + (shared ? 0 : 3 * frame * points), *to = target + 3 * frame * points;
-        double m[12], step[12];
+        double m[12];
         Index counted = 0;
+        NAME(by_axis)(source + (shared ? 0 : 3 * frame * points), points, from);
+        NAME(by_axis)(target + 3 * frame * points, points, to);
         for (Index point = 0; point < points; point++) {
-            const REAL *p = to + 3 * point;
-            known[point] = isfinite(p[0]) && isfinite(p[1]) && isfinite(p[2]) ? base[point] : 0;
+            const int is_known = isfinite(to[point]) && isfinite(to[points + point]) && isfinite(to[2 * points + point]);
+            known[point] = is_known ? base[point] : -1;
             counted += known[point] > 0;
+            for (int axis = 0; axis < 3 && !is_known; axis++) to[axis * points + point] = 0;
         }
+        for (Index point = 0; point < points; point++) weights[point] = known[point] > 0 ? known[point] : 0;
         REAL *found = motion + 16 * frame;
         for (int k = 0; k < 12; k++) m[k] = started ? (double)found[k] : (double)(k % 5 == 0);
         if (counted >= 3) {
-            if (!started) NAME(register_points)(from, to, known, points, m);
+            if (!started) register_points(from, to, weights, points, m);
+            memset(moved, 0, sizeof(double) * (size_t)(3 * points));
             for (Index number = 0; number <= iterations; number++) {
-                double change = 0;
+                const double change = move_points(m, from, to, points, moved, squares);
+                if (number == iterations || (number && change < numbers[2] * points)) break;
                 Index seen = 0;
                 for (Index point = 0; point < points; point++) {
-                    const REAL *p = from + 3 * point, *q = to + 3 * point;
-                    double square = 0, change_square = 0;
-                    for (int axis = 0; axis < 3; axis++) {
-                        const double *r = m + 4 * axis, at = r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + r[3];
-                        const double apart = number ? at - moved[3 * point + axis] : 0;
-                        change_square += apart * apart;
-                        square += (at - q[axis]) * (at - q[axis]);
-                        moved[3 * point + axis] = (REAL)at;
-                    }
-                    change += sqrt(change_square);
-                    weights[point] = (REAL)square;
-                    if (isfinite(square)) squares[seen++] = (REAL)square;
+                    sorted[seen] = (REAL)squares[point];
+                    seen += known[point] >= 0;
                 }
-                if (number == iterations || (number && change < numbers[2] * points)) break;
-                const REAL typical = numbers[0] * SQRT(NAME(median)(squares, seen));
-                const REAL scale = typical < numbers[1] ? numbers[1] : typical;
+                const double typical = numbers[0] * SQRT(NAME(median)(sorted, seen));
+                const double scale = typical < numbers[1] ? numbers[1] : typical, factor = 1 / (scale * scale);
                 for (Index point = 0; point < points; point++) {
-                    const REAL apart = 1 + weights[point] / (scale * scale);
+                    const double apart = 1 + squares[point] * factor;
                     weights[point] = known[point] > 0 ? known[point] / (apart * apart) : 0;
                 }
-                NAME(register_points)(from, to, weights, points, step);
-                memcpy(m, step, sizeof m);
+                register_points(from, to, weights, points, m);
             }
         } else {
             for (int k = 0; k < 12; k++) m[k] = k % 5 == 0;
@@ -162,6 +216,24 @@ API int NAME(fit_rigid)(const REAL *source, Index shared, const REAL *target, co
         for (int k = 0; k < 12; k++) found[k] = (REAL)m[k];
         for (int k = 12; k < 16; k++) found[k] = k == 15;
     }
-    free(known);
+    free(from);
+    return 0;
+}
+
+/* result (frame,): the mean distance between what two motions (frame, 4, 4) make of points (frame, point, 3) each. */
+API int NAME(rigid_change)(const REAL *before, const REAL *points_before, const REAL *after, const REAL *points_after, Index points,
+                           REAL *result, Index frames) {
+    for (Index frame = 0; frame < frames; frame++) {
+        const REAL *m = before + 16 * frame, *n = after + 16 * frame;
+        const REAL *p = points_before + 3 * frame * points, *q = points_after + 3 * frame * points;
+        double total = 0;
+        for (Index point = 0; point < points; point++, p += 3, q += 3) {
+            const REAL x = n[0] * q[0] + n[1] * q[1] + n[2] * q[2] + n[3] - (m[0] * p[0] + m[1] * p[1] + m[2] * p[2] + m[3]);
+            const REAL y = n[4] * q[0] + n[5] * q[1] + n[6] * q[2] + n[7] - (m[4] * p[0] + m[5] * p[1] + m[6] * p[2] + m[7]);
+            const REAL z = n[8] * q[0] + n[9] * q[1] + n[10] * q[2] + n[11] - (m[8] * p[0] + m[9] * p[1] + m[10] * p[2] + m[11]);
+            total += SQRT(x * x + y * y + z * z);
+        }
+        result[frame] = (REAL)(total / (points > 0 ? points : 1));
+    }
     return 0;
 }
