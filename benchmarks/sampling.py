@@ -25,11 +25,11 @@ from riginv.config.messages import CONFIGS
 from riginv.config.typed import to_typed
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.store.filling import SampleConfig, plan_store
-from riginv.store.location import StoreLocation
-from riginv.store.making import ChunkMaker, build_sampler
-from riginv.store.store import PoseStore
-from riginv.store.windows import WindowReader
+from riginv.sampling.store.filling import SampleConfig, plan_store
+from riginv.sampling.store.location import StoreLocation
+from riginv.sampling.store.making import ChunkMaker, build_sampler
+from riginv.sampling.store.store import PoseStore
+from riginv.sampling.store.windows import WindowReader
 from riginv.training.assembly import build_module, calibrate
 from riginv.training.assembly import build_sampler as build_sampler_of
 from riginv.training.config import TrainConfig

@@ -28,9 +28,9 @@ from riginv.rig.size import show_rig
 from riginv.runs.console import show_lines
 from riginv.runs.files import is_file
 from riginv.runs.run_folder import BUNDLE
-from riginv.store.location import StoreLocation
-from riginv.store.store import PoseStore
-from riginv.store.summary import show as show_store
+from riginv.sampling.store.location import StoreLocation
+from riginv.sampling.store.store import PoseStore
+from riginv.sampling.store.summary import show as show_store
 
 STORE = "zarr.json"
 Row = tuple[str, str]

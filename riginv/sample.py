@@ -13,12 +13,12 @@ from omegaconf import DictConfig
 
 from riginv.config.typed import to_typed
 from riginv.errors import InputError, listed
-from riginv.store.checking import examine
-from riginv.store.filling import FillResult, SampleConfig, fill
-from riginv.store.location import StoreLocation
-from riginv.store.store import PoseStore
-from riginv.store.summary import findings, finish, show
-from riginv.store.training import SamplingProgress
+from riginv.sampling.store.checking import examine
+from riginv.sampling.store.filling import FillResult, SampleConfig, fill
+from riginv.sampling.store.location import StoreLocation
+from riginv.sampling.store.store import PoseStore
+from riginv.sampling.store.summary import findings, finish, show
+from riginv.sampling.store.training import SamplingProgress
 
 NAMED = 8  # damaged chunks in the table, at most
 

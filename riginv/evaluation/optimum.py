@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from riginv.evaluation.results import EvaluationResult
+from riginv.geometry.distances import mean_distance
 from riginv.geometry.neighbours import evenly
-from riginv.meshes.metrics import mean_distance
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet

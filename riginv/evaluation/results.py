@@ -12,7 +12,8 @@ from torch import Tensor
 from riginv.config.building import ClassSpec
 from riginv.errors import InputError
 from riginv.evaluation.control_accuracy import ControlAccuracy, control_accuracy
-from riginv.meshes.metrics import mean_distance, roughness
+from riginv.geometry.distances import mean_distance
+from riginv.meshes.metrics import roughness
 from riginv.meshes.rendering import Pair
 from riginv.rig.control_effects import ControlEffects
 from riginv.rig.interface import RigBackend

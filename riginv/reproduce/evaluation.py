@@ -12,8 +12,8 @@ from torch import Tensor
 from riginv.config.building import ClassSpec
 from riginv.evaluation.evaluation_sets import random_poses
 from riginv.evaluation.results import BATCH_SIZE
+from riginv.geometry.distances import mean_distance
 from riginv.geometry.neighbours import evenly
-from riginv.meshes.metrics import mean_distance
 from riginv.meshes.vertex_error import VertexError
 from riginv.reproduce.inversion import read_controls
 from riginv.reproduce.rigs import rig_in_space, trained_rig, true_rig

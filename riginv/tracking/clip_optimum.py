@@ -8,9 +8,9 @@ from riginv.animation.animation import FrameErrors, SampledOptimum
 from riginv.clips.clip import Clip
 from riginv.evaluation.control_accuracy import control_accuracy
 from riginv.evaluation.optimum import TOLERANCE
+from riginv.geometry.distances import mean_distance
 from riginv.geometry.kinematics import remove_motion
 from riginv.geometry.neighbours import evenly
-from riginv.meshes.metrics import mean_distance
 from riginv.rig.control_effects import ControlEffects
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace

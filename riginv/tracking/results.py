@@ -19,10 +19,10 @@ from riginv.tracking.actors.actor import Actor
 from riginv.tracking.actors.files import write_actor
 from riginv.tracking.options import AfterOptions, LookOptions
 from riginv.tracking.run import Advance
-from riginv.viewer.page import ClipSource, Targets, write_viewer
-from riginv.viewer.scans import Scans
-from riginv.viewer.sheet import write_sheet
-from riginv.viewer.tensorboard import write_tensorboard
+from riginv.tracking.viewer.page import ClipSource, Targets, write_viewer
+from riginv.tracking.viewer.scans import Scans
+from riginv.tracking.viewer.sheet import write_sheet
+from riginv.tracking.viewer.tensorboard import write_tensorboard
 
 PAGE, SHEET = "look.html", "frames.png"
 

@@ -25,7 +25,7 @@ def build_rig(spec: ClassSpec[RigBackend], mesh_space: MeshSpaceConfig, store: s
     if isinstance(rig, LinearRig):
         return rig
     if store:
-        from riginv.store.training import rig_of_store  # zarr takes half a second, and most rigs need none
+        from riginv.sampling.store.training import rig_of_store  # zarr takes half a second, and most rigs need none
 
         return rig_of_store(store, rig)
     return BlackBoxRig.sampled(rig, mesh_space.samples, mesh_space.residual_mm)

@@ -24,7 +24,7 @@ from riginv.runs.run_folder import RunFolder
 from riginv.runs.threads import Workers
 from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise, select_for_rig
 from riginv.sampling.noise import CaptureNoise
-from riginv.store.training import reading_store
+from riginv.sampling.store.training import reading_store
 from riginv.training.checkpoints import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.training.config import ModelConfig, TrainConfig, TrainerConfig
 from riginv.training.dashboard import Dashboard, PosePictures

@@ -16,7 +16,7 @@ from riginv.errors import InputError
 from riginv.reproduce.report import _template
 from riginv.rig.interface import Control
 from riginv.runs import tables
-from riginv.viewer.page import write_viewer
+from riginv.tracking.viewer.page import write_viewer
 from tests.support.animations import errors_of, moving
 from tests.support.toys import ToyRig
 

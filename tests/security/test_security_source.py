@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from riginv.viewer.page import write_viewer
-from riginv.viewer.tensorboard import write_tensorboard
+from riginv.tracking.viewer.page import write_viewer
+from riginv.tracking.viewer.tensorboard import write_tensorboard
 from tests.support.animations import errors_of, moving
 from tests.support.toys import ToyRig
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from riginv.meshes.metrics import mean_distance
+from riginv.geometry.distances import mean_distance
 from riginv.rig.batches import generator_at
 from riginv.solvers.every_mesh import descend_mean_distance, solve_meshes
 from riginv.solvers.levenberg_marquardt import LONGEST_STEP, levenberg_marquardt

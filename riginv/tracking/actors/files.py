@@ -9,7 +9,7 @@ from riginv.meshes.obj import obj_text
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.runs.files import atomic_write, write_text
 from riginv.tracking.actors.actor import Actor
-from riginv.viewer.page import in_mm
+from riginv.tracking.viewer.page import in_mm
 
 MESH, FIELD, PICTURE = "actor.obj", "actor.npz", "actor.png"
 

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from riginv.geometry.distances import mean_distance
 from riginv.geometry.kernels.library import pure_torch
 from riginv.geometry.neighbours import evenly
-from riginv.meshes.metrics import mean_distance
 from riginv.rig.interface import LinearRig
 from riginv.rig.jacobian import Jacobian
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace

@@ -13,7 +13,7 @@ from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.quality import DEGREES, SEEN_MM
 from riginv.tracking.surfaces.tracking import ScanTrack
 from riginv.tracking.surfaces.triangles import Surface, TriangleMesh
-from riginv.viewer.scans import DrawnScan
+from riginv.tracking.viewer.scans import DrawnScan
 
 MAX_NUMBERS = 20_000_000  # of the matched scans together: some 120 MB
 

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 import zarr
 
-from riginv.store.checking import examine
-from riginv.store.filling import fill
-from riginv.store.location import StoreLocation
-from riginv.store.store import PoseStore
-from riginv.store.worker import ChunkWorkers
+from riginv.sampling.store.checking import examine
+from riginv.sampling.store.filling import fill
+from riginv.sampling.store.location import StoreLocation
+from riginv.sampling.store.store import PoseStore
+from riginv.sampling.store.worker import ChunkWorkers
 from tests.conftest import ROOT
-from tests.store.support import PLAN, arrays, flip, plan, same
+from tests.sampling.store.support import PLAN, arrays, flip, plan, same
 from tests.training.test_resume import kill_after, restore_sigint, same_weights, saved_step
 from tests.training.test_resume import start as start_training
 

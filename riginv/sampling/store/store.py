@@ -16,8 +16,8 @@ from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.checksums import crc32c, text_sha256
 from riginv.runs.files import discard
-from riginv.store.layout import BASIS, FORMAT, LEDGER, NEUTRAL, Layout
-from riginv.store.location import StoreLocation
+from riginv.sampling.store.layout import BASIS, FORMAT, LEDGER, NEUTRAL, Layout
+from riginv.sampling.store.location import StoreLocation
 
 ATTRIBUTE, SUM = "riginv", "riginv_sha256"
 AGAIN = "give the sampling command again, which makes it anew"

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from riginv.rig.batches import generator_at
-from riginv.store.layout import COEFFICIENTS, CONTROLS, Layout
-from riginv.store.store import PoseStore
+from riginv.sampling.store.layout import COEFFICIENTS, CONTROLS, Layout
+from riginv.sampling.store.store import PoseStore
 
 WINDOW_BYTES, FEWEST_CHUNKS = 128e6, 4
 READ = (CONTROLS, COEFFICIENTS)

@@ -9,10 +9,10 @@ from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.sampling.controls import PlausibleControls, SparseControls
 from riginv.sampling.meshes import Mixture, RandomCombinations, RigPoses
-from riginv.store.layout import Layout
-from riginv.store.training import StoreSampler, finished_store
-from riginv.store.windows import WindowOrder, WindowReader
-from tests.store.support import filled, flip
+from riginv.sampling.store.layout import Layout
+from riginv.sampling.store.training import StoreSampler, finished_store
+from riginv.sampling.store.windows import WindowOrder, WindowReader
+from tests.sampling.store.support import filled, flip
 from tests.support.toys import ToyRig
 
 

@@ -152,7 +152,7 @@ function makeScene(canvas, faces, colors, facts, scanBytes) {
   return { pose, draw, reset, onMove: (act) => { moved = act; } };
 }
 
-// The scans as riginv/viewer/scans.py packs them: all positions, distances, faces, normals.
+// The scans as riginv/tracking/viewer/scans.py packs them: all positions, distances, faces, normals.
 function scansOf(bytes, { scans }) {
   const points = scans.reduce((sum, [count]) => sum + count, 0), triangles = scans.reduce((sum, [, count]) => sum + count, 0);
   const starts = [0, 6 * points, 8 * points, 8 * points + 6 * triangles];

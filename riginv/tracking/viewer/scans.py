@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riginv.viewer.thinning import thin
+from riginv.tracking.viewer.thinning import thin
 
 MAX_POINTS = 4000  # of a scan on the page
 MAX_SCANS = 240

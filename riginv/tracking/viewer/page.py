@@ -17,8 +17,8 @@ from torch import Tensor
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.meshes.rendering import HEAT_STOPS
 from riginv.runs.files import write_text
-from riginv.viewer.scans import MAX_SCANS, Scans, drawn, scan_bytes
-from riginv.viewer.thinning import Thinned, thin
+from riginv.tracking.viewer.scans import MAX_SCANS, Scans, drawn, scan_bytes
+from riginv.tracking.viewer.thinning import Thinned, thin
 
 Targets = Callable[[Sequence[int]], Tensor]  # rows of the animation to target meshes (row, vertex, 3), mm
 

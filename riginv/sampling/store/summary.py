@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.table import Table
 
 from riginv.runs.tables import new_table
-from riginv.store.layout import CONTROL_RANGE, COST, ERRORS
-from riginv.store.store import PoseStore
+from riginv.sampling.store.layout import CONTROL_RANGE, COST, ERRORS
+from riginv.sampling.store.store import PoseStore
 
 
 def range_seen(store: PoseStore) -> dict[str, list[float]]:

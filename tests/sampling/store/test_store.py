@@ -14,13 +14,13 @@ import zarr
 from filelock import FileLock
 
 from riginv.errors import InputError
-from riginv.store.checking import examine
-from riginv.store.filling import Shard, fill
-from riginv.store.location import StoreLocation
-from riginv.store.store import PoseStore
-from riginv.store.summary import finish
-from riginv.store.training import finished_store
-from tests.store.support import PLAN, SPARSE, arrays, filled, flip, plan, same
+from riginv.sampling.store.checking import examine
+from riginv.sampling.store.filling import Shard, fill
+from riginv.sampling.store.location import StoreLocation
+from riginv.sampling.store.store import PoseStore
+from riginv.sampling.store.summary import finish
+from riginv.sampling.store.training import finished_store
+from tests.sampling.store.support import PLAN, SPARSE, arrays, filled, flip, plan, same
 from tests.support.toys import BlackBox, ToyRig
 
 
@@ -121,7 +121,7 @@ def test_damaged_descriptions_are_named(copy, damage, name):
         ({"sampler": {**SPARSE, "controls": {**SPARSE["controls"], "max_active": 3}}}, "max_active was None, now 3"),
         ({"rig": {"_target_": "tests.support.toys.ToyRig", "last_name": "other"}}, "instead of"),
         ({"rig": {"_target_": "tests.support.toys.ToyRig", "detail": 3}}, "642 vertices instead of 162"),
-        ({"rig": {"_target_": "tests.store.test_store.Louder"}}, "makes other meshes"),
+        ({"rig": {"_target_": "tests.sampling.store.test_store.Louder"}}, "makes other meshes"),
     ],
 )
 def test_a_store_of_something_else_is_refused_before_any_work(copy, change, said):
@@ -188,7 +188,7 @@ def test_a_read_only_folder_is_one_sentence():
 
 def test_nan_names_the_pose(tmp_path):
     with pytest.raises(InputError, match="NaN or infinite values at pose") as error:
-        filled(tmp_path / "s.zarr", rig={"_target_": "tests.store.test_store.NotANumber"})
+        filled(tmp_path / "s.zarr", rig={"_target_": "tests.sampling.store.test_store.NotANumber"})
     (file,) = tmp_path.glob("*.json")
     controls = json.loads(file.read_text())
     assert str(file) in str(error.value) and controls["bump0"] > 0.5 and list(controls) == list(ToyRig().control_names)

@@ -6,8 +6,8 @@ import numpy as np
 import zarr
 
 from riginv.config.typed import to_typed
-from riginv.store.filling import SampleConfig, fill
-from riginv.store.store import PoseStore
+from riginv.sampling.store.filling import SampleConfig, fill
+from riginv.sampling.store.store import PoseStore
 
 SPARSE = {
     "_target_": "riginv.sampling.meshes.RigPoses",

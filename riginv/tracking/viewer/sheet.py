@@ -8,8 +8,8 @@ import torch
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.runs.files import atomic_write
-from riginv.viewer.page import Targets, evaluated_rows, in_mm
-from riginv.viewer.scans import Scans
+from riginv.tracking.viewer.page import Targets, evaluated_rows, in_mm
+from riginv.tracking.viewer.scans import Scans
 
 WORST, SPREAD = 3, 3  # frames
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from riginv.store.layout import BASIS, NEUTRAL
-from riginv.store.store import DamagedError, PoseStore
+from riginv.sampling.store.layout import BASIS, NEUTRAL
+from riginv.sampling.store.store import DamagedError, PoseStore
 
 
 @dataclass

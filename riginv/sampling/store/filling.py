@@ -15,13 +15,13 @@ from riginv.rig.identity import check_same_rig, describe
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.threads import allowed_cores, single_threaded
 from riginv.sampling.meshes import MeshSampler
-from riginv.store.checking import StoreCondition, examine
-from riginv.store.layout import Layout, default_chunk
-from riginv.store.location import StoreLocation
-from riginv.store.making import ChunkMaker, build_sampler
-from riginv.store.store import PoseStore
-from riginv.store.training import SamplingProgress
-from riginv.store.worker import ChunkWorkers
+from riginv.sampling.store.checking import StoreCondition, examine
+from riginv.sampling.store.layout import Layout, default_chunk
+from riginv.sampling.store.location import StoreLocation
+from riginv.sampling.store.making import ChunkMaker, build_sampler
+from riginv.sampling.store.store import PoseStore
+from riginv.sampling.store.training import SamplingProgress
+from riginv.sampling.store.worker import ChunkWorkers
 
 UNITS = {"controls": "as of each control", "coefficients": "of the rig", "vertices": "mm", "basis": "mm"}
 Facts = dict[str, Any]

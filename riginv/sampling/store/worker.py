@@ -1,4 +1,4 @@
-"""python -m riginv.store.worker: a worker that makes chunks of a store, and the pool of these (`riginv.runs.worker_pool`).
+"""python -m riginv.sampling.store.worker: makes chunks of a store; and the pool of these workers (`riginv.runs.worker_pool`).
 
 `load` gives the store, the rig and the sampler; each `make` has the number of a chunk.
 """
@@ -15,9 +15,9 @@ from riginv.runs.worker import serve
 from riginv.runs.worker_pool import ATTEMPTS, ProcessPool, Request
 from riginv.runs.worker_process import WorkerLostError, WorkerRefusedError, python_worker
 from riginv.sampling.meshes import MeshSampler
-from riginv.store.location import StoreLocation
-from riginv.store.making import ChunkMaker, build_sampler
-from riginv.store.store import PoseStore
+from riginv.sampling.store.location import StoreLocation
+from riginv.sampling.store.making import ChunkMaker, build_sampler
+from riginv.sampling.store.store import PoseStore
 
 
 class ChunkWorkers:
@@ -29,7 +29,7 @@ class ChunkWorkers:
     """
 
     def __init__(self, out: str, rig: ClassSpec[RigBackend], sampler: ClassSpec[MeshSampler], jobs: int) -> None:
-        command, environment = python_worker("riginv.store.worker")
+        command, environment = python_worker("riginv.sampling.store.worker")
         load = {"out": out, "rig": rig.config, "sampler": sampler.config}
         self.pool = ProcessPool(command, load, jobs, timeout_s=None, environment=environment)
         self.pool.start()

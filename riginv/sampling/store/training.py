@@ -11,10 +11,10 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.console import Bar
 from riginv.sampling.meshes import MeshSampler
-from riginv.store.layout import BASIS, NEUTRAL
-from riginv.store.location import StoreLocation
-from riginv.store.store import PoseStore
-from riginv.store.windows import WindowReader
+from riginv.sampling.store.layout import BASIS, NEUTRAL
+from riginv.sampling.store.location import StoreLocation
+from riginv.sampling.store.store import PoseStore
+from riginv.sampling.store.windows import WindowReader
 
 
 def finished_store(path: str) -> PoseStore:

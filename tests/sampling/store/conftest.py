@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from riginv.store.summary import finish
-from tests.store.support import filled
+from riginv.sampling.store.summary import finish
+from tests.sampling.store.support import filled
 
 
 @pytest.fixture(scope="module")

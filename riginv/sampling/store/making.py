@@ -18,8 +18,8 @@ from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.files import write_json
 from riginv.sampling.meshes import MeshSampler, select_for_rig
-from riginv.store.layout import COEFFICIENTS, CONTROL_RANGE, CONTROLS, COST, ERRORS, VERTICES, Layout
-from riginv.store.store import PoseStore
+from riginv.sampling.store.layout import COEFFICIENTS, CONTROL_RANGE, CONTROLS, COST, ERRORS, VERTICES, Layout
+from riginv.sampling.store.store import PoseStore
 
 BATCH_SIZE = 512
 COMPARED = 8  # poses of each chunk for which mesh errors of rounded coefficients are computed

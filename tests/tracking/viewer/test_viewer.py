@@ -11,10 +11,10 @@ import torch
 from PIL import Image
 
 from riginv.animation.animation import Animation
-from riginv.viewer.page import shown_rows, write_viewer
-from riginv.viewer.sheet import sheet_rows, write_sheet
-from riginv.viewer.tensorboard import write_tensorboard
-from riginv.viewer.thinning import thin
+from riginv.tracking.viewer.page import shown_rows, write_viewer
+from riginv.tracking.viewer.sheet import sheet_rows, write_sheet
+from riginv.tracking.viewer.tensorboard import write_tensorboard
+from riginv.tracking.viewer.thinning import thin
 from tests.support.animations import errors_of, moving
 from tests.support.toys import ToyRig
 

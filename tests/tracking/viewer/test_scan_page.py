@@ -5,13 +5,13 @@ import pytest
 import torch
 from PIL import Image
 
-from riginv.viewer.page import write_viewer
-from riginv.viewer.scans import MAX_POINTS, DrawnScan
-from riginv.viewer.sheet import write_sheet
+from riginv.tracking.viewer.page import write_viewer
+from riginv.tracking.viewer.scans import MAX_POINTS, DrawnScan
+from riginv.tracking.viewer.sheet import write_sheet
 from tests.support.animations import errors_of, moving
 from tests.support.pages import read_page
 from tests.support.toys import ToyRig
-from tests.viewer.test_viewer import browsed, picture
+from tests.tracking.viewer.test_viewer import browsed, picture
 
 
 def scan_of(rig: ToyRig, away_mm: float, faces: bool = True) -> DrawnScan:
