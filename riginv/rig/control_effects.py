@@ -11,6 +11,7 @@ from torch import Tensor
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.jacobian import finite_differences
+from riginv.rig.mesh_space import inner_products
 from riginv.rig.random_controls import sparse_controls, uniform
 
 POSES, MAX_ACTIVE, SEED = 4, 10, 20221206  # random poses of each kind
@@ -169,9 +170,8 @@ def _grams(rig: RigBackend, poses: Tensor) -> Tensor:
     """Inner products `(pose, control, control)`, mm^2, of the displacements by controls over their ranges, over vertices."""
     span, count = rig.upper - rig.lower, len(rig.rest_vertices)
     if isinstance(rig, LinearRig) and len(rig.basis) <= MAX_COEFFICIENTS:
-        shapes = rig.basis.flatten(1)
         jacobian = finite_differences(rig.coefficients, poses, rig.lower, rig.upper)[1].scaled(span)
-        return jacobian.gram(shapes @ shapes.T).cpu().double() / count
+        return jacobian.gram(inner_products(rig.basis, rig.basis)).cpu().double() / count
     found = []
     for pose in poses.split(1):
         jacobian = finite_differences(lambda controls: rig(controls).flatten(1), pose, rig.lower, rig.upper)[1]
