@@ -70,7 +70,7 @@ def test_rooms_are_small_and_lightning_has_one_name(path):
     assert not any(module.startswith("pytorch_lightning") for module in imported(path))
 
 
-SLOW_TO_IMPORT = {"torch", "lightning", "torchmetrics", "torch._dynamo", "trimesh", "tensorboard"}
+SLOW_TO_IMPORT = {"torch", "lightning", "torch._dynamo", "trimesh", "tensorboard", "zarr"}
 
 
 @pytest.mark.parametrize(
@@ -80,6 +80,7 @@ SLOW_TO_IMPORT = {"torch", "lightning", "torchmetrics", "torch._dynamo", "trimes
         (["-m", "riginv.invert", "rig=body", "--help"], set()),
         (["-m", "rigs.blender.export", "--help"], set()),
         (["-c", "import riginv.invert, riginv.inference.inverse"], {"torch"}),
+        (["-c", "import riginv.train"], {"torch", "lightning", "torch._dynamo", "tensorboard"}),
     ],
     ids=lambda value: " ".join(value[1:]) if isinstance(value, list) else "",
 )

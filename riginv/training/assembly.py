@@ -24,7 +24,6 @@ from riginv.runs.run_folder import RunFolder
 from riginv.runs.threads import Workers
 from riginv.sampling.meshes import MeshSampler, StoredPoses, WithNoise, select_for_rig
 from riginv.sampling.noise import CaptureNoise
-from riginv.sampling.store.training import reading_store
 from riginv.training.checkpoints import AtomicCheckpoints, SaveLast, TrainingClock
 from riginv.training.config import ModelConfig, TrainConfig, TrainerConfig
 from riginv.training.dashboard import Dashboard, PosePictures
@@ -79,6 +78,8 @@ def build_sampler(settings: TrainConfig, rig: RigInMeshSpace) -> MeshSampler:
     else:
         sampler = build(select_for_rig(dict(settings.sampler.config), rig.source), rig, kind=MeshSampler)
         if data.store:
+            from riginv.sampling.store.training import reading_store  # zarr takes a quarter of a second
+
             sampler = reading_store(sampler, rig, data.store, settings.seed)
         elif not rig.source.differentiable:
             stored = stored or data.black_box_poses
