@@ -60,8 +60,8 @@ def solve_actor(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows:
         neutral = in_rig_space(given, rig.rest_vertices, stability_weights(rig), solver.moves)
     except InputError:
         raise InputError(
-            f"{scans.path}: actor.neutral=solve finds no face near that of rig '{rig.name}': are they scans of the same part of "
-            f"a person, in the unit that was read, with normals that point outwards? set reading.unit and reading.up"
+            f"{scans.path}: actor.neutral=solve finds no face near that of rig '{rig.name}': are they scans of the same part "
+            f"of a person, in the unit that was read, with normals that point outwards? set reading.unit and reading.up"
         ) from None
     notes = [solved_note(settings.rounds)]
     if len(targets) < FEW:
