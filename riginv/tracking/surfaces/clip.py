@@ -67,12 +67,12 @@ def smooth_scans(
         found: the solution of each frame; None where it has no scan: it follows its neighbours.
         advance: reports progress.
     """
-    result, load = nearest_known(found), load if isinstance(load, Kept) else kept_scans(load)
+    result, scans = nearest_known(found), load if isinstance(load, Kept) else kept_scans(load)
     for first in range(0, len(result), WINDOW):
-        load.forget_before(first)
+        scans.forget_before(first)
         stop = min(first + WINDOW + LOOKAHEAD, len(result))
         stop = len(result) if len(result) - stop <= LOOKAHEAD else stop
-        _Window(solver, load, result, first, stop, options).solve(advance)
+        _Window(solver, scans, result, first, stop, options).solve(advance)
         if stop == len(result):
             break
     return result
