@@ -18,6 +18,7 @@ from riginv.solvers.objective import sparsity_terms
 from riginv.solvers.offset import Arrow
 from riginv.tracking.surfaces.fitting import ROTATION, SHIFT_MM, Linearised, State, SurfaceFit
 from riginv.tracking.surfaces.matching import Pairs, Target, as_tensor, match
+from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.solving import ScanSolver
 from riginv.tracking.surfaces.wrap import skin_component, smoothness_matrix, with_loose_parts
 
@@ -80,7 +81,8 @@ class ScanOffset:
         """
         solver, settings = self.solver, self.settings
         fits = [solver.fit(target) for target in targets]
-        states = [State(solver.start, solver.aligner.align(target).motion) for target in targets]
+        aligned = [solver.aligner.align(target).motion if solver.moves else Motion.identity() for target in targets]
+        states = [State(solver.start, motion) for motion in aligned]
         field = torch.zeros(len(self.stiffness), dtype=torch.float64)
         for number in range(settings.rounds):
             scale_mm = max(settings.last_scale_mm, settings.first_scale_mm * settings.factor**number)
@@ -130,7 +132,7 @@ class ScanOffset:
         modes = (pairs.barycentric[..., None] * self.modes[pairs.corners]).sum(axis=1)
         return as_tensor((modes[:, :, None] * pairs.normals[:, None]).reshape(len(modes), -1))
 
-    def _moved(self, states: list[State], motion: Tensor | None) -> list:
+    def _moved(self, states: list[State], motion: Tensor | None) -> list[Motion]:
         """The rigid motion of each frame after a step `(frame, 6)`."""
         if motion is None:
             return [state.motion for state in states]

@@ -16,8 +16,11 @@ from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, read_neut
 from riginv.tracking.actors.scan_offset import ScanOffset, ScanOffsetSettings
 from riginv.tracking.options import ActorOptions
 from riginv.tracking.stability import stability_weights
+from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver
+
+FEW = 6  # scans
 
 
 @torch.no_grad()
@@ -48,20 +51,37 @@ def solve_actor(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows:
         InputError: no frame has a scan, or what was found is far from the rig's shape.
     """
     settings = ScanOffsetSettings()
-    targets, axes = [], units.axes.double().numpy()
-    for place in np.unique(np.linspace(0, len(rows) - 1, settings.frames).round().astype(int)).tolist():
-        cleaned = scans.cleaned(rows[place])
-        if cleaned is not None:
-            targets.append(solver.target(cleaned.surface(units.mm, axes)))
-    if not targets:
-        raise InputError(f"{scans.path}: none of {settings.frames} frames spread over it holds a scan of 50 points or more")
+    targets = _spread_targets(solver, scans, units, rows, settings.frames)
     show_lines([], [f"the actor's neutral is solved for with {len(targets)} scans spread over the clip"])
     found = ScanOffset(solver, settings).solve(targets)
     rig = solver.rig
     given = GivenNeutral(torch.from_numpy(found), SOLVE, [])
-    neutral = in_rig_space(given, rig.rest_vertices, stability_weights(rig), solver.moves)
+    try:
+        neutral = in_rig_space(given, rig.rest_vertices, stability_weights(rig), solver.moves)
+    except InputError:
+        raise InputError(
+            f"{scans.path}: actor.neutral=solve finds no face near that of rig '{rig.name}': are they scans of the same part "
+            f"of a person, in the unit that was read, with normals that point outwards? set reading.unit and reading.up"
+        ) from None
+    notes = [solved_note(settings.rounds)]
+    if len(targets) < FEW:
+        notes.append(
+            f"{len(targets)} scans do not tell the shape of a face from its expression: give actor.neutral=FILE, a scan at rest"
+        )
     facts = {"frames": len(targets), "steps": settings.rounds}
-    return Actor(neutral, neutral - rig.rest_vertices, scale, SOLVE, (solved_note(settings.rounds),), facts)
+    return Actor(neutral, neutral - rig.rest_vertices, scale, SOLVE, tuple(notes), facts)
+
+
+def _spread_targets(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows: Sequence[int], count: int) -> list[Target]:
+    """The scans among `count` frames that are spread over a clip."""
+    targets, axes = [], units.axes.double().numpy()
+    for index in np.unique(np.linspace(0, len(rows) - 1, count).round().astype(int)).tolist():
+        cleaned = scans.cleaned(rows[index])
+        if cleaned is not None:
+            targets.append(solver.target(cleaned.surface(units.mm, axes)))
+    if not targets:
+        raise InputError(f"{scans.path}: none of {count} frames spread over it holds a scan of 50 points or more")
+    return targets
 
 
 def _of_frames(options: ActorOptions, scans: ScanSequence, units: ClipUnits, rig: LinearRig) -> GivenNeutral:

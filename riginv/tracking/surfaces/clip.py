@@ -67,12 +67,12 @@ def smooth_scans(
         found: the solution of each frame; None where it has no scan: it follows its neighbours.
         advance: reports progress.
     """
-    result, load = nearest_known(found), load if isinstance(load, Kept) else kept_scans(load)
+    result, scans = nearest_known(found), load if isinstance(load, Kept) else kept_scans(load)
     for first in range(0, len(result), WINDOW):
-        load.forget_before(first)
+        scans.forget_before(first)
         stop = min(first + WINDOW + LOOKAHEAD, len(result))
         stop = len(result) if len(result) - stop <= LOOKAHEAD else stop
-        _Window(solver, load, result, first, stop, options).solve(advance)
+        _Window(solver, scans, result, first, stop, options).solve(advance)
         if stop == len(result):
             break
     return result
@@ -96,6 +96,7 @@ class _Window:
         skin = np.stack([_skin(solver, result[frame].state) for frame in every])
         second = np.linalg.norm(skin[2:] - 2 * skin[1:-1] + skin[:-2], axis=2).mean(axis=1)
         in_time = (second < options.break_mm) & bool(np.median(second) < options.break_mm)
+        self.is_smoothed = bool(in_time.any())
         self.weights = torch.from_numpy(options.smoothness * in_time)
         differences = second_differences(torch.ones(len(every) - 1, dtype=torch.float64))
         self.bands = second_difference_bands(len(self.frames), self.before, self.weights.sqrt()[:, None] * differences)
@@ -117,7 +118,8 @@ class _Window:
         target, found = self.load(frame), self.result[frame]
         if target is None:
             return self._prior_alone(found)
-        target = self.solver.finer(target)
+        if not self.is_smoothed:  # neighbours lower the effect of noise, too
+            target = self.solver.finer(target)
         fit = self.solver.fit(target, found)
         schedule = self.solver.settings.from_near
         scale = max(schedule.last_scale_mm, SCALE * float(np.nan_to_num(found.quality.scan_mm)))

@@ -47,8 +47,8 @@ class Schedule:
 
 
 FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
-FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, converged=0.01)
-FINISH = Schedule(steps=6, first_scale_mm=0.5, converged=0.003)
+FROM_NEAR = Schedule(steps=4, first_scale_mm=1.5, factor=0.5, converged=0.01)
+FINISH = Schedule(steps=10, first_scale_mm=0.5, converged=0.002)
 
 
 class State(NamedTuple):
