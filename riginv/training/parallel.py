@@ -135,7 +135,6 @@ def with_gradients(loss: Tensor, gradients: list[Tensor | None], tensors: Sequen
 
 
 class _WithGradients(torch.autograd.Function):
-
     @staticmethod
     def forward(ctx: Any, loss: Tensor, gradients: list[Tensor | None], *weights: Tensor) -> Tensor:
         ctx.gradients = gradients
