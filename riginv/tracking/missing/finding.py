@@ -1,6 +1,6 @@
 """Rounds of drivers, shapes and controls: drivers are chosen by the residual, then shapes and controls are fitted together."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -133,7 +133,10 @@ def with_joint_fit(
 ) -> tuple[RigWithShapes, Tensor]:
     """The rig with sparse shapes of drivers, and the controls of meshes, both fitted together."""
     blank = RigWithShapes(rig, factors, drivers, rig.basis.new_zeros(len(drivers), *rig.rest_vertices.shape))
-    controls, shapes = JointFit(blank, len(drivers), span, len(rig.rest_vertices))(controls, JOINT_STEPS)
+    rows = span.spread_frames(len(rig.controls))
+    fit = JointFit(blank, len(drivers), replace(span, target=span.target[rows]), len(rig.rest_vertices))
+    controls = controls.clone()
+    controls[rows], shapes = fit(controls[rows], JOINT_STEPS)
     augmented = RigWithShapes(rig, factors, drivers, sparse(shapes))
     return augmented, solve_again(augmented, meshes, controls)
 

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.rig.jacobian import Jacobian
 from riginv.tracking.missing.search import conjugate_gradients
@@ -20,7 +21,8 @@ LESS, MORE = 1 / 6, 8.0  # damping after a step that succeeds, and after one tha
 RIDGE = 1e-6  # of a driver of unit length
 FLOOR = 1e-7  # mm^2, of a control in the Hessian
 INNER_STEPS = 60  # of conjugate gradients
-NEGLIGIBLE_MM = 1e-3  # root mean square distance of a direction of the residual that is left out
+NEGLIGIBLE_MM, DIRECTIONS = 1e-3, 200  # of the residual: least root mean square distance of a direction, and their number
+MAX_NUMBERS = 40_000_000  # of the derivatives of all frames: 320 MB; of longer clips evenly spread frames are used
 GAINS_LITTLE = 1e-4  # of the cost: the last step
 
 
@@ -45,11 +47,15 @@ class Span:
         residual = (meshes - rig(controls)).flatten(1).double()
         rest = residual - (residual @ rows.T) @ rows
         squares, vectors = torch.linalg.eigh(rest @ rest.T)
-        kept = squares > NEGLIGIBLE_MM**2 * rest.numel() / 3
+        kept = (squares > NEGLIGIBLE_MM**2 * rest.numel() / 3).nonzero()[-DIRECTIONS:, 0]
         directions = torch.linalg.qr(torch.cat([rows, vectors[:, kept].T @ rest]).T)[0].T
         start = rig.rest_vertices.flatten() - (rig.neutral_coefficients() @ rig.basis.flatten(1))[0]
         target = (meshes.flatten(1) - start).double() @ directions.T
         return cls(directions, basis @ directions.T, target)
+
+    def spread_frames(self, controls: int) -> Tensor:
+        """The frames that a joint fit of so many controls has memory for."""
+        return evenly(max(1, MAX_NUMBERS // (controls * len(self.directions))), len(self.target))
 
 
 class JointFit:
