@@ -81,7 +81,7 @@ def in_stages(
         differentiate()
 
     workers.run([estimate_all, follow])
-    return with_gradients(sum(values), list(chain(*gradients)), list(chain(*weights))), coordinates[0]
+    return with_gradients(sum(values[1:], values[0]), list(chain(*gradients)), list(chain(*weights))), coordinates[0]
 
 
 def in_halves(
