@@ -68,7 +68,7 @@ def compare(config: DictConfig) -> None:
     folder.begin()
     with ComparisonProgress(len(methods)) as progress:
         progress.at("the optimum", "many starts on a few meshes of each set")
-        optima, effects = find_optima(true_rig, sets), ControlEffects.of_rig(true_rig)
+        optima, effects = find_optima(true_rig, sets, rig), ControlEffects.of_rig(true_rig)
         for name, method in methods.items():
             facts = {"config": specs[name].config, "fingerprint": method.fingerprint}
             rows = kept_rows(folder.path, name, facts)

@@ -15,7 +15,7 @@ from riginv.methods.evaluation import ACCURACY
 from riginv.runs.console import Bar
 from riginv.runs.files import atomic_write, read_json, write_json, write_text
 from riginv.runs.run_folder import METRICS
-from riginv.runs.tables import CONTROLS_LEGEND, EXACT, WITHIN_REACH_MM, csv_text, markdown_text, new_table
+from riginv.runs.tables import BOUND, CONTROLS_LEGEND, EXACT, WITHIN_REACH_MM, csv_text, markdown_text, new_table
 
 CSV, MARKDOWN, PLOT, METHODS = "compare.csv", "compare.md", "compare.png", "methods"
 HEADINGS = {
@@ -32,7 +32,8 @@ HEADINGS = {
     "control_recall": "re-\ncall",
     "control_error_weighted": "control\nerror",
 }
-MAY_BE_MISSING = ("roughness", "optimum_ratio", "optimum_mm", *ACCURACY)
+LATER = (*ACCURACY, "optimum_is_bound")  # earlier versions did not write them
+MAY_BE_MISSING = ("roughness", "optimum_ratio", "optimum_mm", *LATER)
 ROW = {
     **dict.fromkeys((*HEADINGS, "optimum_mm"), float),
     **dict.fromkeys(MAY_BE_MISSING, float | None),
@@ -67,7 +68,7 @@ def read_kept(path: Path) -> dict[str, Any]:
     kept = read_json(path)
     found = kept.get("rows") or []
     whole = fits(kept.get("source"), str) and fits(found, list[Mapping[str, Any]])
-    rows = [{**dict.fromkeys(ACCURACY), **row} for row in found] if whole else []  # earlier versions did not measure it
+    rows = [{**dict.fromkeys(LATER), **row} for row in found] if whole else []
     if not rows or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
         raise InputError(f"{path}: altered since a method wrote it; remove it, and the method is run again")
     return {**kept, "rows": rows}
@@ -103,7 +104,8 @@ def show(rows: Rows, folder: Path, left_out: Mapping[str, str]) -> None:
         "  Vertex errors on the true rig at the predicted controls. Roughness: mean squared second difference "
         "of the curves. Controls in use: how many are not at neutral, averaged over the meshes. Times optimum: the error "
         "over the least that Levenberg-Marquardt found from many starts, on a few of the meshes; "
-        f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes. {CONTROLS_LEGEND}",
+        f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes; {BOUND.strip()}: for rigs with a "
+        f"fitted basis that least is an upper bound. {CONTROLS_LEGEND}",
         highlight=False,
         soft_wrap=True,
     )
@@ -121,7 +123,8 @@ def _shown(row: dict[str, Any], key: str) -> str:
         return EXACT
     if key == "roughness":
         return f"{value:.1e}"
-    return f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else "0"
+    least = BOUND if key == "optimum_ratio" and row["optimum_is_bound"] else ""
+    return least + (f"{value:.0f}" if value >= 100 else f"{value:.3g}" if value >= 1e-3 else "0")
 
 
 def _markdown(rows: Rows, sources: Mapping[str, str]) -> str:

@@ -20,7 +20,7 @@ ACCURACY = ("control_precision", "control_recall", "control_error_weighted")
 
 @dataclass(frozen=True)
 class Row:
-    """The results of a method on a set; the fields but the last are the columns of compare.csv.
+    """The results of a method on a set; the fields but the optimum's are the columns of compare.csv.
 
     None: of roughness, where the set is no clip; of the optimum and of the controls, where these are not known.
     """
@@ -38,6 +38,7 @@ class Row:
     control_precision: float | None = None
     control_recall: float | None = None
     control_error_weighted: float | None = None
+    optimum_is_bound: float | None = None  # 1: the optimum is an upper bound, so that the ratio is a lower one
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -98,6 +99,7 @@ def evaluated_row(
         training_seconds=training_seconds,
         optimum_ratio=optimum.ratio(result) if optimum else None,
         optimum_mm=optimum.mean_mm if optimum else None,
+        optimum_is_bound=float(optimum.is_bound) if optimum else None,
         **{key: values.get(key) for key in ACCURACY},
     )
 

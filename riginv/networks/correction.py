@@ -1,5 +1,7 @@
 """One step of a learned optimiser: from a residual to a change of the controls."""
 
+from typing import NamedTuple
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -7,6 +9,20 @@ from torch import Tensor, nn
 START_GAIN = 0.05  # of the last layer: steps start small
 SMALLEST = 1e-5  # of a typical gradient: the lower bound of its size under the logarithm
 LOG_SCALE = 0.2
+
+
+class StageStart(NamedTuple):
+    """What a stage starts from, without a graph: the raw outputs of an estimate and what follows from them."""
+
+    raw: Tensor
+    coordinates: Tensor
+    gradient: Tensor
+    squares: Tensor
+
+    def or_better(self, other: "StageStart") -> "StageStart":
+        """For each mesh the one with the lower error."""
+        better = other.squares < self.squares
+        return StageStart(*(torch.where(better.view(-1, *[1] * (b.dim() - 1)), b, a) for a, b in zip(self, other)))
 
 
 class Correction(nn.Module):

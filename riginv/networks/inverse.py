@@ -13,7 +13,7 @@ from riginv.config.values import NonNegativeInt, PositiveInt, Widths
 from riginv.errors import InputError
 from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
-from riginv.networks.correction import Correction
+from riginv.networks.correction import Correction, StageStart
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import ZeroPreserving, mlp
 from riginv.rig.interface import Vjp
@@ -162,8 +162,8 @@ class StagedInverse(InverseNetwork):
     the squared error through the rig, and the controls so far; so do the refinement steps (`riginv.networks.correction`). Each
     is trained on its own error alone.
 
-    Where the rig has features they replace mesh coordinates, and a linear guess from them precedes the first MLP
-    (`riginv.networks.features`).
+    Where the rig has features they replace mesh coordinates, and a guess from them precedes the first MLP
+    (`riginv.networks.features`); every stage then starts from the best estimate of each mesh so far.
 
     Args:
         stages: the number of MLPs.
@@ -240,18 +240,22 @@ class StagedInverse(InverseNetwork):
         return self.estimate(self.control_map.raw_of(self.features.guess(target.inputs)), target.coordinates)
 
     def _each_stage(self, target: _Target, before: Estimate | None) -> Iterator[Estimate]:
+        start: StageStart | None = None
         for stage in [*self.stages, *self.corrections]:
-            raw = stage(target.inputs) if before is None else self._refined(stage, before, target)
+            if before is not None:
+                latest = StageStart(before.raw.detach(), before.detached_coordinates, before.gradient, before.squares)
+                start = latest if start is None or not self.features else start.or_better(latest)
+            raw = stage(target.inputs) if start is None else self._refined(stage, start, target)
             before = self.estimate(raw, target.coordinates)
             yield before
 
-    def _refined(self, stage: nn.Module, estimate: Estimate, target: _Target) -> Tensor:
-        """The raw outputs `(batch, control)` of an estimate, refined by a stage."""
-        before, gradient = estimate.raw.detach(), estimate.gradient / self.gradient_scale
+    def _refined(self, stage: nn.Module, start: StageStart, target: _Target) -> Tensor:
+        """The raw outputs `(batch, control)` of a start, refined by a stage."""
+        before, gradient = start.raw, start.gradient / self.gradient_scale
         if self.features and target.features is not None:
-            residual = self.features.change(self.features.unscaled(estimate.detached_coordinates), target.features)
+            residual = self.features.change(self.features.unscaled(start.coordinates), target.features)
         else:
-            residual = estimate.error / -self.coordinate_scale
+            residual = (start.coordinates - target.coordinates) / -self.coordinate_scale
         squashed = torch.tanh(0.3 * before)
         if isinstance(stage, Correction):
             return before + stage(residual, gradient, squashed)

@@ -176,7 +176,7 @@ class LinearRig(RigBackend):
             in captures; `coefficients_with_joint_noise` applies them. Empty where a rig has none.
         is_fitted: whether the basis was fitted to sampled poses: its coefficients are scaled by their spread and have no names.
         is_surrogate: whether it is a learned surrogate of another rig, its `true_rig()`.
-        has_first_guess: whether `first_guess` gives one.
+        has_first_guess: whether `guess_from_features` is near the solution, so that solvers need no other start.
         length_scale: factor on the lengths in mm that solvers take for small, for rigs whose files may be in any unit.
     """
 
@@ -275,13 +275,6 @@ class LinearRig(RigBackend):
     def guess_from_features(self, features: Float[Tensor, "batch feature"]) -> Float[Tensor, "batch control"] | None:
         """Controls `(batch, control)` near those that make features; None: `riginv.networks.features` fits a linear map."""
         return None
-
-    def first_guess(self, vertices: Float[Tensor, "frame vertex 3"]) -> Float[Tensor, "frame control"]:
-        """A guess at the controls `(frame, control)` of consecutive meshes `(frame, vertex, 3)`, mm, near the solution.
-
-        It may exceed the limits. Only of rigs with `has_first_guess`: for others solvers start from features or near neutral.
-        """
-        raise NotImplementedError(f"rig '{self.name}' has no first guess")
 
     def continuous(self, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame control"]:
         """Controls `(frame, control)` of the same meshes that change least from frame to frame: angles without jumps."""

@@ -23,15 +23,12 @@ MEMORY, SQUARE_MEMORY, SMALLEST = 0.9, 0.999, 1e-8  # of Adam
 
 
 def first_start(objective: Objective, coordinates: Float[Tensor, "mesh coordinate"]) -> Float[Tensor, "mesh control"]:
-    """The rig's own first guess `(mesh, control)`, or that from its features, if it has any; else `start_by_derivative`."""
-    if objective.rig.source.has_first_guess:
-        own = objective.rig.source.first_guess(objective.rig.space.decode(coordinates.nan_to_num()))
-        return objective.units(own).nan_to_num(0.5).clamp(0, 1)
+    """The guess `(mesh, control)` from the rig's features, continuous over consecutive meshes; else `start_by_derivative`."""
     if objective.features is None:
         return start_by_derivative(objective, coordinates)
     given = coordinates.to(objective.features.scale)
     guess = torch.cat([objective.features.guess(objective.features(batch)) for batch in given.split(BATCH_SIZE)])
-    return objective.units(guess).nan_to_num(0.5).clamp(0, 1)
+    return objective.units(objective.rig.source.continuous(guess)).nan_to_num(0.5).clamp(0, 1)
 
 
 def start_by_derivative(

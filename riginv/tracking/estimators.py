@@ -13,6 +13,7 @@ from riginv.solvers.every_mesh import EXACT, refine_meshes, solve_frames, solve_
 from riginv.solvers.fewer_controls import with_fewer_controls
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import Objective
+from riginv.solvers.starts import first_start
 from riginv.tracking.actors.actor import ActorRig
 from riginv.tracking.constraints import ControlConstraints
 from riginv.tracking.fixed_controls import FixedControlsRig
@@ -132,9 +133,9 @@ class SolverEstimator(ControlEstimator):
         return self.controls(with_fewer_controls(self.objective, coordinates, units) if self.fewer_controls else units)
 
     def _first_guess(self, vertices: Tensor) -> Tensor:
-        """The rig's own guess, as fractions of the ranges."""
+        """The guess from the rig's features, as fractions of the ranges."""
         filled = torch.where(torch.isfinite(vertices), vertices, self.rig.rest_vertices)
-        return self.objective.units(self.rig.first_guess(filled)).nan_to_num(0.5).clamp(0, 1)
+        return first_start(self.objective, self.space.encode(filled))
 
     def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:
         coordinates = self.space.encode(vertices if motion is None else remove_motion(motion, vertices))

@@ -55,5 +55,5 @@ class FixedControlsRig(LinearRig):
         guess = self.rig.guess_from_features(features)
         return None if guess is None else guess[:, self.free]
 
-    def first_guess(self, vertices: Tensor) -> Tensor:
-        return self.rig.first_guess(vertices)[:, self.free]
+    def continuous(self, controls: Tensor) -> Tensor:
+        return self.rig.continuous(self.all_controls(controls))[:, self.free]

@@ -1,7 +1,5 @@
 """The paper's inverse: a network from meshes to controls, with the loss on the mesh that the rig makes of them (Sec. 3.3)."""
 
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 
@@ -14,7 +12,7 @@ from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import Workers
 from riginv.training.losses import LengthLoss, MeanDistanceLoss
 from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
-from riginv.training.parallel import in_stages
+from riginv.training.parallel import in_stages, with_gradients
 
 MESH_STAGES = 2  # stages at the end whose loss does not depend on the controls
 
@@ -65,7 +63,7 @@ class InverseModule(RigModule):
     def loss_and_coordinates(self, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         estimates = self.network.estimates(batch["coordinates"])
         values, gradients = zip(*(self._value_and_gradient(each, number, batch) for number, each in enumerate(estimates)))
-        loss = _PrecomputedGradients.apply(sum(values), *gradients, *(estimate.raw for estimate in estimates))
+        loss = with_gradients(sum(values), list(gradients), [estimate.raw for estimate in estimates])
         return loss, estimates[-1].detached_coordinates
 
     def loss_on_threads(self, batch: PoseBatch, weights: list[nn.Parameter], workers: Workers) -> tuple[Tensor, Tensor]:
@@ -119,17 +117,3 @@ def control_distance(estimate: Estimate, known: Tensor) -> tuple[Tensor, Tensor]
     scale = 1 / ((rig.upper - rig.lower) * len(known))
     change = ((controls - known) * scale).nan_to_num()
     return change.abs().sum(), to_raw(change.sign() * scale)
-
-
-class _PrecomputedGradients(torch.autograd.Function):
-    """A value with precomputed gradients by the raw outputs."""
-
-    @staticmethod
-    def forward(ctx: Any, value: Tensor, *gradients_and_raws: Tensor) -> Tensor:
-        ctx.save_for_backward(*gradients_and_raws[: len(gradients_and_raws) // 2])
-        return value.clone()
-
-    @staticmethod
-    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
-        gradients = ctx.saved_tensors
-        return None, *(None for _ in gradients), *(scale * gradient for gradient in gradients)

@@ -81,8 +81,7 @@ def in_stages(
         differentiate()
 
     workers.run([estimate_all, follow])
-    total = _WithGradients.apply(sum(values), list(chain(*gradients)), *chain(*weights))
-    return total, coordinates[0]
+    return with_gradients(sum(values[1:], values[0]), list(chain(*gradients)), list(chain(*weights))), coordinates[0]
 
 
 def in_halves(
@@ -116,7 +115,7 @@ def in_halves(
 
     runs = _evenly([first.numel() for first, _ in pairs], list(range(len(pairs))))
     workers.run([partial(add, numbers) for numbers in runs])
-    total = _WithGradients.apply(loss + second_loss, list(gradients), *weights)
+    total = with_gradients(loss + second_loss, list(gradients), weights)
     return total, torch.cat([coordinates, second_coordinates])
 
 
@@ -130,9 +129,12 @@ def _evenly(sizes: list[int], numbers: list[int]) -> list[list[int]]:
     return [run for run in runs if run]
 
 
-class _WithGradients(torch.autograd.Function):
-    """A loss with precomputed gradients by the weights."""
+def with_gradients(loss: Tensor, gradients: list[Tensor | None], tensors: Sequence[Tensor]) -> Tensor:
+    """A loss that carries its precomputed gradients by weights or by raw outputs; they are handed on once."""
+    return _WithGradients.apply(loss, gradients, *tensors)
 
+
+class _WithGradients(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, loss: Tensor, gradients: list[Tensor | None], *weights: Tensor) -> Tensor:
         ctx.gradients = gradients

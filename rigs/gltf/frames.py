@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from riginv.errors import InputError, listed
@@ -178,6 +179,11 @@ def frame_basis(avatar: Avatar, frames: Frames) -> FrameBasis:
     rows = torch.cat([matrix_basis(torch.from_numpy(part).float()) for part in parts])
     check_distances(avatar.file, rows.numpy())
     return FrameBasis(rows, torch.tensor(pairs))
+
+
+def frame_weights(basis: Float[Tensor, "coefficient vertex 3"], first: int, frames: int) -> Float[Tensor, "frame vertex"]:
+    """The skin weights of frames, from the rows of a basis that begin at `first`."""
+    return basis[first : first + NUMBERS * frames].view(frames, 3, 4, -1, 3)[:, 0, 3, :, 0]
 
 
 def _pairs(avatar: Avatar, weights: np.ndarray) -> np.ndarray:

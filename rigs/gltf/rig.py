@@ -16,8 +16,7 @@ from riginv.rig.interface import Control, LinearRig
 from riginv.rig.jacobian import Jacobian
 from riginv.rig.joint_features import JointFeatures, SkinFeatures
 from rigs.gltf.avatar import Avatar, read_avatar
-from rigs.gltf.first_guess import FirstGuess, joint_points
-from rigs.gltf.frames import Frames, frame_basis, joint_frames
+from rigs.gltf.frames import Frames, frame_basis, frame_weights, joint_frames
 from rigs.gltf.joint_controls import Choice, Drives, joint_drives
 from rigs.gltf.motion import AXES, JointMotion, coefficient_names
 from rigs.gltf.node_motion import node_motions
@@ -112,11 +111,10 @@ class GltfRig(LinearRig):
         if motion is not None:
             size = float((rest.amax(dim=0) - rest.amin(dim=0)).max().clamp_min(1e-6))
             self.length_scale = size / METRE
-            weights = joint_points(self.basis, AXES * len(self.targets), motion.count)[:, 3]
+            weights = frame_weights(self.basis, AXES * len(self.targets), motion.count)
             weight = torch.where(weights.amax(dim=1) < LEAST_WEIGHT, 0.0, weights.sum(dim=1))
             features = JointFeatures(motion.freedom, weight, size)
             self.skin_features = SkinFeatures(features, torch.arange(motion.count), len(self.targets), motion.pairs)
-        self._guess: FirstGuess | None = None
         self.has_first_guess = motion is not None and not self.targets
         self.parts = tuple((submesh.label, submesh.start, submesh.start + submesh.count) for submesh in avatar.submeshes)
         self.file, self.unit_mm, self.notes = avatar.file.path, float(unit_mm), tuple(avatar.file.notes)
@@ -140,7 +138,7 @@ class GltfRig(LinearRig):
         motion, roots = self.joint_motion, [] if self.joint_motion is None else [p for p in self.joint_motion.parents if p < 0]
         if motion is None or self.targets or len(motion.scaled) or len(roots) != 1:
             return None
-        weights, heads = joint_points(self.basis, 0, motion.count)[:, 3].T, motion.rest[..., 3]
+        weights, heads = frame_weights(self.basis, 0, motion.count).T, motion.rest[..., 3]
         if (weights.sum(dim=1) - 1).abs().max() > SUM_TOLERANCE:
             return None
 
@@ -165,15 +163,6 @@ class GltfRig(LinearRig):
         angles = slice(len(self.targets), len(self.targets) + 3 * self.joint_motion.count)
         limits = (torch.deg2rad(one[angles].unflatten(0, (-1, 3))).to(features) for one in (self.lower, self.upper))
         return torch.cat([weights, self.skin_features.joints.controls(of_joints, *limits)], dim=1)
-
-    @torch.no_grad()
-    def first_guess(self, vertices: Tensor) -> Tensor:
-        """Controls of consecutive meshes by the vertices of each joint."""
-        assert self.joint_motion is not None
-        if self._guess is None:
-            points = joint_points(self.basis, 0, self.joint_motion.count)
-            self._guess = FirstGuess(self.joint_motion, self.rest_vertices, points)
-        return self._guess(vertices, self.lower, self.upper)
 
     @torch.no_grad()
     def continuous(self, controls: Tensor) -> Tensor:

@@ -18,6 +18,8 @@ from riginv.rig.mesh_sets import PosedRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from tests.config.test_bad_input import refused
 from tests.conftest import ROOT
+from tests.rigs.dna.files import written
+from tests.rigs.dna.heads import many_joints
 from tests.solvers.test_solvers import poses
 from tests.support.clips import performance, write_npz
 
@@ -127,6 +129,15 @@ def test_what_does_not_suit_the_rig_is_left_out_and_said_so(run):
     assert {method for method, _ in rows_of(outcome)} == {"neutral"}
     assert "Left out: direct, for no gradient passes through it." in outcome.text
     refused(run("compare", *TOY, box, "methods=[direct]", "mesh_space.samples=60", folder="other"), "direct: no gradient")
+
+
+def test_rigs_with_a_fitted_basis_have_an_upper_bound_of_the_optimum(run, tmp_path):
+    written(tmp_path / "a.dna", many_joints().file())
+    settings = ["rig=dna", "rig.file=a.dna", "poses=8", "mesh_space.samples=60", "mesh_space.residual_mm=1.0"]
+    outcome = run("compare", *settings, "methods=[neutral]", small=False)
+    assert outcome.code == 0, outcome.text
+    assert float(rows_of(outcome)["neutral", "rig_poses"]["optimum_ratio"]) > 2
+    assert ">= " in (outcome.folder / "compare.md").read_text()
 
 
 def test_a_trained_network_is_compared_and_refined(run, toy, tmp_path):

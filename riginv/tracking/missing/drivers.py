@@ -17,7 +17,7 @@ SIMPLER = 0.98  # likelihood of a driver with one factor more
 ELSEWHERE = 0.85  # likelihood of a shape where one of its factors does not move the mesh
 MOVES = 0.05  # of a control's largest displacement: a vertex moves with it
 ACTIVE, MIN_PEAK = 0.05, 0.15  # of a factor in a frame, of a product in its best frame
-FRAMES, FACTORS, MAX_DRIVERS = 700, 12, 6000  # looked at for products: frames, the strongest factors of each; products kept
+FRAMES, FACTORS, MAX_DRIVERS = 700, 12, 10000  # looked at for products: frames, the strongest factors of each; products kept
 
 
 @dataclass(frozen=True)

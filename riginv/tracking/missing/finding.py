@@ -1,6 +1,6 @@
-"""Alternation of shapes and controls: shapes are fitted to the residual, then controls are solved again with the shapes."""
+"""Rounds of drivers, shapes and controls: drivers are chosen by the residual, then shapes and controls are fitted together."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -8,7 +8,6 @@ from torch import Tensor
 
 from riginv.geometry.distances import mean_distance
 from riginv.geometry.kernels.library import pure_torch
-from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.rig.jacobian import Jacobian
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
@@ -16,12 +15,12 @@ from riginv.runs.tables import WITHIN_REACH_MM
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.missing.drivers import Driver, Factors
-from riginv.tracking.missing.search import MIN_GAIN, MIN_GAIN_KNOWN, choose_drivers, fit_shapes, voters
+from riginv.tracking.missing.joint_fit import JointFit, Span
+from riginv.tracking.missing.search import MIN_GAIN_KNOWN, MIN_GAINS, choose_drivers, fit_shapes, sparse, voters
 
-ROUNDS, STEPS = 3, 6  # alternations; Levenberg-Marquardt steps in each
-STRONGEST, SPREAD = 6, 40  # frames that shapes are fitted to: the strongest of each driver, and evenly spread ones
-TANGENTS, MOVING = 12, 1e-3  # active controls of a frame: their number, at most, and their least distance from neutral
+JOINT_STEPS, STEPS = 10, 6  # of the joint fit of each round; Levenberg-Marquardt steps after it
 SPARSITY = 2e-5  # mm^2 of mean squared error for a control at its whole range: of two explanations that with fewer controls
+FIRST_SPARSITY = 1e-3  # the same before shapes are known: idle controls would take up much of what is missing
 
 
 class RigWithShapes(LinearRig):
@@ -96,25 +95,27 @@ def find_missing(
     factors, before = Factors(rig), mean_distance(rig(controls), meshes)
     if float(before.mean()) < WITHIN_REACH_MM:
         return None
-    augmented = None
-    for _ in range(ROUNDS):
+    augmented, span = None, None
+    if not known:
+        controls = solve_again(rig, meshes, controls, FIRST_SPARSITY)
+        span = Span.of(rig, meshes, controls)
+    for least in (MIN_GAIN_KNOWN,) if known else MIN_GAINS:
         residual, values = meshes - rig(controls), factors.values(controls)
         drivers = factors.candidates(values, most_factors)
         signals = factors.products(values, drivers) if drivers else values[:, :0]
         voting = voters(residual)
-        likelihoods, min_gain = factors.likelihoods(drivers, voting), MIN_GAIN_KNOWN if known else MIN_GAIN
-        chosen = choose_drivers(signals, likelihoods, residual[:, voting], most, min_gain)
+        likelihoods = factors.likelihoods(drivers, voting)
+        chosen = choose_drivers(signals, likelihoods, residual[:, voting], most, least)
         if not chosen:
             break
-        shapes = fitted(rig, signals[:, chosen], residual, controls, known)
-        augmented = RigWithShapes(rig, factors, [drivers[number] for number in chosen], shapes)
-        if known:
-            break
-        controls = solve_again(augmented, meshes, controls)
+        found = [drivers[number] for number in chosen]
+        if span is None:
+            augmented = RigWithShapes(rig, factors, found, fit_shapes(signals[:, chosen], residual))
+        else:
+            augmented, controls = with_joint_fit(rig, factors, found, meshes, controls, span)
     if augmented is None:
         return None
-    weights = augmented.weights(controls)
-    shapes = fitted(rig, weights, meshes - rig(controls), controls, known)
+    weights, shapes = augmented.weights(controls), augmented.basis[len(rig.basis) :]
     lost = weights.square().sum(dim=0) * shapes.square().sum(dim=(1, 2))
     order = lost.argsort(descending=True)
     order = order[lost[order] > 0]
@@ -127,31 +128,21 @@ def find_missing(
     return Missing(final, controls, shapes[order], weights[:, order], with_first, before, after)
 
 
-def fitted(rig: LinearRig, signals: Tensor, residual: Tensor, controls: Tensor, known: bool) -> Tensor:
-    """The shapes of drivers with signals `(frame, driver)`: from frames where they are strongest, and evenly spread ones."""
-    if known:
-        return fit_shapes(signals, residual)
-    strongest = signals.topk(min(STRONGEST, len(signals)), dim=0).indices.flatten()
-    rows = torch.cat([strongest, evenly(SPREAD, len(signals))]).unique()
-    return fit_shapes(signals[rows], residual[rows], tangents(rig, controls[rows]))
+def with_joint_fit(
+    rig: LinearRig, factors: Factors, drivers: list[Driver], meshes: Tensor, controls: Tensor, span: Span
+) -> tuple[RigWithShapes, Tensor]:
+    """The rig with sparse shapes of drivers, and the controls of meshes, both fitted together."""
+    blank = RigWithShapes(rig, factors, drivers, rig.basis.new_zeros(len(drivers), *rig.rest_vertices.shape))
+    rows = span.spread_frames(len(rig.controls))
+    fit = JointFit(blank, len(drivers), replace(span, target=span.target[rows]), len(rig.rest_vertices))
+    controls = controls.clone()
+    controls[rows], shapes = fit(controls[rows], JOINT_STEPS)
+    augmented = RigWithShapes(rig, factors, drivers, sparse(shapes))
+    return augmented, solve_again(augmented, meshes, controls)
 
 
-def tangents(rig: LinearRig, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame column number"]:
-    """Orthonormal displacements of all vertices by the most active controls of each frame."""
-    span = rig.upper - rig.lower
-    away = (controls - rig.neutral_controls).abs() / span
-    sizes, active = away.topk(min(TANGENTS, len(span)), dim=1)
-    result = controls.new_zeros(len(controls), active.shape[1], rig.basis[0].numel())
-    for rows in torch.arange(len(controls)).split(32):
-        for row, jacobian in zip(rows.tolist(), rig.coefficient_jacobian(controls[rows])[1].dense()):
-            kept = active[row, sizes[row] > MOVING]
-            columns = (jacobian[:, kept].T @ rig.basis.flatten(1)).T
-            result[row, : len(kept)] = torch.linalg.qr(columns)[0].T if len(kept) else 0
-    return result
-
-
-def solve_again(rig: LinearRig, meshes: Tensor, controls: Tensor) -> Tensor:
+def solve_again(rig: LinearRig, meshes: Tensor, controls: Tensor, sparsity: float = SPARSITY) -> Tensor:
     """The controls of meshes, solved with few steps from those that are known."""
-    objective = Objective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), sparsity=SPARSITY)
+    objective = Objective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), sparsity=sparsity)
     coordinates = torch.cat([objective.rig.space.encode(some) for some in meshes.split(128)])
     return objective.to_controls(refine_meshes(objective, coordinates, objective.units(controls), STEPS).units)

@@ -9,7 +9,8 @@ from torch import Tensor
 VERTICES = 400  # that vote
 NEAR_BEST = 0.97  # of the gain of a vertex's best driver: such drivers have its vote
 MIN_NEW = 0.005  # of a driver's energy that must lie outside of those found so far
-MIN_GAIN, MIN_GAIN_KNOWN = 0.002, 1e-4  # of the squared residual that a further shape must explain; with the true controls
+MIN_GAIN_KNOWN = 1e-4  # of the squared residual that a further shape must explain, with the true controls
+MIN_GAINS = (1e-2, 4e-3, 1e-3)  # the same in each round with solved controls: the surest drivers come first
 RIDGE = 1e-4  # of a driver of unit length
 SPARSE, SPARSE_MM = 0.02, 0.02  # displacements below this fraction of a shape's largest, or below so many mm, are left out
 
@@ -26,7 +27,7 @@ def choose_drivers(
     likelihoods: Float[Tensor, "driver voter"],
     target: Float[Tensor, "frame voter 3"],
     most: int,
-    min_gain: float = MIN_GAIN,
+    min_gain: float,
 ) -> list[int]:
     """The drivers, at most `most`, that together explain a residual, best first.
 
@@ -41,11 +42,12 @@ def choose_drivers(
     shape, target = target.shape[1:], target.flatten(1).clone()
     total, signals = target.square().sum(), signals.clone()
     before = signals.square().sum(dim=0)
+    products = signals.T @ target
     chosen: list[int] = []
     while len(chosen) < most and len(signals.T):
         size = signals.square().sum(dim=0)
         usable = size > MIN_NEW * before
-        gains = (signals.T @ target).unflatten(1, shape).square().sum(dim=2) / size.clamp_min(1e-9)[:, None]
+        gains = products.unflatten(1, shape).square().sum(dim=2) / size.clamp_min(1e-9)[:, None]
         gains = torch.where(usable[:, None], gains, 0.0)
         weighted = gains * likelihoods
         votes = torch.where(weighted >= NEAR_BEST * weighted.amax(dim=0), weighted, 0.0).sum(dim=1)
@@ -54,41 +56,26 @@ def choose_drivers(
             break
         chosen.append(best)
         direction = signals[:, best] / size[best].sqrt()
-        target -= direction[:, None] * (direction @ target)
-        signals -= direction[:, None] * (direction @ signals)
+        parts, explained = direction @ signals, direction @ target
+        products -= parts[:, None] * explained
+        target -= direction[:, None] * explained
+        signals -= direction[:, None] * parts
     return chosen
 
 
 def fit_shapes(
-    signals: Float[Tensor, "frame driver"],
-    residual: Float[Tensor, "frame vertex 3"],
-    tangents: Float[Tensor, "frame column number"] | None = None,
+    signals: Float[Tensor, "frame driver"], residual: Float[Tensor, "frame vertex 3"]
 ) -> Float[Tensor, "driver vertex 3"]:
-    """The sparse shapes, mm, with which the chosen drivers explain a residual best.
-
-    Controls that were solved without a shape have taken up what they could of it. So what active controls can make is left free
-    in each frame: the squared residual outside of their tangents is minimised (variable projection), by conjugate gradients.
-
-    Args:
-        tangents: orthonormal displacements of the mesh by the active controls of each frame; zeros where there are fewer.
-            None: the controls are the true ones, and nothing is left free.
-    """
+    """The sparse shapes, mm, with which the chosen drivers explain a residual best: least squares with a small ridge."""
     scale = signals.norm(dim=0).clamp_min(1e-6)
     scaled = signals / scale
-    gram = scaled.T @ scaled
+    gram = scaled.T @ scaled + RIDGE * torch.eye(len(scale))
+    shapes = torch.linalg.solve(gram, scaled.T @ residual.flatten(1)) / scale[:, None]
+    return sparse(shapes.unflatten(1, residual.shape[1:]))
 
-    def outside(meshes: Tensor) -> Tensor:
-        if tangents is None:
-            return meshes
-        return meshes - (tangents.transpose(1, 2) @ (tangents @ meshes[..., None]))[..., 0]
 
-    def normal(shapes: Tensor) -> Tensor:
-        if tangents is None:
-            return gram @ shapes + RIDGE * shapes
-        return scaled.T @ outside(scaled @ shapes) + RIDGE * shapes
-
-    shapes = conjugate_gradients(normal, scaled.T @ outside(residual.flatten(1))) / scale[:, None]
-    shapes = shapes.unflatten(1, residual.shape[1:])
+def sparse(shapes: Float[Tensor, "driver vertex 3"]) -> Float[Tensor, "driver vertex 3"]:
+    """Shapes without their small displacements."""
     length = shapes.norm(dim=2)
     least = (SPARSE * length.amax(dim=1, keepdim=True)).clamp_min(SPARSE_MM)
     return torch.where((length > least)[..., None], shapes, 0.0)
