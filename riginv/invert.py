@@ -242,6 +242,8 @@ def free_folder(out: str) -> Path:
 def made_by(settings: InvertConfig, method: str, actor: Actor | None = None) -> dict[str, Any]:
     """The version, method, bundle and actor of an inversion, for curves.json."""
     facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": settings.refine}
+    if settings.mean_steps:
+        facts["mean_steps"] = settings.mean_steps
     if settings.bundle:
         facts["bundle"] = sha256(bundle_folder(settings.bundle) / SUMS)
     if actor is not None:
