@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from riginv.meshes.metrics import frame_distances
+from riginv.geometry.distances import frame_distances
 
 STILL = 1e-5  # of the mesh size: smaller displacements from the first frame are no motion
 SAME = 1e-6  # of the mesh size: frames that differ by less are the same

@@ -14,10 +14,10 @@ from torch import Tensor, nn
 
 from riginv.config.building import OURS, build, class_of
 from riginv.errors import InputError
+from riginv.geometry.distances import FrameDistances
 from riginv.geometry.kernels.library import kernels_for
 from riginv.geometry.kinematics import remove_motion
 from riginv.inference.bundle import RIG, Bundle, read_bundle
-from riginv.meshes.metrics import FrameDistances
 from riginv.networks.inverse import InverseNetwork, StagedInverse
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from riginv.geometry.distances import FrameDistances
 from riginv.geometry.kernels.library import Kernels, kernels, kernels_for
-from riginv.meshes.metrics import FrameDistances
 from riginv.runs.threads import workers
 
 GROUP, BLOCK, TILE = 16, 8, 8  # vertices that are read together, rows and meshes that are multiplied together, as in the kernel

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from riginv.meshes.metrics import FrameDistances
+from riginv.geometry.distances import FrameDistances
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.rig.sparse_basis import MIN_NUMBERS, SparseBasis
 

@@ -13,8 +13,8 @@ from riginv.animation.animation import (
     OUTSIDE_TRAINING_RANGE,
     FrameErrors,
 )
+from riginv.geometry.distances import FrameDistances, frame_distances
 from riginv.inference.inverse import QuickEncoder
-from riginv.meshes.metrics import FrameDistances, frame_distances
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace
 from riginv.tracking.alternation import WindowResult

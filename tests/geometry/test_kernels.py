@@ -9,9 +9,9 @@ import torch
 
 from riginv.geometry.blendshapes import add_to_columns, combination_vjp, combination_weights, screen, screen_vjp
 from riginv.geometry.curves import curves_and_derivatives, evaluate_curves, pack_curves
+from riginv.geometry.distances import frame_distances
 from riginv.geometry.kernels.build import LEVELS, CompilationError, compile_library, find_compiler
 from riginv.geometry.kernels.library import kernels, kernels_for, pure_torch
-from riginv.meshes.metrics import frame_distances
 from riginv.rig.interface import LinearRig
 from riginv.runs.threads import Workers
 from riginv.solvers.band import Band, second_difference_bands

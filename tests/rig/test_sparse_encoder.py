@@ -5,10 +5,10 @@ import copy
 import pytest
 import torch
 
+from riginv.geometry.distances import frame_distances
 from riginv.geometry.kernels.library import kernels, pure_torch
 from riginv.geometry.kinematics import apply_motion, remove_motion
 from riginv.inference.inverse import QuickEncoder
-from riginv.meshes.metrics import frame_distances
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig.sparse_encoder import SparseEncoder
 from riginv.sampling.meshes import random_weights
