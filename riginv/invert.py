@@ -25,7 +25,7 @@ from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import Bound, NonNegativeInt
 from riginv.errors import InputError
-from riginv.inference.bundle import read_bundle
+from riginv.inference.bundle import bundle_folder
 from riginv.inference.inverse import Inverse, load_inverse
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.size import show_rig
@@ -242,8 +242,10 @@ def free_folder(out: str) -> Path:
 def made_by(settings: InvertConfig, method: str, actor: Actor | None = None) -> dict[str, Any]:
     """The version, method, bundle and actor of an inversion, for curves.json."""
     facts = {"riginv": importlib.metadata.version("riginv"), "method": method, "refine": settings.refine}
+    if settings.mean_steps:
+        facts["mean_steps"] = settings.mean_steps
     if settings.bundle:
-        facts["bundle"] = sha256(read_bundle(settings.bundle).folder / SUMS)
+        facts["bundle"] = sha256(bundle_folder(settings.bundle) / SUMS)
     if actor is not None:
         facts["actor"] = actor.as_json()
     return facts

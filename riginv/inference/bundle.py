@@ -146,9 +146,7 @@ def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
     Raises:
         InputError: there is no bundle, a file is missing, truncated or altered, or it is of another type or format.
     """
-    folder = Path(str(folder))
-    if not is_file(folder / SUMS) and is_file(folder / "bundle" / SUMS):
-        folder = folder / "bundle"  # a run's folder was named instead
+    folder = bundle_folder(folder)
     if not is_file(folder / SUMS):
         raise InputError(
             f"{folder}: no bundle there (no {SUMS}); give the folder that riginv train named, such as "
@@ -173,6 +171,13 @@ def read_bundle(folder: str | Path, kind: str | None = None) -> Bundle:
     if kind is not None and description.get("kind") != kind:
         raise InputError(f"{folder}: a bundle of kind '{description.get('kind')}', expected '{kind}' (model={kind})")
     return Bundle(folder, description, weights, space)
+
+
+def bundle_folder(folder: str | Path) -> Path:
+    """The folder of a bundle, or of the run that holds it."""
+    folder = Path(str(folder))
+    within = folder / "bundle"
+    return within if not is_file(folder / SUMS) and is_file(within / SUMS) else folder
 
 
 def copy_bundle(folder: Path, to: Path) -> None:

@@ -23,7 +23,7 @@ from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig.sparse_encoder import SparseEncoder
-from riginv.solvers.every_mesh import refine_meshes
+from riginv.solvers.every_mesh import mean_distance_steps, refine_meshes
 from riginv.solvers.fewer_controls import with_fewer_controls
 from riginv.solvers.objective import Objective
 
@@ -96,15 +96,24 @@ class Inverse(nn.Module):
         refine: steps of Levenberg-Marquardt that follow the network, mesh by mesh.
         trained_seconds: the duration of its training, s.
         fewer_controls: whether controls that the mesh does not need are set to neutral (`with_fewer_controls`).
+        mean_steps: steps on the mean vertex distance that follow the network (`mean_distance_steps`), instead of `refine`.
 
     Attributes:
         network: from mesh coordinates to controls; holds its rig and its mesh space.
     """
 
     def __init__(
-        self, network: InverseNetwork, refine: int = 0, trained_seconds: float = 0.0, fewer_controls: bool = False
+        self,
+        network: InverseNetwork,
+        refine: int = 0,
+        trained_seconds: float = 0.0,
+        fewer_controls: bool = False,
+        mean_steps: int = 0,
     ) -> None:
         super().__init__()
+        if mean_steps and (refine or fewer_controls):
+            raise InputError(f"mean_steps={mean_steps} is for the network alone: leave out refine and fewer_controls")
+        self.mean_steps = mean_steps
         self.network, self.refine, self.trained_seconds = network, refine, trained_seconds
         self.fewer_controls = fewer_controls
         is_large = network.rig.space.directions.numel() >= MIN_SIZE_FOR_BFLOAT16
@@ -127,15 +136,28 @@ class Inverse(nn.Module):
                 f"meshes of shape {tuple(vertices.shape)} were given, rig '{self.rig.name}' needs "
                 f"(mesh, {space.vertex_count}, 3): the same vertices in the same order"
             )
-        if not (self.refine or self.fewer_controls):
+        if not (self.refine or self.fewer_controls or self.mean_steps):
             return self.network(self.encoder(vertices))
         coordinates = space.encode(vertices)
         controls = self.network(coordinates)
+        if self.mean_steps:
+            return self.stepped(coordinates, controls, self.mean_steps)
         start = self.objective.units(controls)
         found = refine_meshes(self.objective, coordinates, start, self.refine).units
         if self.fewer_controls:
             found = with_fewer_controls(self.objective, coordinates, found)
         return self.objective.to_controls(found)
+
+    @torch.no_grad()
+    def stepped(self, coordinates: Tensor, controls: Tensor, steps: int, fixed: Tensor | None = None) -> Tensor:
+        """The network's controls `(batch, control)` after `mean_distance_steps`."""
+        objective = self.plain_objective
+        return objective.to_controls(mean_distance_steps(objective, coordinates, objective.units(controls), steps, fixed))
+
+    @functools.cached_property
+    def plain_objective(self) -> Objective:
+        """The distance alone, without a prior, created on first use."""
+        return Objective(self.network.rig, prior=0.0)
 
     @functools.cached_property
     def objective(self) -> Objective:
@@ -143,7 +165,13 @@ class Inverse(nn.Module):
         return Objective(self.network.rig)
 
 
-def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int = 0, fewer_controls: bool = False) -> Inverse:
+def load_inverse(
+    folder: str | Path,
+    rig: RigBackend | None = None,
+    refine: int = 0,
+    fewer_controls: bool = False,
+    mean_steps: int = 0,
+) -> Inverse:
     """Load the inverse of a bundle.
 
     Args:
@@ -152,6 +180,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
             trained through a surrogate contains the surrogate; `rig` is then only compared with it.
         refine: steps of Levenberg-Marquardt that follow the network, through the rig that it was trained on.
         fewer_controls: whether controls that the mesh does not need are set to neutral afterwards.
+        mean_steps: steps on the mean vertex distance that follow the network, instead of `refine`.
 
     Raises:
         InputError: the bundle is missing, damaged, of another type or made for another rig.
@@ -169,7 +198,7 @@ def load_inverse(folder: str | Path, rig: RigBackend | None = None, refine: int 
     network = build({**bundle.description["network"], **without}, RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
     network.load_own_weights(bundle.weights)
     trained_seconds = float(bundle.description["training"].get("seconds", 0.0))
-    return Inverse(network, refine, trained_seconds, fewer_controls).eval().requires_grad_(False)
+    return Inverse(network, refine, trained_seconds, fewer_controls, mean_steps).eval().requires_grad_(False)
 
 
 def _takes_features(bundle: Bundle) -> bool:

@@ -2,6 +2,7 @@
 
 import copy
 import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -58,12 +59,18 @@ class Camera:
     def picture(
         self, vertices: Tensor, faces: Tensor, colors: Tensor | np.ndarray | None = None, smooth: int = 2
     ) -> Image.Image:
-        """A picture of one mesh.
+        """A picture of one mesh; arguments as for `pictures`."""
+        return self.pictures(vertices, faces, [colors], smooth)[0]
+
+    def pictures(
+        self, vertices: Tensor, faces: Tensor, colors: Sequence[Tensor | np.ndarray | None], smooth: int = 2
+    ) -> list[Image.Image]:
+        """Pictures of one mesh in several colours, from the same rays.
 
         Args:
             vertices: `(vertex, 3)`, mm.
             faces: `(face, 3)`.
-            colors: `(vertex, 3)` in [0, 1]; None: clay.
+            colors: of each picture: `(vertex, 3)` in [0, 1]; None: clay.
             smooth: supersampling: rays along each side of a pixel.
         """
         import trimesh  # half a second, which commands that draw nothing need not wait for
@@ -74,17 +81,20 @@ class Camera:
         width, height = self.size[0] * smooth, self.size[1] * smooth
         origin, directions = self._rays(width, height)
         ray, face = self._hits(mesh, origin, directions)
-        pixels = np.broadcast_to(_to_bytes(BACKGROUND), (height * width, 3)).copy()
+        empty = np.broadcast_to(_to_bytes(BACKGROUND), (height * width, 3))
+        found = [empty.copy() for _ in colors]
         if len(ray):
             corners, towards = triangles[face], directions[ray]
             weights = _barycentric(points[corners], origin, towards)
             smooth_normals = _unit(np.einsum("ijk,ij->ik", mesh.vertex_normals[corners], weights))
             normals = mesh.face_normals[face] if is_angular(mesh) else smooth_normals
             inside = _dot(normals, towards)[:, None] > 0
-            painted = CLAY if colors is None else np.einsum("ijk,ij->ik", np.asarray(colors)[corners], weights)
-            pixels[ray] = _to_bytes(shade(painted, np.where(inside, -0.6 * normals, normals)))
-        pixels = pixels.reshape(height, width, 3)
-        return Image.fromarray(pixels).resize(self.size, Image.Resampling.LANCZOS)
+            normals = np.where(inside, -0.6 * normals, normals)
+            for pixels, of_vertices in zip(found, colors):
+                painted = CLAY if of_vertices is None else np.einsum("ijk,ij->ik", np.asarray(of_vertices)[corners], weights)
+                pixels[ray] = _to_bytes(shade(painted, normals))
+        pictures = [Image.fromarray(pixels.reshape(height, width, 3)) for pixels in found]
+        return [picture.resize(self.size, Image.Resampling.LANCZOS) for picture in pictures]
 
     @staticmethod
     def _hits(mesh: "trimesh.Trimesh", origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -215,7 +225,6 @@ def comparison(rig: RigBackend, pairs: list[Pair]) -> Image.Image:
         top = float(distances.max())
         heat = heat_colors(distances, top)
         view = camera.following(target, result)
-        pictures += [view.picture(target, faces, colors), view.picture(result, faces, colors)]
-        pictures += [view.picture(result, faces, heat)]
+        pictures += [view.picture(target, faces, colors), *view.pictures(result, faces, [colors, heat])]
         labels += [label, "result", f"error: mean {float(distances.mean()):.2f}, red {top:.1f} mm"]
     return grid(pictures, labels, columns=3)

@@ -19,7 +19,7 @@ from torch import Tensor
 from riginv.networks.features import RigFeatures
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import workers
-from riginv.solvers.distance import CORNER_MM, Distance, MeanDistance, squared_distance
+from riginv.solvers.distance import CORNER_MM, VERTICES, Distance, MeanDistance, squared_distance
 
 
 @dataclass(frozen=True)
@@ -120,10 +120,10 @@ class Objective:
         """The rig's calibrated features, or None where it has none (`LinearRig.features`)."""
         return RigFeatures.fitted(self.rig) if RigFeatures.offered_by(self.rig) else None
 
-    def by_mean_distance(self, corner_mm: float = CORNER_MM) -> "Objective":
+    def by_mean_distance(self, corner_mm: float = CORNER_MM, vertices: int = VERTICES) -> "Objective":
         """The same objective with the mean distance in place of the mean squared distance (`MeanDistance`)."""
         other = copy.copy(self)
-        other.distance = MeanDistance(self.rig.space.directions.to(self.map), corner_mm)
+        other.distance = MeanDistance(self.rig.space.directions.to(self.map), corner_mm, vertices)
         return other
 
     def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:

@@ -131,7 +131,11 @@ class WindowInverter:
             controls[rows] = alternation.solve()
             if motion is not None and alternation.rigid is not None:
                 motion[rows] = alternation.rigid.motion
-        return self.result(vertices, controls, motion, solvable)
+        result = self.result(vertices, controls, motion, solvable)
+        if self.estimator.has_final_steps and len(rows):
+            controls[rows] = self.estimator.finish(result.filled[rows], controls[rows])
+            result = self.result(vertices, controls, motion, solvable)
+        return result
 
     def result(self, vertices: Tensor, controls: Tensor, motion: Tensor | None, solvable: Tensor) -> WindowResult:
         """The result for given controls and motion."""

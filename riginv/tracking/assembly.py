@@ -70,7 +70,7 @@ def build_parts(
     constraints = resolve_constraints(rig, options.controls)
     weights = vertex_weights(true_rig, options.vertices)
     if method == "network":
-        _refuse_for_network(constraints, options.solver)
+        _refuse_for_network(constraints, options.solver, options.mean_steps > 0 and weights is not None)
     plain_rig, evaluated_rig = rig, true_rig
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
@@ -90,7 +90,7 @@ def build_parts(
         constraints = constraints.with_fixed(constraints.static, static_values(clip, inverter, solver, constraints.static))
     estimator: ControlEstimator
     if method == "network" and inverse is not None:
-        estimator = NetworkEstimator(inverse, constraints, in_space)
+        estimator = NetworkEstimator(inverse, constraints, in_space, options.mean_steps)
     else:
         estimator = build_solver(options, in_space, constraints, weights, inverse, method, plain_rig)
     inverter = WindowInverter(rig, estimator, anchors, weights if method == "network" else None, options.iterations)
@@ -108,7 +108,9 @@ def build_parts(
     return Parts(clip, inverter, evaluator, method, notes)
 
 
-def _refuse_for_network(constraints: ControlConstraints, solver: SolverOptions) -> None:
+def _refuse_for_network(constraints: ControlConstraints, solver: SolverOptions, is_weighted: bool) -> None:
+    if is_weighted:
+        raise InputError("mean_steps counts all vertices alike: leave it out with vertices.*, or add refine=5 in its place")
     given = {"solver.sparsity": solver.sparsity, "solver.fewer_controls": solver.fewer_controls}
     key = constraints.solver_only or next((key for key, value in given.items() if value), "")
     if key:

@@ -35,6 +35,11 @@ class ControlEstimator(ABC):
     frames_are_independent = False
     tolerance_mm = 0.01
 
+    @property
+    def has_final_steps(self) -> bool:
+        """Whether `finish` follows."""
+        return False
+
     @abstractmethod
     def estimate(self, vertices: Tensor, motion: Tensor | None = None) -> Tensor:
         """The controls of consecutive frames."""
@@ -42,6 +47,10 @@ class ControlEstimator(ABC):
     @abstractmethod
     def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:
         """The controls of meshes that changed a little since `controls` were estimated."""
+
+    def finish(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        """The final controls of filled meshes without rigid motion, once that is known; only with `has_final_steps`."""
+        return controls
 
     @abstractmethod
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
@@ -53,13 +62,14 @@ class NetworkEstimator(ControlEstimator):
 
     Args:
         rig: of the meshes: the network's, or that of an actor.
+        mean_steps: steps on the mean vertex distance at the end.
     """
 
     frames_are_independent = True
     tolerance_mm = 0.03  # each iteration makes a tenth of the last one's displacement, and the network errs by far more
 
-    def __init__(self, inverse: Inverse, constraints: ControlConstraints, rig: RigInMeshSpace) -> None:
-        self.inverse, self.constraints = inverse, constraints
+    def __init__(self, inverse: Inverse, constraints: ControlConstraints, rig: RigInMeshSpace, mean_steps: int = 0) -> None:
+        self.inverse, self.constraints, self.mean_steps = inverse, constraints, mean_steps
         self.scale = rig.source.scale if isinstance(rig.source, ActorRig) else 1.0
         self.encode = inverse.encoder if rig is inverse.network.rig else QuickEncoder(rig, rounded=False)
         _ = self.encode.sparse  # before threads use it
@@ -73,6 +83,14 @@ class NetworkEstimator(ControlEstimator):
 
     def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:
         return self.estimate(vertices, motion)
+
+    @property
+    def has_final_steps(self) -> bool:
+        return self.mean_steps > 0
+
+    def finish(self, vertices: Tensor, controls: Tensor) -> Tensor:
+        coordinates = torch.cat([self.encode(batch) for batch in vertices.split(BATCH_SIZE)]) / self.scale
+        return self.inverse.stepped(coordinates, controls, self.mean_steps, ~self.constraints.free)
 
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         return torch.ones(len(vertices), dtype=torch.bool)

@@ -161,6 +161,7 @@ class TrackingOptions:
         noise_mm: standard deviation of the residual between a capture and the rig's best mesh, which weights the prior; None:
             0.1, or 0.3 for markers.
         refine: Levenberg-Marquardt steps after the network.
+        mean_steps: steps on the mean vertex distance after the network, once rigid motion is known.
         motion: rigid motion: `remove`, `keep`, or `auto`: remove it, unless the rig has controls for it.
         iterations: iterations of the alternating solve for rigid motion, missing vertices and controls, at most.
         actor: the actor, where its face at rest is not the rig's.
@@ -176,6 +177,7 @@ class TrackingOptions:
     prior: str | None = None
     noise_mm: PositiveFloat | None = None
     refine: NonNegativeInt = 0
+    mean_steps: NonNegativeInt = 0
     motion: Literal["auto", "remove", "keep"] = "auto"
     iterations: PositiveInt = 12
     actor: ActorOptions = field(default_factory=ActorOptions)
@@ -188,6 +190,8 @@ class TrackingOptions:
     def __post_init__(self) -> None:
         if self.refine and self.method in ("network", "levenberg_marquardt"):
             raise InputError(f"refine={self.refine} is for method=refined or clip: leave it out with method={self.method}")
+        if self.mean_steps and (self.refine or self.method not in (None, "network")):
+            raise InputError(f"mean_steps={self.mean_steps} is for method=network: leave it out with a solver")
         if self.markers is not None and self.correspondence != "markers":
             raise InputError(f"markers={self.markers} is for correspondence=markers: add that, or leave it out")
 
@@ -209,6 +213,8 @@ class TrackingOptions:
         """
         if self.method in ("network", "refined") and not has_network:
             raise InputError(f"method={self.method} needs a trained network: give bundle=DIR, or method=clip without one")
+        if self.mean_steps and not has_network:
+            raise InputError(f"mean_steps={self.mean_steps} needs a trained network: give bundle=DIR")
         if self.method is not None:
             return self.method
         return "clip" if not has_network else "refined" if self.refine else "network"

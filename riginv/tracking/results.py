@@ -1,7 +1,10 @@
 """The folder of an inversion: curves in every requested format, and views of the result."""
 
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,7 +17,9 @@ from riginv.clips.clip import Clip
 from riginv.clips.description import ClipDescription, describe
 from riginv.clips.description_text import in_short, rows
 from riginv.geometry.kinematics import remove_motion
+from riginv.rig.interface import LinearRig
 from riginv.runs.tables import control_lines
+from riginv.runs.threads import workers
 from riginv.tracking.actors.actor import Actor
 from riginv.tracking.actors.files import write_actor
 from riginv.tracking.options import AfterOptions, LookOptions
@@ -104,26 +109,28 @@ def write_look(
     Args:
         source, targets, scans: as for `write_viewer`.
     """
-    names: list[str] = []
-    notes: list[str] = []
+    tasks: dict[str, Callable[[], Any]] = {}
     if look.page:
-        advance("page", 0)
-        names.append(PAGE)
-        page = write_viewer(folder / PAGE, animation, errors, targets, clip=source, scans=scans)
-        notes.append(f"{PAGE}: {page.note}")
+        tasks[PAGE] = partial(write_viewer, folder / PAGE, animation, errors, targets, clip=source, scans=scans)
     if look.sheet:
-        names.append(SHEET)
-        write_sheet(folder / SHEET, animation, errors, targets, scans)
+        tasks[SHEET] = partial(write_sheet, folder / SHEET, animation, errors, targets, scans)
+    if tasks:
+        advance("page", 0)
+    is_safe = scans is None and isinstance(animation.rig, LinearRig)  # other rigs and scans are read by one thread at a time
+    written = dict(zip(tasks, workers().run(list(tasks.values())) if is_safe else [task() for task in tasks.values()]))
+    notes = [f"{PAGE}: {written[PAGE].note}"] if look.page else []
     if look.tensorboard:
         write_tensorboard(folder, animation, errors, folder / SHEET if look.sheet else None)
-    return names, notes
+    return list(tasks), notes
 
 
 def _targets(clip: Clip, animation: Animation) -> Targets:
     """The clip's meshes without rigid motion, by rows of the animation."""
+    reading = threading.Lock()
 
     def targets(wanted: Sequence[int]) -> Tensor:
-        meshes = torch.cat([clip.vertices(row, row + 1) for row in wanted])
+        with reading:
+            meshes = torch.cat([clip.vertices(row, row + 1) for row in wanted])
         return meshes if animation.motion is None else remove_motion(animation.motion[list(wanted)], meshes)
 
     return targets

@@ -16,7 +16,7 @@ from riginv.rig.interface import LinearRig
 from riginv.runs.threads import Workers
 from riginv.solvers.band import Band, second_difference_bands
 from riginv.solvers.box_step import box_step, predicted_change
-from riginv.tracking.rigid import fit_rigid
+from riginv.tracking.rigid import fit_rigid, rigid_change
 from tests.conftest import ROOT
 from tests.geometry.test_curves import random_curves
 
@@ -88,6 +88,15 @@ def test_rigid_motion_equals_that_of_pure_torch(meshes):
     start[:, :3, 3] += 0.5
     for after, expected in zip(*both(fit_rigid, source, target, weights, start)):
         torch.testing.assert_close(after, expected, rtol=0, atol=1e-3)
+
+
+@needs_kernels
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_change_by_a_motion_equals_that_of_pure_torch(dtype):
+    before, after = torch.randn(2, 5, 4, 4, dtype=dtype)
+    one, two = torch.randn(2, 5, 40, 3, dtype=dtype)
+    found, pure = both(rigid_change, before, one, after, two)
+    torch.testing.assert_close(found, pure, rtol=1e-5, atol=0)
 
 
 @needs_kernels

@@ -5,6 +5,7 @@ import copy
 import pytest
 import torch
 
+from riginv.geometry.distances import frame_distances
 from riginv.geometry.kernels.library import kernels, pure_torch
 from riginv.geometry.kinematics import apply_motion, remove_motion
 from riginv.inference.inverse import QuickEncoder
@@ -77,3 +78,35 @@ def test_it_serves_only_where_it_pays_and_is_exact(face_in_space, toy, meshes):
     assert SparseEncoder.for_rig(RigInMeshSpace(face_in_space.source, other)) is None  # the basis spans something else
     with pure_torch():
         assert torch.equal(QuickEncoder(face_in_space, rounded=False)(meshes), space.encode(meshes))
+
+
+def test_meshes_of_a_rig_equal_the_dense_ones(face_in_space, encoder):
+    rig, generator = face_in_space.source, torch.Generator().manual_seed(2)
+    controls = rig.lower + torch.rand(11, len(rig.controls), generator=generator) * (rig.upper - rig.lower)
+    change = rig.coefficients(controls) - rig.neutral_coefficients()
+    assert (encoder.basis.vertices(rig.rest_vertices, change) - rig(controls)).abs().max() < 1e-4  # mm, of 200
+    assert encoder.basis.vertices(rig.rest_vertices, change[:0]).shape == (0, *rig.rest_vertices.shape)
+
+
+def test_one_pass_measures_what_single_ones_do(face_in_space, encoder, meshes):
+    rig, generator = face_in_space.source, torch.Generator().manual_seed(3)
+    controls = rig.neutral_controls + 0.3 * torch.rand(len(meshes), len(rig.controls), generator=generator)
+    change, rest = rig.coefficients(controls) - rig.neutral_coefficients(), rig.rest_vertices
+    coordinates, distances, neutral = encoder.compare(rest, meshes, None, change)
+    assert torch.equal(coordinates, encoder(rest, meshes))
+    posed = rest.double() + (change.double() @ rig.basis.double().flatten(1)).unflatten(1, rest.shape)
+    expected = frame_distances(meshes.double(), posed)
+    from_rest = frame_distances(meshes.double(), rest[None].double())
+    assert torch.equal(distances.vertex, expected.vertex) and torch.equal(distances.known, expected.known)
+    for found, exact in (
+        (distances.mean, expected.mean),
+        (distances.worst, expected.worst),
+        (distances.squares, expected.squares),
+        (neutral.mean, from_rest.mean),
+        (neutral.squares, from_rest.squares),
+    ):
+        torch.testing.assert_close(found.double(), exact, rtol=5e-5, atol=1e-5)
+    unknown = meshes.clone()
+    unknown[3, 100] = torch.nan
+    _, found, _ = encoder.compare(rest, unknown, None, change)
+    assert found.known.tolist() == [len(rest) - (mesh == 3) for mesh in range(len(meshes))]

@@ -10,7 +10,7 @@ from riginv.rig.random_controls import sparse_controls
 from riginv.solvers.band import second_difference_bands, solve_band
 from riginv.solvers.box_step import box_step
 from riginv.solvers.clip import smoothed, solve_clip
-from riginv.solvers.every_mesh import solve_frames, solve_meshes
+from riginv.solvers.every_mesh import mean_distance_steps, solve_frames, solve_meshes
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import Objective
 from tests.support.toys import ToyRig
@@ -250,3 +250,18 @@ def test_a_banded_system_is_solved(frames, before):
     found = solve_band(wide, near[:, None].expand(-1, controls), far[:, None].expand(-1, controls), right)
     torch.testing.assert_close(found, expected)
     assert solve_band(-wide, near[:, None].expand(-1, controls), far[:, None].expand(-1, controls), right) is None
+
+
+def test_steps_on_the_mean_distance_lower_it_and_keep_fixed_controls(face_in_space):
+    objective, rig = Objective(face_in_space, prior=NO_PRIOR), face_in_space.source
+    target = poses(rig, 24)
+    start = (target + 0.05 * torch.randn(target.shape, generator=generator_at(0, "start"))).clamp(rig.lower, rig.upper)
+    fixed = torch.arange(len(rig.controls)) == 3
+    coordinates, units = face_in_space(target), objective.units(start)
+    before = mesh_error_mm(rig, start, target).mean()
+    one, three = (objective.to_controls(mean_distance_steps(objective, coordinates, units, steps)) for steps in (1, 3))
+    assert mesh_error_mm(rig, one, target).mean() < 0.8 * before
+    assert mesh_error_mm(rig, three, target).mean() < mesh_error_mm(rig, one, target).mean()
+    held = mean_distance_steps(objective, coordinates, units, 3, fixed)
+    assert (held[:, 3] - units[:, 3]).abs().max() < 1e-4
+    assert held.min() >= 0 and held.max() <= 1

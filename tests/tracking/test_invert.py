@@ -103,6 +103,11 @@ def test_a_trained_network_inverts_alone_and_refined(run, rig, clip, tmp_path):
         assert some <= all_of_them
         error = np.mean([float(row["mean_error_mm"]) for row in rows(tmp_path / f"fewer_{name}/frames.csv")])
         assert error < max(1.05 * errors[name], errors[name] + 1e-3)
+    stepped = run("invert", *bundle, "out=stepped", "mean_steps=4")
+    assert stepped.code == 0, stepped.text
+    assert np.mean([float(row["mean_error_mm"]) for row in rows(tmp_path / "stepped/frames.csv")]) < errors["network"]
+    refused = run("invert", *bundle, "out=refused", "mean_steps=4", "refine=8")
+    assert refused.code == 1 and "mean_steps=4 is for method=network" in refused.text
     held = run("invert", *bundle, "out=held", "controls.freeze=[bump*]")
     assert held.code == 0 and all(float(row["bump0"]) == 0 for row in rows(tmp_path / "held/curves.csv"))
     refused = run("invert", *bundle, "out=refused", "controls.symmetric=[[bump0,bump1]]")

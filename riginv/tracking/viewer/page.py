@@ -41,6 +41,7 @@ SCAN_FIGURES = {"mean_error_mm": "mm from scan to rig", "max_error_mm": "mm from
 LABELS = ("mean", "max", "mean error", "maximum error", "Target")  # of a frame's two errors, in short and in full; of the clip
 SCAN_LABELS = ("scan to rig", "rig to scan", "scan to rig", "rig to scan", "Scan")
 BATCH_SIZE = 64  # meshes
+LEVEL = 4  # of compression: 6 takes two and a half times as long for 3 % fewer bytes
 
 
 class ClipSource(NamedTuple):
@@ -261,7 +262,7 @@ def _changes(rows: np.ndarray) -> bytes:
 
 
 def _packed(data: bytes) -> str:
-    return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
+    return base64.b64encode(gzip.compress(data, LEVEL, mtime=0)).decode()
 
 
 def _bytes(colors: np.ndarray) -> bytes:

@@ -39,8 +39,7 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
             pictures.append(view.picture(torch.from_numpy(scan.points), torch.from_numpy(scan.faces), heat))
         else:
             pictures.append(view.picture(target, faces, colors))
-        pictures.append(view.picture(mesh, faces, colors))
-        pictures.append(view.picture(mesh, faces, heat_colors(distance, top)))
+        pictures += view.pictures(mesh, faces, [colors, heat_colors(distance, top)])
         labels += [f"frame {int(animation.frame_numbers[row])}, {name}: clip", "recovered"]
         known = distance[~distance.isnan()]
         of_mesh = scan is None and not errors.markers and len(known)
@@ -49,7 +48,7 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
         names = ("error: mean", "largest") if scan is None else ("scan to rig", "rig to scan")
         labels.append(f"{names[0]} {mean} mm, {names[1]} {largest} mm; red is {top:.2g} mm")
     with atomic_write(path) as beside:
-        grid(pictures, labels, columns=3).save(beside, format="PNG", optimize=True)
+        grid(pictures, labels, columns=3).save(beside, format="PNG")
 
 
 def sheet_rows(animation: Animation, errors: FrameErrors) -> dict[int, str]:

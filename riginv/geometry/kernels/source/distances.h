@@ -1,4 +1,4 @@
-/* riginv.meshes.metrics.frame_distances: distances between vertices of meshes (frame, vertex, 3), summed up for each frame.
+/* riginv.geometry.distances.frame_distances: distances between vertices of meshes (frame, vertex, 3), summed up for each frame.
  *
  * other: as many meshes, or one where `shared`. counts (vertex,), 0 where a vertex does not count; NULL: all do. results
  * (frame, 5): the number of distances that are known, their sum, the largest, its vertex, and the sum of their squares.
