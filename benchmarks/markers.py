@@ -29,7 +29,7 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import solve_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.constraints import resolve_constraints
-from riginv.tracking.markers.assembly import build_objective
+from riginv.tracking.markers.assembly import build_objective, marker_prior
 from riginv.tracking.markers.layout import NOISE_MM, marker_skin, suggest_layout
 from riginv.tracking.markers.placement import Placement, at_vertices
 from riginv.tracking.markers.tracking import MarkerTrack, track_markers
@@ -64,7 +64,7 @@ def solved(
     """The inversion of a clip, and milliseconds for each frame."""
     options = TrackingOptions(correspondence="markers", markers="-", noise_mm=noise_mm)
     began, constraints = time.process_time(), resolve_constraints(rig, ControlOptions())
-    objective = build_objective(rig, placement, constraints, prior, moves, options)
+    objective = build_objective(rig, placement, constraints, marker_prior(rig, prior, noise_mm), moves, options)
     track = track_markers(objective, points, torch.arange(len(points)), options.solver, noise_mm)
     return track, 1000 * (time.process_time() - began) / len(points)
 
