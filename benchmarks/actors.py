@@ -6,7 +6,8 @@ The clips are those of examples/another_actor.py: a Live Link Face recording, or
 face's own logic, on a smooth field drawn by seed, with head motion. The figures are mean absolute errors of the controls
 that are used, as fractions of their ranges, of `riginv.invert` from file to file, and the same of the weights of the primary
 shapes that they drive: several of the 137 controls drive one shape, and the mesh tells its weight alone.
-SEEDS, FRAMES, STRIDE and OPTIONS change what is run: a take of which every frame is far from the last needs OPTIONS=method=levenberg_marquardt.
+SEEDS, FRAMES, STRIDE and OPTIONS change what is run: a take of which every frame is far from the last needs
+OPTIONS=method=levenberg_marquardt.
 """
 
 import csv
@@ -97,7 +98,5 @@ if __name__ == "__main__":
                 results.append(measure(ROWS[name], number, given, Path(temporary)))
         errors, shapes, took = zip(*results)
         each = ", ".join(f"{error:.4f}" for error in errors)
-        print(
-            f"{name:12s} {np.mean(errors):.4f} of the range ({each} by seed), shapes {np.mean(shapes):.4f}, {np.mean(took):.0f} s",
-            flush=True,
-        )
+        print(f"{name:12s} {np.mean(errors):.4f} of the range ({each} by seed),", end=" ")
+        print(f"shapes {np.mean(shapes):.4f}, {np.mean(took):.0f} s", flush=True)
