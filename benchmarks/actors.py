@@ -4,9 +4,10 @@
 
 The clips are those of examples/another_actor.py: a Live Link Face recording, or without one a simulated performance, by the
 face's own logic, on a smooth field drawn by seed, with head motion. The figures are mean absolute errors of the controls
-that are used, as fractions of their ranges, of `riginv.invert` from file to file. SEEDS, FRAMES, STRIDE and OPTIONS
-change what is run: a take of which every frame is far from the last needs OPTIONS=method=levenberg_marquardt. The rows of
-scans keep 40 % of the faces, no vertex, and only what cameras before the face see (`scan_making.Degradation`).
+that are used, as fractions of their ranges, of `riginv.invert` from file to file, and the same of the weights of the primary
+shapes that they drive: several of the 137 controls drive one shape, and the mesh tells its weight alone. SEEDS, FRAMES, STRIDE
+and OPTIONS change what is run: a take of which every frame is far from the last needs OPTIONS=method=levenberg_marquardt. The
+rows of scans keep 40 % of the faces, no vertex, and only what cameras before the face see (`scan_making.Degradation`).
 """
 
 import csv
@@ -19,7 +20,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from scan_making import Degradation, make_scan
+
+from rigs.face import FaceRig
 
 EXAMPLE = Path(__file__).parent.parent / "examples/another_actor.py"
 SEEDS, FRAMES, STRIDE = (int(os.environ.get(*pair)) for pair in (("SEEDS", "3"), ("FRAMES", "300"), ("STRIDE", "1")))
@@ -50,8 +54,8 @@ ROWS = {
 }
 
 
-def measure(row: Row, seed: int, take: str | None, folder: Path) -> tuple[float, float]:
-    """The mean error of the controls that are used, and the seconds that it took."""
+def measure(row: Row, seed: int, take: str | None, folder: Path) -> tuple[float, float, float]:
+    """The mean error of the controls that are used and of the shapes that are, and the seconds that it took."""
     example = [sys.executable, str(EXAMPLE), str(folder), f"--frames={FRAMES}", f"--stride={STRIDE}", f"--seed={seed}"]
     subprocess.run(example + ([f"--take={take}"] if take else []) + ["--still"] * (not row.moves), check=True)
     names, truth = read(folder / "truth.csv")
@@ -66,9 +70,23 @@ def measure(row: Row, seed: int, take: str | None, folder: Path) -> tuple[float,
     subprocess.run([*command, *OPTIONS, *options], check=True, capture_output=True)
     seconds = time.monotonic() - started
     columns, found = read(folder / "out/curves.csv")
-    found = found[:, [columns.index(name) for name in names]]
-    used = truth.max(axis=0) > USED
-    return float(np.abs(found - truth)[:, used].mean()), seconds
+    shapes = error_of_used(shape_weights(columns, found), shape_weights(names, truth))
+    return error_of_used(found[:, [columns.index(name) for name in names]], truth), shapes, seconds
+
+
+def error_of_used(found: np.ndarray, truth: np.ndarray) -> float:
+    """The mean absolute error of the columns that exceed `USED` in the truth."""
+    return float(np.abs(found - truth)[:, truth.max(axis=0) > USED].mean())
+
+
+@torch.no_grad()
+def shape_weights(names: list[str], values: np.ndarray) -> np.ndarray:
+    """The weights `(frame, shape)` of the face's primary shapes, of controls `(frame, control)` by name."""
+    rig = FaceRig()
+    rows = [names.index(name) for name in rig.control_names if name in names]
+    controls = rig.neutral_controls.repeat(len(values), 1)
+    controls[:, [name in names for name in rig.control_names]] = torch.from_numpy(values[:, rows]).float()
+    return rig.coefficients(controls)[:, : rig.primary_count].numpy()
 
 
 def write_scans(path: Path, seed: int) -> None:
@@ -97,6 +115,7 @@ if __name__ == "__main__":
         for number in range(SEEDS):
             with tempfile.TemporaryDirectory() as temporary:
                 results.append(measure(ROWS[name], number, given, Path(temporary)))
-        errors, took = zip(*results)
+        errors, shapes, took = zip(*results)
         each = ", ".join(f"{error:.4f}" for error in errors)
-        print(f"{name:12s} {np.mean(errors):.4f} of the range ({each} by seed), {np.mean(took):.0f} s", flush=True)
+        print(f"{name:12s} {np.mean(errors):.4f} of the range ({each} by seed),", end=" ")
+        print(f"shapes {np.mean(shapes):.4f}, {np.mean(took):.0f} s", flush=True)

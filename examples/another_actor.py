@@ -1,10 +1,11 @@
 """A capture of somebody who does not look like the default face, for docs/actors.md.
 
     python examples/another_actor.py OUT [--take take.csv] [--frames 120] [--stride 1] [--seed 0] [--still]
+    python examples/another_actor.py OUT --compare FOUND
 
 OUT gets `take.npz`, a clip of an actor whose face at rest lies 4.3 mm from the rig's and whose head moves, `neutral.obj`, the
 actor at rest, and `truth.csv`, the controls that made it. The expressions are a simulated performance or a Live Link
-Face recording, by the face's own logic; the actor is a smooth random field on top.
+Face recording, by the face's own logic; the actor is a smooth random field on top. FOUND is the folder of riginv.invert.
 """
 
 import argparse
@@ -24,6 +25,7 @@ from rigs.face import FaceRig
 
 OFFSET_MM, BUMPS, WIDTH_MM = 4.3, 40, 35.0  # mean size of the field, and the smooth bumps that make it
 FPS = 30.0
+USED = 0.01  # a control that exceeds it in some frame is used
 
 
 def offset_field(rest: Tensor, seed: int) -> Tensor:
@@ -55,6 +57,18 @@ def recorded(take: Path, names: list[str]) -> Tensor:
     return torch.tensor([[float(row[name[0].upper() + name[1:]]) for name in names] for row in rows])
 
 
+def compare(truth: Path, found: Path) -> None:
+    """Print the error of the controls that are used."""
+    with truth.open() as one, (found / "curves.csv").open() as other:
+        curves, controls = list(csv.DictReader(one)), list(csv.DictReader(other))
+    errors = []
+    for name in curves[0]:
+        true, own = (np.array([float(row[name]) for row in rows]) for rows in (curves, controls))
+        if true.max() > USED:
+            errors.append(np.abs(own - true).mean())
+    print(f"mean error of the {len(errors)} controls that are used: {np.mean(errors):.4f} of their ranges")
+
+
 @torch.no_grad()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -64,7 +78,11 @@ def main() -> None:
     parser.add_argument("--stride", type=int, default=1, help="takes every so many frames")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--still", action="store_true", help="no head motion")
+    parser.add_argument("--compare", type=Path, help="the folder of riginv.invert")
     given = parser.parse_args()
+    if given.compare:
+        compare(given.out / "truth.csv", given.compare)
+        return
     rig = FaceRig()
     names = list(rig.arkit_deltas())
     curves = (

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from riginv.clips.control_curves import csv_curves
 from riginv.clips.csv_table import read_csv
+from riginv.tracking.markers.layout import NOISE_MM as LAYOUT_NOISE_MM
 from riginv.tracking.markers.layout import suggest_layout
 from riginv.tracking.priors.performances import default_prior
 from rigs.face import FaceRig
@@ -49,7 +50,7 @@ def make(folder: Path) -> None:
     """Write take.trc and truth.npz."""
     rig, rng = FaceRig(), np.random.default_rng(0)
     controls = performance(rig)
-    placement = suggest_layout(rig, default_prior(rig), MARKERS, NOISE_MM, OFFSET_MM)
+    placement = suggest_layout(rig, default_prior(rig), MARKERS, LAYOUT_NOISE_MM, OFFSET_MM)
     with torch.no_grad():
         points = placement.points(rig(controls)).double().numpy()
     points += rng.normal(0, NOISE_MM, points.shape)

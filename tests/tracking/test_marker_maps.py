@@ -6,8 +6,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from riginv.tracking.constraints import resolve_constraints
-from riginv.tracking.markers.assembly import build_objective
-from riginv.tracking.markers.layout import marker_skin, suggest_layout
+from riginv.tracking.markers.assembly import build_objective, marker_prior
+from riginv.tracking.markers.layout import NOISE_MM, hidden_controls, marker_skin, suggest_layout
 from riginv.tracking.markers.map_file import read_map, write_map
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.proposing import propose
@@ -23,7 +23,7 @@ CONF = f"{ROOT}/tests/conf"
 
 @pytest.fixture(scope="module")
 def layout(face) -> Placement:
-    return suggest_layout(face, default_prior(face), 50, 0.3, 3.0)
+    return suggest_layout(face, default_prior(face), 50, NOISE_MM, 3.0)
 
 
 def test_suggested_places_are_on_the_skin_and_apart(face, layout):
@@ -33,6 +33,27 @@ def test_suggested_places_are_on_the_skin_and_apart(face, layout):
     places = face.rest_vertices[vertices]
     assert float((torch.cdist(places, places) + 1e3 * torch.eye(50)).min()) > 3.0
     assert len(set(layout.names)) == 50
+
+
+def test_gaze_and_tongue_are_hidden_from_markers(face):
+    hidden = hidden_controls(face, default_prior(face).mean)
+    names = {name for name, is_hidden in zip(face.control_names, hidden.tolist()) if is_hidden}
+    assert names == {name for name in face.control_names if name.startswith(("eyeLook", "gaze", "tongue"))}
+
+
+def test_exact_markers_do_not_turn_the_gaze_of_a_mesh_that_the_rig_cannot_make(face, layout):
+    deltas = face.arkit_deltas()
+    truth = face.rest_vertices + 0.5 * (deltas["eyeBlinkLeft"] + deltas["eyeBlinkRight"] + deltas["eyeSquintLeft"])[None]
+    controls = face.neutral_controls.clone()
+    controls[face.control_names.index("gazeHorizontal")] = 1.0
+    eyes = (face(controls[None])[0] - face.rest_vertices).norm(dim=1) > 3
+    options = TrackingOptions(correspondence="markers", markers="-", noise_mm=0.1)
+    errors = []
+    for prior in (default_prior(face), marker_prior(face, default_prior(face), 0.1)):
+        objective = build_objective(face, layout, resolve_constraints(face, ControlOptions()), prior, False, options)
+        found = track_markers(objective, layout.points(truth), torch.arange(1), SolverOptions(), 0.1)
+        errors.append(float((face(found.controls) - truth)[:, eyes].norm(dim=2).mean()))
+    assert errors[1] < 0.6 * errors[0], errors
 
 
 def test_a_smile_is_recovered_on_the_default_face(face, layout):

@@ -49,6 +49,18 @@ def test_what_a_take_does_not_move_stays_free(rig):
     assert prior.deviation[3] >= 0.499 * default_prior(rig).deviation[3]
 
 
+def test_rescaling_keeps_what_the_other_controls_say_about_hidden_ones(rig):
+    prior, hidden = learn_prior(rig, draws(rig)), torch.arange(7) < 2
+    found = prior.rescaled(hidden, 4.0, 0.25)
+
+    def regression(covariance):
+        return torch.linalg.solve(covariance[~hidden][:, ~hidden], covariance[~hidden][:, hidden])
+
+    torch.testing.assert_close(regression(found.covariance), regression(prior.covariance))
+    torch.testing.assert_close(found.covariance[~hidden][:, ~hidden], 4 * prior.covariance[~hidden][:, ~hidden])
+    torch.testing.assert_close(found.precision[hidden][:, hidden], 4 * prior.precision[hidden][:, hidden])
+
+
 def test_the_face_smiles_on_both_sides_at_once(face):
     prior = default_prior(face)
     number = {name: index for index, name in enumerate(prior.names)}

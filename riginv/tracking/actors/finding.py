@@ -24,7 +24,7 @@ from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls, stability_weights
 from riginv.tracking.static_controls import spread_frames
 
-SPARSITY = 3e-5  # mm^2, an L1 penalty, without which the neutral pose would be ambiguous
+SPARSITY = 3e-5  # mm^2, an L1 penalty, without which the neutral pose would be ambiguous: see docs/experiments.md#actors
 FRAMES, FRAMES_TO_ALIGN = 60, 16  # frames spread over the clip, to solve for an offset, and for a rotation alone
 STEPS, STEPS_TO_ALIGN = 40, 12
 

@@ -16,6 +16,7 @@ from riginv.clips.units import GUESSED, TO_Y_UP, UP_ASSUMED, ClipUnits, SizeLimi
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
+from riginv.tracking.markers.layout import hidden_controls
 from riginv.tracking.markers.map_file import matched, read_map
 from riginv.tracking.markers.objective import MarkerObjective, MarkerRig
 from riginv.tracking.markers.placement import Placement
@@ -25,6 +26,8 @@ from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls
 
+IN_SEQUENCE = 0.67  # of the weight of the prior, as a standard deviation: tuned, see docs/experiments.md#markers
+MISFIT_MM = 0.3
 LIMITS = SizeLimits(("mm", "cm", "m"), 3.0, 3.0)  # wide enough for another pose
 
 
@@ -81,6 +84,7 @@ def build_marker_parts(
     points = in_millimetres(clip.points, units)
     points[excluded] = torch.nan
     prior, note = prior_or_default(options.prior, rig)
+    prior = marker_prior(rig, prior, options.noise_of_measurements_mm)
     objective = build_objective(rig, placement, constraints, prior, options.motion != "keep", options)
     if options.motion == "auto" and has_root_controls(objective.rig):
         objective.moves = False
@@ -89,6 +93,16 @@ def build_marker_parts(
     span = span_of(numbers)
     notes = [*clip.facts.notes, *units.notes, *notes, note]
     return MarkerParts(clip, points, units, objective, span, int(excluded.sum()), notes)
+
+
+def marker_prior(rig: LinearRig, prior: ControlPrior, noise_mm: float) -> ControlPrior:
+    """The prior of a frame in a clip of markers, to be weighted by their noise.
+
+    Neighbouring frames have the prior in common: it is weaker in each. Exact markers still lie off the rig by what it cannot
+    make, and that must not turn the gaze: what markers do not see is not weighted by less than `MISFIT_MM`.
+    """
+    hidden = hidden_controls(rig, prior.mean)
+    return prior.rescaled(hidden, IN_SEQUENCE**-2, (noise_mm / max(noise_mm, MISFIT_MM)) ** 2)
 
 
 def build_objective(

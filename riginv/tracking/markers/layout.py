@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from riginv.rig.interface import LinearRig
 from riginv.tracking.markers.placement import Placement, at_vertices
@@ -13,6 +14,7 @@ from riginv.tracking.surfaces.wrap import skin_component
 CANDIDATES = 3000  # vertices of the skin that are tried, at most
 OPEN = 0.5  # fraction of unoccluded rays at a vertex that a marker can be glued to
 NOISE_MM = 0.15  # of a marker while places are chosen; half of a real one: see docs/experiments.md#markers
+HIDDEN = 0.3  # fraction of a control's squared displacement on the skin, below which markers do not see it
 SPACING = 0.02  # least distance of two markers, relative to the rig's size
 
 
@@ -47,6 +49,21 @@ def suggest_layout(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: fl
         variance = variance - half[best].T @ torch.linalg.solve(measured[best], half[best])
     vertices = some[chosen].tolist()
     return at_vertices(rig, _names(rig, vertices), vertices, offset_mm)
+
+
+@torch.no_grad()
+def hidden_controls(rig: LinearRig, units: Tensor) -> Tensor:
+    """Which controls move mostly what no marker can be glued to, such as gaze and tongue, `(control,)`.
+
+    Args:
+        units: controls about which they move, as fractions of their ranges, `(control,)`.
+    """
+    skin = torch.from_numpy(marker_skin(rig.rest_vertices.cpu().double().numpy(), rig.faces.cpu().numpy()))
+    span = rig.upper - rig.lower
+    _, jacobian = rig.coefficient_jacobian((rig.lower + span * units.to(span))[None])
+    moved = jacobian.dense()[0]  # (coefficient, control)
+    every, outer = ((basis.flatten(1).T @ moved).square().sum(dim=0) for basis in (rig.basis, rig.basis[:, skin]))
+    return (outer < HIDDEN * every).cpu()
 
 
 def marker_skin(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:

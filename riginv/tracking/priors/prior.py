@@ -1,6 +1,6 @@
 """A Gaussian over a rig's controls, in fractions of their ranges."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -53,6 +53,19 @@ class ControlPrior:
             measurements: how many independent ones there are (`independent_measurements`).
         """
         return GaussianPrior(self.mean, noise_mm**2 / max(measurements, 1.0) * self.precision)
+
+    def rescaled(self, hidden: Tensor, visible_scale: float, hidden_scale: float) -> "ControlPrior":
+        """The prior with other variances of some controls; what the others say about these, their regression, is kept.
+
+        Args:
+            hidden: which controls they are, `(control,)`.
+            visible_scale: factor of the covariance of the other controls.
+            hidden_scale: factor of the covariance that these have for given values of the others.
+        """
+        across = self.covariance[:, ~hidden]
+        explained = across @ torch.linalg.solve(across[~hidden], across.T)
+        covariance = visible_scale * explained + hidden_scale * (self.covariance - explained)
+        return replace(self, covariance=(covariance + covariance.T) / 2)
 
     def subset(self, controls: Tensor) -> "ControlPrior":
         """The marginal prior of some controls, by their indices `(some,)`."""
