@@ -66,7 +66,11 @@ class OffsetSolver:
 
     @torch.no_grad()
     def solve(
-        self, vertices: Float[Tensor, "frame vertex 3"], neutral: Float[Tensor, "vertex 3"], steps: int
+        self,
+        vertices: Float[Tensor, "frame vertex 3"],
+        neutral: Float[Tensor, "vertex 3"],
+        steps: int,
+        units: Float[Tensor, "frame control"] | None = None,
     ) -> OffsetSolution:
         """Minimise from frames that are roughly without rigid motion.
 
@@ -74,11 +78,13 @@ class OffsetSolver:
             vertices: mm; NaN where a vertex is not known.
             neutral: to start from, or the given one.
             steps: at most.
+            units: controls to start from, as fractions of their ranges; None: by the derivative at the rig's neutral.
         """
         is_known = torch.isfinite(vertices).all(dim=2, keepdim=True)
         filled = torch.where(is_known, vertices, neutral)
-        start = start_by_derivative(self.objective, self._coordinates(filled, neutral))
-        at = OffsetSolution(neutral, start, filled)
+        if units is None:
+            units = start_by_derivative(self.objective, self._coordinates(filled, neutral))
+        at = OffsetSolution(neutral, units, filled)
         at = self._settled(at, is_known)
         damping, idle = START_DAMPING, 0
         while at.steps < steps and idle < IDLE and damping < MOST_DAMPING:
@@ -94,6 +100,12 @@ class OffsetSolver:
             at.steps += 1
             idle = idle + 1 if before - at.cost < TOLERANCE * before else 0
         return at
+
+    @torch.no_grad()
+    def residual_mm(self, at: OffsetSolution) -> float:
+        """The root mean square distance of the frames' vertices from the solution, mm."""
+        residual = at.neutral + self._displacement(at.units) - at.vertices
+        return float(residual.square().sum(dim=2).mean().sqrt())
 
     def _coordinates(self, vertices: Tensor, neutral: Tensor) -> Tensor:
         return (vertices - neutral).flatten(1) @ self.frame.T
@@ -113,7 +125,7 @@ class OffsetSolver:
             neutral = torch.where(known.any(dim=0), best, neutral)
         vertices = torch.where(known, at.vertices, neutral + displacement)
         coordinates = self._coordinates(vertices, neutral)
-        outside = (vertices - neutral).square().sum() - coordinates.square().sum()
+        outside = ((vertices - neutral).flatten(1) - coordinates @ self.frame).square().sum()  # no difference of large sums
         cost = float(self.objective.cost(at.units, coordinates).sum() + 0.5 * outside)
         return OffsetSolution(neutral, at.units, vertices, cost, at.steps)
 

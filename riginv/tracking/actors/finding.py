@@ -24,7 +24,8 @@ from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls, stability_weights
 from riginv.tracking.static_controls import spread_frames
 
-SPARSITY = 3e-5  # mm^2, an L1 penalty, without which the neutral pose would be ambiguous: see docs/experiments.md#actors
+SPARSITY = 3e-5  # mm^2, an L1 penalty, without which the neutral pose would be ambiguous (docs/experiments.md#actors)
+LEAST_SPARSITY, EXACT_MM = 1e-6, 0.02  # for frames that the rig makes within EXACT_MM, root mean square
 FRAMES, FRAMES_TO_ALIGN = 60, 16  # frames spread over the clip, to solve for an offset, and for a rotation alone
 STEPS, STEPS_TO_ALIGN = 40, 12
 
@@ -76,18 +77,24 @@ class _Finder:
         mean = torch.where(known, frames, 0.0).sum(dim=0) / known.sum(dim=0).clamp_min(1)
         start = torch.where(known.any(dim=0), mean, self.rest)
         show_lines([], [f"the actor's neutral is solved for with {len(frames)} frames spread over the clip"])
-        found = self._solver(is_free=True).solve(frames, start, STEPS)
-        notes = [solved_note(found.steps)]
+        solver = self._solver(SPARSITY)
+        found = solver.solve(frames, start, STEPS)
+        steps = found.steps
+        if solver.residual_mm(found) < EXACT_MM:  # the penalty would hide what the rig's logic tells of the neutral
+            moved = torch.where(known, found.vertices, torch.nan)
+            found = self._solver(LEAST_SPARSITY).solve(moved, found.neutral, STEPS, found.units)
+            steps += found.steps
+        notes = [solved_note(steps)]
         if not bool(known.any(dim=0).all()):
             notes.append(f"{int((~known.any(dim=0)).sum()):,} vertices are never known: the actor has the rig's there")
-        return self._actor(found.neutral, SOLVE, notes, {"frames": len(frames), "steps": found.steps})
+        return self._actor(found.neutral, SOLVE, notes, {"frames": len(frames), "steps": steps})
 
     def aligned(self, given: GivenNeutral) -> Actor:
         """A given neutral, rotated so that the rig's displacements lie right on it."""
         neutral = in_rig_space(given, self.rest, self.stability * self.counts, self.moves)
         if not self.moves:
             return self._actor(neutral, given.source, given.notes, {})
-        found = self._solver(is_free=False).solve(self._frames(FRAMES_TO_ALIGN, neutral), neutral, STEPS_TO_ALIGN)
+        found = self._solver(None).solve(self._frames(FRAMES_TO_ALIGN, neutral), neutral, STEPS_TO_ALIGN)
         return self._actor(found.neutral, given.source, given.notes, {})
 
     def _actor(self, neutral: Tensor, source: str, notes: list[str], facts: dict) -> Actor:
@@ -95,16 +102,17 @@ class _Finder:
             neutral = neutral - (neutral - self.rest).mean(dim=0)
         return Actor(neutral, neutral - self.rest, self.options.actor.scale, source, tuple(notes), facts)
 
-    def _solver(self, is_free: bool) -> OffsetSolver:
+    def _solver(self, least_sparsity: float | None) -> OffsetSolver:
+        """With at least this sparsity for an unknown neutral; None: the neutral is given."""
         scale = self.options.actor.scale
         actor = Actor(self.rest, torch.zeros_like(self.rest), scale, "")
         rig = self.rig if scale == 1 else ActorRig(self.rig, actor)
-        sparsity = max(self.options.solver.sparsity, SPARSITY if is_free else 0.0)
+        sparsity = max(self.options.solver.sparsity, least_sparsity or 0.0)
         options = replace(self.options, solver=replace(self.options.solver, sparsity=sparsity))
         constraints = resolve_constraints(self.rig, options.controls)
         in_space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
         solver = build_solver(options, in_space, constraints, None, None, "levenberg_marquardt", self.rig)
-        return OffsetSolver(solver.objective, self.moves, is_free)
+        return OffsetSolver(solver.objective, self.moves, least_sparsity is not None)
 
     def _frames(self, count: int, neutral: Tensor) -> Tensor:
         """Frames spread over the clip, moved to a neutral, without vertices that do not count."""
