@@ -17,8 +17,9 @@ KEY_DISTANCE = 4  # step of the frames that are solved from scratch
 EXACT = 1e-5  # mm^2 of half the mean squared distance, 0.005 mm: below it no other start is tried
 DESCENT_RATE = 0.03  # as a fraction of a control's range
 MEAN_STEPS, MEAN_RATE, MEAN_CORNER_MM = 100, 0.02, 0.01  # of the descent on the mean distance: ten times the steps gain 0.2 %
-STEP_VERTICES = 1024  # that represent all in `mean_distance_steps`: 2,048 take three times as long for 0.3 % of error
-STEP_DAMPING_MM2, FIXED = 0.3, 1e6  # of `mean_distance_steps`, for a whole range; a factor that leaves a control where it is
+# Of `mean_distance_steps`; 2,048 vertices take three times as long for 0.3 % of error.
+STEP_CORNER_MM, STEP_VERTICES = 0.1, 1024
+STEP_DAMPING_MM2, FIXED = 0.3, 1e6  # for a whole range; a factor that leaves a control where it is
 PROMISING = 1.05  # a neighbour's solution is tried where it costs at most this multiple of the frame's own
 
 
@@ -100,7 +101,7 @@ def mean_distance_steps(
     Args:
         fixed: controls that keep their value; None: none.
     """
-    objective = objective.by_mean_distance(vertices=STEP_VERTICES)
+    objective = objective.by_mean_distance(STEP_CORNER_MM, STEP_VERTICES)
     damping = torch.full_like(objective.neutral, STEP_DAMPING_MM2 * objective.squared_mm)
     if fixed is not None:
         damping = torch.where(fixed, FIXED * damping, damping)
