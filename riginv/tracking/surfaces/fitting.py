@@ -47,7 +47,7 @@ class Schedule:
 
 
 FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
-FROM_NEAR = Schedule(steps=4, first_scale_mm=1.5, factor=0.5, converged=0.01)
+FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, converged=0.01)
 FINISH = Schedule(steps=10, first_scale_mm=0.5, converged=0.002)
 
 
