@@ -27,10 +27,10 @@ def write_curves(path: Path, animation: Animation) -> None:
     if motion is not None:
         columns += [*TRANSLATION_COLUMNS, *ROTATION_COLUMNS]
         values = np.concatenate([values, motion], axis=1)
-    line = ",".join(["%d", "%.6f", *["%.7g"] * values.shape[1]])  # as `digits`; faster than cell by cell
+    line = ",".join(["%d", "%.6f", *["%.7g"] * values.shape[1]]) + "\n"  # as `digits`; faster than cell by cell
     rows = zip(animation.frame_numbers.tolist(), animation.seconds.tolist(), (values + 0.0).tolist())
     lines = [line % (number, seconds, *row) for number, seconds, row in rows]
-    write_text(path, "\n".join([csv_text(columns, []).rstrip("\n"), *lines, ""]))
+    write_text(path, safe_csv(columns, []) + "".join(lines))
 
 
 def write_sidecar(path: Path, animation: Animation, errors: FrameErrors, clip: Mapping[str, Any] | None = None) -> None:
@@ -108,11 +108,11 @@ def as_text(cell: str) -> str:
 
 def write_rows(path: Path, columns: list[str], rows: list[list[Any]]) -> None:
     """Write a CSV atomically."""
-    write_text(path, csv_text(columns, rows))
+    write_text(path, safe_csv(columns, rows))
 
 
-def csv_text(columns: list[str], rows: list[list[Any]]) -> str:
-    """A CSV as text."""
+def safe_csv(columns: list[str], rows: list[list[Any]]) -> str:
+    """A CSV as text, whose cells no spreadsheet evaluates as formulas."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([as_text(column) for column in columns])

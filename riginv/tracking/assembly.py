@@ -70,7 +70,9 @@ def build_parts(
     constraints = resolve_constraints(rig, options.controls)
     weights = vertex_weights(true_rig, options.vertices)
     if method == "network":
-        _refuse_for_network(constraints, options.solver, options.mean_steps > 0 and weights is not None)
+        _refuse_for_network(constraints, options.solver)
+    if options.mean_steps and weights is not None:
+        raise InputError("mean_steps counts all vertices alike: leave it out with vertices.*, or add refine=5 in its place")
     plain_rig, evaluated_rig = rig, true_rig
     space = inverse.network.rig.space if inverse else MeshSpace.from_rig(rig)
     in_space = inverse.network.rig if inverse else RigInMeshSpace(rig, space)
@@ -108,9 +110,7 @@ def build_parts(
     return Parts(clip, inverter, evaluator, method, notes)
 
 
-def _refuse_for_network(constraints: ControlConstraints, solver: SolverOptions, is_weighted: bool) -> None:
-    if is_weighted:
-        raise InputError("mean_steps counts all vertices alike: leave it out with vertices.*, or add refine=5 in its place")
+def _refuse_for_network(constraints: ControlConstraints, solver: SolverOptions) -> None:
     given = {"solver.sparsity": solver.sparsity, "solver.fewer_controls": solver.fewer_controls}
     key = constraints.solver_only or next((key for key, value in given.items() if value), "")
     if key:

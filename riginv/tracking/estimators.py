@@ -30,15 +30,12 @@ class ControlEstimator(ABC):
     Attributes:
         frames_are_independent: whether the controls of a frame do not depend on the others.
         tolerance_mm: mean vertex displacement by an iteration of rigid motion and controls, below which a frame is finished.
+        has_final_steps: whether `finish` follows.
     """
 
     frames_are_independent = False
     tolerance_mm = 0.01
-
-    @property
-    def has_final_steps(self) -> bool:
-        """Whether `finish` follows."""
-        return False
+    has_final_steps = False
 
     @abstractmethod
     def estimate(self, vertices: Tensor, motion: Tensor | None = None) -> Tensor:
@@ -69,7 +66,8 @@ class NetworkEstimator(ControlEstimator):
     tolerance_mm = 0.03  # each iteration makes a tenth of the last one's displacement, and the network errs by far more
 
     def __init__(self, inverse: Inverse, constraints: ControlConstraints, rig: RigInMeshSpace, mean_steps: int = 0) -> None:
-        self.inverse, self.constraints, self.mean_steps = inverse, constraints, mean_steps
+        self.inverse, self.constraints = inverse, constraints
+        self.mean_steps, self.has_final_steps = mean_steps, mean_steps > 0
         self.scale = rig.source.scale if isinstance(rig.source, ActorRig) else 1.0
         self.encode = inverse.encoder if rig is inverse.network.rig else QuickEncoder(rig, rounded=False)
         _ = self.encode.sparse  # before threads use it
@@ -83,10 +81,6 @@ class NetworkEstimator(ControlEstimator):
 
     def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:
         return self.estimate(vertices, motion)
-
-    @property
-    def has_final_steps(self) -> bool:
-        return self.mean_steps > 0
 
     def finish(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates = torch.cat([self.encode(batch) for batch in vertices.split(BATCH_SIZE)]) / self.scale

@@ -11,7 +11,7 @@ from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.alignment import Aligner
-from riginv.tracking.surfaces.clip import ScanSmoothness, eliminate_motion, smooth_scans
+from riginv.tracking.surfaces.clip import ScanSmoothness, eliminate_motion, kept_scans, smooth_scans
 from riginv.tracking.surfaces.fitting import ROTATION, Linearised, State, SurfaceFit
 from riginv.tracking.surfaces.kept import Kept
 from riginv.tracking.surfaces.matching import Target, match
@@ -145,7 +145,7 @@ def test_smoothing_follows_the_frames_and_fills_a_gap(rig):
     targets = [solver.target(resampled(rig, row, seed)) for seed, row in enumerate(controls)]
     targets[3] = None
     found = [None if target is None else solver.solve(target) for target in targets]
-    smooth = smooth_scans(solver, lambda row: targets[row], found, ScanSmoothness(smoothness=1.0))
+    smooth = smooth_scans(solver, kept_scans(lambda row: targets[row]), found, ScanSmoothness(smoothness=1.0))
     for each, row in zip(smooth, controls):
         mesh = solver.surface.vertices(solver.fit_of(1.0).coefficients(each.state.units))
         assert np.linalg.norm(mesh - posed_mesh(rig, row)[0], axis=1).mean() < 0.1
@@ -166,7 +166,9 @@ def test_single_poses_are_not_smoothed(rig):
     solver = ScanSolver(rig, default_prior(rig), ScanSettings(samples=400, noise_mm=0.01), moves=False)
     targets = [solver.target(resampled(rig, row, seed)) for seed, row in enumerate(controls)]
     found = [solver.solve(target) for target in targets]
-    none, much = (smooth_scans(solver, targets.__getitem__, found, ScanSmoothness(smoothness)) for smoothness in (0.0, 100.0))
+    none, much = (
+        smooth_scans(solver, kept_scans(targets.__getitem__), found, ScanSmoothness(smoothness)) for smoothness in (0.0, 100.0)
+    )
     for one, other in zip(none, much):
         torch.testing.assert_close(one.state.units, other.state.units)
 

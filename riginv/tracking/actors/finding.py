@@ -1,5 +1,6 @@
 """The actor of a clip: its neutral as given, or found together with the controls of frames spread over the clip."""
 
+import functools
 from dataclasses import replace
 
 import torch
@@ -104,15 +105,18 @@ class _Finder:
 
     def _solver(self, least_sparsity: float | None) -> OffsetSolver:
         """With at least this sparsity for an unknown neutral; None: the neutral is given."""
-        scale = self.options.actor.scale
-        actor = Actor(self.rest, torch.zeros_like(self.rest), scale, "")
-        rig = self.rig if scale == 1 else ActorRig(self.rig, actor)
         sparsity = max(self.options.solver.sparsity, least_sparsity or 0.0)
         options = replace(self.options, solver=replace(self.options.solver, sparsity=sparsity))
         constraints = resolve_constraints(self.rig, options.controls)
-        in_space = RigInMeshSpace(rig, MeshSpace.from_rig(rig))
-        solver = build_solver(options, in_space, constraints, None, None, "levenberg_marquardt", self.rig)
+        solver = build_solver(options, self.in_space, constraints, None, None, "levenberg_marquardt", self.rig)
         return OffsetSolver(solver.objective, self.moves, least_sparsity is not None)
+
+    @functools.cached_property
+    def in_space(self) -> RigInMeshSpace:
+        """The rig, with the actor's scale, in its mesh space."""
+        scale = self.options.actor.scale
+        rig = self.rig if scale == 1 else ActorRig(self.rig, Actor(self.rest, torch.zeros_like(self.rest), scale, ""))
+        return RigInMeshSpace(rig, MeshSpace.from_rig(rig))
 
     def _frames(self, count: int, neutral: Tensor) -> Tensor:
         """Frames spread over the clip, moved to a neutral, without vertices that do not count."""

@@ -16,11 +16,13 @@ from torch import Tensor
 
 from riginv.solvers.objective import sparsity_terms
 from riginv.solvers.offset import Arrow
-from riginv.tracking.surfaces.fitting import ROTATION, SHIFT_MM, Linearised, State, SurfaceFit
+from riginv.tracking.surfaces.fitting import ROTATION, SHIFT_MM, Linearised, Schedule, State, SurfaceFit
 from riginv.tracking.surfaces.matching import Pairs, Target, as_tensor, match
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.solving import ScanSolver
 from riginv.tracking.surfaces.wrap import skin_component, smoothness_matrix, with_loose_parts
+
+ROUNDS = Schedule(steps=20, last_scale_mm=1.0)
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,7 @@ class ScanOffsetSettings:
     Attributes:
         frames: scans spread over the clip.
         modes: of the skin's smoothest displacements, in each axis.
-        rounds: of matching and solving.
-        first_scale_mm, last_scale_mm, factor: of Geman and McClure's weights, as in `Schedule`.
-        degrees: angle between normals beyond which a pair has weight 0.
+        schedule: its steps, of matching and solving each, its scales and angle; no other of its settings is used.
         sparsity: mm^2, an L1 penalty on the controls, without which the neutral pose would be ambiguous.
         stiffness: of the offset, relative to the data term of one scan of all vertices.
         damping: of the controls.
@@ -40,11 +40,7 @@ class ScanOffsetSettings:
 
     frames: int = 24
     modes: int = 150
-    rounds: int = 20
-    first_scale_mm: float = 20.0
-    last_scale_mm: float = 1.0
-    factor: float = 0.8
-    degrees: float = 60.0
+    schedule: Schedule = ROUNDS
     sparsity: float = 3e-5
     stiffness: float = 0.2
     damping: float = 1e-2
@@ -84,8 +80,8 @@ class ScanOffset:
         aligned = [solver.aligner.align(target).motion if solver.moves else Motion.identity() for target in targets]
         states = [State(solver.start, motion) for motion in aligned]
         field = torch.zeros(len(self.stiffness), dtype=torch.float64)
-        for number in range(settings.rounds):
-            scale_mm = max(settings.last_scale_mm, settings.first_scale_mm * settings.factor**number)
+        for step in range(settings.schedule.steps):
+            scale_mm = settings.schedule.scale_mm(step, settings.schedule.last_scale_mm)
             surface = solver.surface.with_rest(self.neutral(field))
             for fit in fits:
                 fit.surface = surface
@@ -111,7 +107,7 @@ class ScanOffset:
         blocks, gradients, couplings = [], [], []
         for fit, target, state in zip(fits, targets, states):
             posed = fit.surface.posed(fit.coefficients(state.units))
-            pairs = match(fit.surface, posed, target, state.motion, scale_mm, self.settings.degrees)
+            pairs = match(fit.surface, posed, target, state.motion, scale_mm, self.settings.schedule.degrees)
             near, columns = Linearised(fit, state, pairs), self._columns(pairs)
             weighted = near.weights[:, None] * columns
             own = own + (columns.T @ weighted).double()

@@ -1,14 +1,14 @@
-"""The actor of a clip of scans: a mesh of the rig's topology, a scan frames of the clip, or what is solved for."""
+"""The actor of a clip of scans: a mesh of the rig's topology, a scan, frames of the clip, or what is solved for."""
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 
 from riginv.clips.clip import frames_named
 from riginv.clips.options import ReadingOptions
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
+from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.runs.console import show_lines
 from riginv.tracking.actors.actor import SOLVE, Actor, solved_note
@@ -63,19 +63,19 @@ def solve_actor(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows:
             f"{scans.path}: actor.neutral=solve finds no face near that of rig '{rig.name}': are they scans of the same part "
             f"of a person, in the unit that was read, with normals that point outwards? set reading.unit and reading.up"
         ) from None
-    notes = [solved_note(settings.rounds)]
+    notes = [solved_note(settings.schedule.steps)]
     if len(targets) < FEW:
         notes.append(
             f"{len(targets)} scans do not tell the shape of a face from its expression: give actor.neutral=FILE, a scan at rest"
         )
-    facts = {"frames": len(targets), "steps": settings.rounds}
+    facts = {"frames": len(targets), "steps": settings.schedule.steps}
     return Actor(neutral, neutral - rig.rest_vertices, scale, SOLVE, tuple(notes), facts)
 
 
 def _spread_targets(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows: Sequence[int], count: int) -> list[Target]:
     """The scans among `count` frames that are spread over a clip."""
     targets, axes = [], units.axes.double().numpy()
-    for index in np.unique(np.linspace(0, len(rows) - 1, count).round().astype(int)).tolist():
+    for index in evenly(count, len(rows)).tolist():
         cleaned = scans.cleaned(rows[index])
         if cleaned is not None:
             targets.append(solver.target(cleaned.surface(units.mm, axes)))

@@ -55,7 +55,7 @@ class Reduced(NamedTuple):
 
 def smooth_scans(
     solver: ScanSolver,
-    load: Load,
+    scans: Kept[Target | None],
     found: Sequence[SolvedScan | None],
     options: ScanSmoothness,
     advance: Callable[[int], None] = lambda frames: None,
@@ -63,11 +63,11 @@ def smooth_scans(
     """Minimise the robust distance of all scans, the prior, and the squared second differences of the controls.
 
     Args:
-        load: the scan of a frame.
+        scans: the scan of each frame, from `kept_scans`.
         found: the solution of each frame; None where it has no scan: it follows its neighbours.
         advance: reports progress.
     """
-    result, scans = nearest_known(found), load if isinstance(load, Kept) else kept_scans(load)
+    result = nearest_known(found)
     for first in range(0, len(result), WINDOW):
         scans.forget_before(first)
         stop = min(first + WINDOW + LOOKAHEAD, len(result))

@@ -45,6 +45,10 @@ class Schedule:
     degrees: float = 60.0
     sides_at: tuple[int, ...] = ()
 
+    def scale_mm(self, step: int, least_mm: float) -> float:
+        """The scale at a step, not below `least_mm`."""
+        return max(least_mm, self.first_scale_mm * self.factor**step)
+
 
 FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
 FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, converged=0.01)
@@ -109,7 +113,7 @@ class SurfaceFit:
             if step in schedule.sides_at:
                 state = self.choose_sides(target, state, schedule)
             last = max(schedule.last_scale_mm, NOISE * typical)
-            scale = max(last, schedule.first_scale_mm * schedule.factor**step)
+            scale = schedule.scale_mm(step, last)
             state, moved, damping, typical = self.step(target, state, scale, schedule, damping)
             if moved < schedule.converged and scale <= last:
                 break

@@ -70,10 +70,6 @@ class Target:
     def of(cls, surface: Surface, samples: int, seed: int = 0) -> "Target":
         return cls(surface, *surface.samples(samples, seed))
 
-    def resampled(self, samples: int) -> "Target":
-        """The same scan with another number of samples."""
-        return Target.of(self.surface, samples)
-
 
 def match(rig: RigSurface, posed: Posed, target: Target, motion: Motion, scale_mm: float, degrees: float) -> Pairs:
     """Closest points in both directions.

@@ -105,7 +105,7 @@ class ScanSolver:
 
     def finer(self, target: Target) -> Target:
         """The same scan with the samples of the last steps."""
-        return target.resampled(self.settings.fine_samples)
+        return Target.of(target.surface, self.settings.fine_samples)
 
     def fit(self, target: Target, found: SolvedScan | None = None) -> SurfaceFit:
         """The fit of a scan, with the prior weighted for its measurements.
