@@ -35,7 +35,7 @@ from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import ControlPrior, blended, learn_prior
 from riginv.tracking.priors.takes import read_take
 from riginv.tracking.stability import stability_weights
-from riginv.tracking.surfaces.clip import ScanSmoothness, kept_scans, smooth_scans
+from riginv.tracking.surfaces.clip import ScanSmoothness, cached_scans, smooth_scans
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
 from riginv.tracking.surfaces.triangles import TriangleMesh
@@ -130,7 +130,7 @@ def solved(solver: ScanSolver, scans: list, in_a_row: bool) -> tuple[list[Solved
     def read(number: int) -> Target:
         return solver.target(TriangleMesh(*scans[number]))
 
-    target = kept_scans(read)
+    target = cached_scans(read)
     started, before, answers = time.process_time(), None, []
     for number in range(len(scans)):
         before = solver.solve(target(number), before if in_a_row else None)

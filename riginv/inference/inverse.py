@@ -141,7 +141,7 @@ class Inverse(nn.Module):
         coordinates = space.encode(vertices)
         controls = self.network(coordinates)
         if self.mean_steps:
-            return self.stepped(coordinates, controls, self.mean_steps)
+            return self.after_mean_steps(coordinates, controls, self.mean_steps)
         start = self.objective.units(controls)
         found = refine_meshes(self.objective, coordinates, start, self.refine).units
         if self.fewer_controls:
@@ -149,7 +149,7 @@ class Inverse(nn.Module):
         return self.objective.to_controls(found)
 
     @torch.no_grad()
-    def stepped(self, coordinates: Tensor, controls: Tensor, steps: int, fixed: Tensor | None = None) -> Tensor:
+    def after_mean_steps(self, coordinates: Tensor, controls: Tensor, steps: int, fixed: Tensor | None = None) -> Tensor:
         """The network's controls `(batch, control)` after `mean_distance_steps`."""
         objective = self.plain_objective
         return objective.to_controls(mean_distance_steps(objective, coordinates, objective.units(controls), steps, fixed))

@@ -19,7 +19,7 @@ class StageStart(NamedTuple):
     gradient: Tensor
     squares: Tensor
 
-    def or_better(self, other: "StageStart") -> "StageStart":
+    def or_lower_error(self, other: "StageStart") -> "StageStart":
         """For each mesh the one with the lower error."""
         better = other.squares < self.squares
         return StageStart(*(torch.where(better.view(-1, *[1] * (b.dim() - 1)), b, a) for a, b in zip(self, other)))

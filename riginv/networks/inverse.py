@@ -244,7 +244,7 @@ class StagedInverse(InverseNetwork):
         for stage in [*self.stages, *self.corrections]:
             if before is not None:
                 latest = StageStart(before.raw.detach(), before.detached_coordinates, before.gradient, before.squares)
-                start = latest if start is None or not self.features else start.or_better(latest)
+                start = latest if start is None or not self.features else start.or_lower_error(latest)
             raw = stage(target.inputs) if start is None else self._refined(stage, start, target)
             before = self.estimate(raw, target.coordinates)
             yield before

@@ -84,7 +84,7 @@ class NetworkEstimator(ControlEstimator):
 
     def finish(self, vertices: Tensor, controls: Tensor) -> Tensor:
         coordinates = torch.cat([self.encode(batch) for batch in vertices.split(BATCH_SIZE)]) / self.scale
-        return self.inverse.stepped(coordinates, controls, self.mean_steps, ~self.constraints.free)
+        return self.inverse.after_mean_steps(coordinates, controls, self.mean_steps, ~self.constraints.free)
 
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:
         return torch.ones(len(vertices), dtype=torch.bool)

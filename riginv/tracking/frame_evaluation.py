@@ -84,7 +84,7 @@ class FrameEvaluator:
             first: index of its first frame in the clip.
             converged: whether each frame did, `(frame,)`, where it is known; else the estimator tells.
         """
-        measured = self._at_once(found) or self._one_by_one(found)
+        measured = self._in_one_pass(found) or self._in_several_passes(found)
         distances, neutral = measured.distances, measured.neutral
         mean = torch.where(distances.known > 0, distances.mean, torch.nan)
         rows = slice(first, first + len(mean))
@@ -96,7 +96,7 @@ class FrameEvaluator:
             converged = self.estimator.converged(found.vertices if is_network else found.filled, found.controls)
         self.flags[rows] = self._flags(found, measured, mean, converged)
 
-    def _at_once(self, found: WindowResult) -> _Measured | None:
+    def _in_one_pass(self, found: WindowResult) -> _Measured | None:
         """The measurements by one pass over the vertices; None where a vertex is not known, or there is no kernel for it."""
         rig, encode = self.rig, self.encode
         if self.evaluated is not None or self.true_rig is not rig or not isinstance(encode, QuickEncoder):
@@ -110,7 +110,7 @@ class FrameEvaluator:
         coordinates, distances, neutral = given
         return _Measured(distances, neutral, coordinates, neutral.squares, torch.zeros_like(found.solvable))
 
-    def _one_by_one(self, found: WindowResult) -> _Measured:
+    def _in_several_passes(self, found: WindowResult) -> _Measured:
         recovered = found.recovered if self.true_rig is self.rig else self.true_rig(found.controls)
         distances = frame_distances(found.stabilised, recovered, self.evaluated)
         neutral = frame_distances(found.stabilised, self.true_rig.rest_vertices[None], self.evaluated)

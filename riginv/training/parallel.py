@@ -130,7 +130,7 @@ def _evenly(sizes: list[int], numbers: list[int]) -> list[list[int]]:
 
 
 def with_gradients(loss: Tensor, gradients: list[Tensor | None], tensors: Sequence[Tensor]) -> Tensor:
-    """A loss that carries its precomputed gradients by weights or by raw outputs; they are handed on once."""
+    """A loss that carries its precomputed gradients by weights or by raw outputs; for one backward pass."""
     return _WithGradients.apply(loss, gradients, *tensors)
 
 

@@ -11,9 +11,9 @@ from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.alignment import Aligner
-from riginv.tracking.surfaces.clip import ScanSmoothness, eliminate_motion, kept_scans, smooth_scans
+from riginv.tracking.surfaces.clip import ScanSmoothness, cached_scans, eliminate_motion, smooth_scans
 from riginv.tracking.surfaces.fitting import ROTATION, Linearised, State, SurfaceFit
-from riginv.tracking.surfaces.kept import Kept
+from riginv.tracking.surfaces.limited_cache import LimitedCache
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.rig_surface import RigSurface, farthest_points
@@ -145,7 +145,7 @@ def test_smoothing_follows_the_frames_and_fills_a_gap(rig):
     targets = [solver.target(resampled(rig, row, seed)) for seed, row in enumerate(controls)]
     targets[3] = None
     found = [None if target is None else solver.solve(target) for target in targets]
-    smooth = smooth_scans(solver, kept_scans(lambda row: targets[row]), found, ScanSmoothness(smoothness=1.0))
+    smooth = smooth_scans(solver, cached_scans(lambda row: targets[row]), found, ScanSmoothness(smoothness=1.0))
     for each, row in zip(smooth, controls):
         mesh = solver.surface.vertices(solver.fit_of(1.0).coefficients(each.state.units))
         assert np.linalg.norm(mesh - posed_mesh(rig, row)[0], axis=1).mean() < 0.1
@@ -167,7 +167,8 @@ def test_single_poses_are_not_smoothed(rig):
     targets = [solver.target(resampled(rig, row, seed)) for seed, row in enumerate(controls)]
     found = [solver.solve(target) for target in targets]
     none, much = (
-        smooth_scans(solver, kept_scans(targets.__getitem__), found, ScanSmoothness(smoothness)) for smoothness in (0.0, 100.0)
+        smooth_scans(solver, cached_scans(targets.__getitem__), found, ScanSmoothness(smoothness))
+        for smoothness in (0.0, 100.0)
     )
     for one, other in zip(none, much):
         torch.testing.assert_close(one.state.units, other.state.units)
@@ -189,9 +190,9 @@ def test_an_open_mouth_with_the_tongue_out_is_found(face):
 
 def test_values_are_computed_once_while_there_is_room():
     asked = []
-    kept = Kept(lambda row: asked.append(row) or [row] * 10, len, limit=25)
+    kept = LimitedCache(lambda row: asked.append(row) or [row] * 10, len, limit=25)
     assert [kept(row)[0] for row in (0, 1, 2, 0, 1, 2)] == [0, 1, 2, 0, 1, 2] and asked == [0, 1, 2, 2]
-    kept.forget_before(1)
+    kept.drop_before(1)
     assert [kept(row)[0] for row in (2, 2, 0)] == [2, 2, 0] and asked == [0, 1, 2, 2, 2, 0]
 
 

@@ -27,7 +27,7 @@ from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls
 
 IN_SEQUENCE = 0.67  # of the weight of the prior, as a standard deviation: tuned, see docs/experiments.md#markers
-MISFIT_MM = 0.3
+MISFIT_MM = 0.3  # how far exact markers lie off the rig, by what it cannot make
 LIMITS = SizeLimits(("mm", "cm", "m"), 3.0, 3.0)  # wide enough for another pose
 
 

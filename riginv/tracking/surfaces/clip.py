@@ -11,7 +11,7 @@ from torch import Tensor
 from riginv.solvers.band import second_difference_bands, second_differences
 from riginv.solvers.band_step import band_box_step
 from riginv.tracking.surfaces.fitting import ROTATION, SHIFT_MM, Linearised, State, SurfaceFit
-from riginv.tracking.surfaces.kept import Kept
+from riginv.tracking.surfaces.limited_cache import LimitedCache
 from riginv.tracking.surfaces.matching import Target, match
 from riginv.tracking.surfaces.quality import quality
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
@@ -55,7 +55,7 @@ class Reduced(NamedTuple):
 
 def smooth_scans(
     solver: ScanSolver,
-    scans: Kept[Target | None],
+    scans: LimitedCache[Target | None],
     found: Sequence[SolvedScan | None],
     options: ScanSmoothness,
     advance: Callable[[int], None] = lambda frames: None,
@@ -63,13 +63,13 @@ def smooth_scans(
     """Minimise the robust distance of all scans, the prior, and the squared second differences of the controls.
 
     Args:
-        scans: the scan of each frame, from `kept_scans`.
+        scans: the scan of each frame, from `cached_scans`.
         found: the solution of each frame; None where it has no scan: it follows its neighbours.
         advance: reports progress.
     """
     result = nearest_known(found)
     for first in range(0, len(result), WINDOW):
-        scans.forget_before(first)
+        scans.drop_before(first)
         stop = min(first + WINDOW + LOOKAHEAD, len(result))
         stop = len(result) if len(result) - stop <= LOOKAHEAD else stop
         _Window(solver, scans, result, first, stop, options).solve(advance)
@@ -78,9 +78,9 @@ def smooth_scans(
     return result
 
 
-def kept_scans(load: Load) -> Kept[Target | None]:
+def cached_scans(load: Load) -> LimitedCache[Target | None]:
     """Scans that are kept in memory as far as there is room."""
-    return Kept(load, lambda target: 0 if target is None else len(target.surface.points))
+    return LimitedCache(load, lambda target: 0 if target is None else len(target.surface.points))
 
 
 class _Window:

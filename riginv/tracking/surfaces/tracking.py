@@ -9,7 +9,7 @@ from torch import Tensor
 
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
-from riginv.tracking.surfaces.clip import ScanSmoothness, kept_scans, nearest_known, smooth_scans
+from riginv.tracking.surfaces.clip import ScanSmoothness, cached_scans, nearest_known, smooth_scans
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
@@ -70,7 +70,7 @@ def track_scans(
         cleaned = scans.cleaned(frames[row])
         return None if cleaned is None else solver.target(cleaned.surface(units.mm, units.axes.double().numpy()))
 
-    load, is_smooth = kept_scans(read), smoothness is not None and len(frames) > 2
+    load, is_smooth = cached_scans(read), smoothness is not None and len(frames) > 2
     solutions: list[SolvedScan | None] = []
     for row in range(len(frames)):
         target, before = load(row), next((solution for solution in reversed(solutions[-3:]) if solution is not None), None)

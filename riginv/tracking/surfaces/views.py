@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from riginv.tracking.surfaces.assembly import ScanParts
-from riginv.tracking.surfaces.kept import Kept
+from riginv.tracking.surfaces.limited_cache import LimitedCache
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.quality import DEGREES, SEEN_MM
 from riginv.tracking.surfaces.tracking import ScanTrack
@@ -24,7 +24,9 @@ class ScanViews:
     def __init__(self, parts: ScanParts, track: ScanTrack) -> None:
         self.parts, self.track = parts, track
         self.outer = np.flatnonzero(parts.solver.surface.outer)
-        self.matched = Kept(self._match, lambda matched: matched.size, MAX_NUMBERS)  # asked for by page and contact sheet
+        self.matched = LimitedCache(
+            self._match, lambda matched: matched.size, MAX_NUMBERS
+        )  # asked for by page and contact sheet
 
     def surface(self, row: int) -> Surface | None:
         """The scan of a row; None where there is none."""

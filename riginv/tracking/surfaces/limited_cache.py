@@ -7,7 +7,7 @@ Value = TypeVar("Value")
 MAX_POINTS = 500_000  # of the kept scans together: some 200 MB with their search trees
 
 
-class Kept(Generic[Value]):
+class LimitedCache(Generic[Value]):
     """A function of a row whose values are kept while their sizes fit in a limit; others are computed again.
 
     Args:
@@ -29,7 +29,7 @@ class Kept(Generic[Value]):
             self.room -= self.size(value)
         return value
 
-    def forget_before(self, first: int) -> None:
+    def drop_before(self, first: int) -> None:
         """Make room: drop the values of rows before `first`."""
         for row in [row for row in self.values if row < first]:
             self.room += self.size(self.values.pop(row))
