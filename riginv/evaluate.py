@@ -39,6 +39,7 @@ class EvaluateConfig:
     refine: NonNegativeInt
     poses: PositiveInt
     fewer_controls: bool = False
+    mean_steps: NonNegativeInt = 0
     resume: bool = False
 
 
@@ -56,7 +57,7 @@ def evaluate(config: DictConfig) -> None:
 def evaluate_bundle(settings: EvaluateConfig, bundle: str) -> tuple[str, RigBackend, list[EvaluationResult]]:
     """Evaluate the model of a bundle: a title, the true rig and the results."""
     rig = settings.rig.build() if settings.rig else None
-    model = load_model(bundle, rig, settings.refine, settings.fewer_controls)
+    model = load_model(bundle, rig, settings.refine, settings.fewer_controls, settings.mean_steps)
     trained_on = model.rig if isinstance(model, Inverse) else model
     true_rig, clip = build_true_rig(settings.true_rig, rig or trained_on), None
     if isinstance(model, Inverse):
@@ -66,6 +67,7 @@ def evaluate_bundle(settings: EvaluateConfig, bundle: str) -> tuple[str, RigBack
         show_lines([], ["capture= was left out: a surrogate is evaluated on random poses, a clip evaluates an inverse"])
     title = bundle + (f" + {settings.refine} steps" if settings.refine else "")
     title += ", fewer controls" if settings.fewer_controls else ""
+    title += f" + {settings.mean_steps} steps on the mean distance" if settings.mean_steps else ""
     return title, true_rig, evaluate_model(model, true_rig, settings.poses, clip)
 
 

@@ -25,23 +25,27 @@ def surrogate_config(folder: str | Path) -> dict[str, str]:
 
 
 def load_model(
-    folder: str | Path, rig: RigBackend | None = None, refine: int = 0, fewer_controls: bool = False
+    folder: str | Path,
+    rig: RigBackend | None = None,
+    refine: int = 0,
+    fewer_controls: bool = False,
+    mean_steps: int = 0,
 ) -> Inverse | LinearRig:
     """Load what a bundle holds: an inverse, or a surrogate as a rig.
 
     Args:
         rig: the rig that an inverse was trained on, for one that is not part of riginv.
-        refine, fewer_controls: as in `load_inverse`.
+        refine, fewer_controls, mean_steps: as in `load_inverse`.
 
     Raises:
         InputError: the bundle is missing or damaged, does not fit the rig, or is no inverse that could be refined.
     """
     if read_bundle(folder).description["kind"] == "forward":
-        if refine or fewer_controls:
-            key = f"refine={refine}" if refine else "fewer_controls=true"
-            raise InputError(f"{key} is for an inverse; {folder} holds a surrogate: leave it out")
+        for key, given in (("refine", refine), ("mean_steps", mean_steps), ("fewer_controls", fewer_controls)):
+            if given:
+                raise InputError(f"{key}={str(given).lower()} is for an inverse; {folder} holds a surrogate: leave it out")
         return build(surrogate_config(folder), kind=LinearRig, only=OURS)
-    return load_inverse(folder, rig, refine, fewer_controls)
+    return load_inverse(folder, rig, refine, fewer_controls, mean_steps)
 
 
 def evaluate_model(

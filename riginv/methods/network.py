@@ -5,6 +5,7 @@ import hashlib
 import torch
 from torch import Tensor
 
+from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
 from riginv.inference.inverse import Inverse, load_inverse
 from riginv.methods.base import Method, encoded
@@ -19,6 +20,7 @@ class Network(Method):
 
     Args:
         bundle: the bundle of an inverse, or the run that holds it.
+        mean_steps: steps on the mean vertex distance that follow the network.
 
     Raises:
         InputError: the bundle is missing, damaged, or made for another rig.
@@ -26,11 +28,11 @@ class Network(Method):
 
     source = "Rig inversion by training a differentiable rig function (SIGGRAPH Asia 2022), and riginv's staged network"
 
-    def __init__(self, rig: RigInMeshSpace, bundle: str) -> None:
+    def __init__(self, rig: RigInMeshSpace, bundle: str, mean_steps: NonNegativeInt = 0) -> None:
         super().__init__(rig)
         if not isinstance(bundle, str):
             raise InputError(f"bundle is {bundle!r}, expected the bundle of an inverse, or the run that holds it")
-        self.inverse: Inverse = load_inverse(bundle, rig.source)
+        self.inverse: Inverse = load_inverse(bundle, rig.source, mean_steps=mean_steps)
         self.trained_seconds = self.inverse.trained_seconds
         digest = hashlib.sha256()
         for weights in self.inverse.network.own_weights().values():
@@ -41,5 +43,8 @@ class Network(Method):
     def invert(self, meshes: MeshSet) -> Tensor:
         """As `Method.invert`, in the mesh space of the network, whose axes may differ from those of `rig`."""
         coordinates = encoded(meshes, self.inverse.network.rig.space)
-        pieces = [self.inverse.network(piece) for piece in coordinates.split(BATCH_SIZE) if len(piece)]
-        return torch.cat(pieces) if pieces else self.rig.source.lower.new_zeros(0, len(self.rig.source.controls))
+        if not len(coordinates):
+            return self.rig.source.lower.new_zeros(0, len(self.rig.source.controls))
+        controls = torch.cat([self.inverse.network(piece) for piece in coordinates.split(BATCH_SIZE)])
+        steps = self.inverse.mean_steps
+        return self.inverse.after_mean_steps(coordinates, controls, steps) if steps else controls

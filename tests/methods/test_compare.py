@@ -144,12 +144,16 @@ def test_a_trained_network_is_compared_and_refined(run, toy, tmp_path):
     bundle = run("train", folder="trained").folder / "bundle"
     config = ["methods=[network,refined]", f"methods.network.bundle={bundle}", f"methods.refined.bundle={bundle}"]
     rows = rows_of(run("compare", *TOY, *config))
+    stepped = rows_of(run("compare", *TOY, *config, "methods.network.mean_steps=4", folder="stepped"))
     assert all(float(rows[name, "rig_poses"]["training_seconds"]) > 0.05 for name in ("network", "refined"))  # its bundle's
     plain, refined = (float(rows[name, "rig_poses"]["mean_vertex_error_mm"]) for name in ("network", "refined"))
     assert refined < 0.5 * plain
-    plain, refined = (
-        run("evaluate", f"bundle={bundle}", *TOY, f"refine={steps}", folder=f"refine{steps}").metrics for steps in (0, 5)
+    assert float(stepped["network", "rig_poses"]["mean_vertex_error_mm"]) < 0.8 * plain
+    plain, refined, stepped = (
+        run("evaluate", f"bundle={bundle}", *TOY, setting, folder=setting).metrics
+        for setting in ("refine=0", "refine=5", "mean_steps=4")
     )
+    assert stepped["rig_poses/mean_vertex_error_mm"] < 0.8 * plain["rig_poses/mean_vertex_error_mm"]
     assert refined["rig_poses/mean_vertex_error_mm"] < 0.5 * plain["rig_poses/mean_vertex_error_mm"]
     assert plain["rig_poses/optimum_mean_vertex_error_mm"] == refined["rig_poses/optimum_mean_vertex_error_mm"]
     assert plain["rig_poses/optimum_ratio"] > refined["rig_poses/optimum_ratio"]
