@@ -35,6 +35,7 @@ from riginv import (
     train,
     wrap,
 )
+from riginv.evaluation import optimum
 from riginv.launch.command import command
 from riginv.reproduce.__main__ import reproduce
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
@@ -173,6 +174,12 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
         return Outcome(code, out + err, target)
 
     return run_command
+
+
+@pytest.fixture
+def few_optima(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The optimum of a set from 4 of its meshes: it takes longer than all else that a command of a test does."""
+    monkeypatch.setattr(optimum, "MESHES", 4)
 
 
 @pytest.fixture

@@ -86,7 +86,7 @@ def test_the_format_is_written(written, monkeypatch):
     }
 
 
-def test_the_method_is_compared_on_the_rig(written, run):
+def test_the_method_is_compared_on_the_rig(written, run, few_optima):
     done = run("compare", f"--config-dir={written / 'my_methods/conf'}", "methods=[nearest,neutral]", "rig=face", "poses=6")
     assert done.code == 0, done.text
     table = (done.folder / "compare.md").read_text()

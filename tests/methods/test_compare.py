@@ -8,6 +8,7 @@ import torch
 from riginv.errors import InputError
 from riginv.evaluation.optimum import find_optima
 from riginv.evaluation.results import evaluate_controls
+from riginv.inference.inverse import load_inverse
 from riginv.methods.base import Method
 from riginv.methods.baselines.holden_network import HoldenNetwork
 from riginv.methods.direct import Neutral
@@ -144,11 +145,9 @@ def test_a_trained_network_is_compared_and_refined(run, toy, tmp_path):
     bundle = run("train", folder="trained").folder / "bundle"
     config = ["methods=[network,refined]", f"methods.network.bundle={bundle}", f"methods.refined.bundle={bundle}"]
     rows = rows_of(run("compare", *TOY, *config))
-    stepped = rows_of(run("compare", *TOY, *config, "methods.network.mean_steps=4", folder="stepped"))
     assert all(float(rows[name, "rig_poses"]["training_seconds"]) > 0.05 for name in ("network", "refined"))  # its bundle's
     plain, refined = (float(rows[name, "rig_poses"]["mean_vertex_error_mm"]) for name in ("network", "refined"))
     assert refined < 0.5 * plain
-    assert float(stepped["network", "rig_poses"]["mean_vertex_error_mm"]) < 0.8 * plain
     plain, refined, stepped = (
         run("evaluate", f"bundle={bundle}", *TOY, setting, folder=setting).metrics
         for setting in ("refine=0", "refine=5", "mean_steps=4")
@@ -162,6 +161,9 @@ def test_a_trained_network_is_compared_and_refined(run, toy, tmp_path):
         "evaluate", f"bundle={bundle}", *TOY, "refine=5", "fewer_controls=true", f"capture={capture}", folder="fewer"
     ).metrics
     assert fewer["rig_poses/active_controls"] <= refined["rig_poses/active_controls"]
+    frames = take(toy.source)
+    expected = load_inverse(bundle, toy.source, mean_steps=4)(frames.vertices(0, 8))
+    torch.testing.assert_close(Network(toy, str(bundle), mean_steps=4).invert(frames), expected, rtol=0, atol=1e-4)
     few_again = Refined(toy, str(bundle), fewer_controls=True).invert(take(toy.source))
     assert_fewer(toy.source, few_again, Refined(toy, str(bundle)).invert(take(toy.source)))
 

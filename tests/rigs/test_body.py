@@ -189,7 +189,7 @@ def test_every_pose_that_has_a_name_is_within_the_limits(body):
 
 
 @pytest.mark.parametrize("model", ["inverse", "holden", "forward"])
-def test_every_model_trains_on_it(model, run, tmp_path):
+def test_every_model_trains_on_it(model, run, few_optima):
     hidden = ["model.network.hidden=[16]", "evaluation.test_poses=8", "trainer.max_steps=3", "data.steps_per_epoch=3"]
     made = run("train", "rig=body", f"model={model}", *hidden, small=True)
     assert made.code == 0, made.text
