@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from riginv.clips.array_facts import FACES, METADATA, frame_times
+from riginv.clips.arrays import VERTICES
+from riginv.clips.file_frames import vertices_of
 from riginv.clips.numbered import find_frames, visible_files
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
@@ -26,14 +29,15 @@ class FileScans(ScanSequence):
 
     Args:
         path: as in `find_frames`.
-        options: `missing_frames`.
+        options: `missing_frames`, and `mesh`: the objects of OBJ files that are read.
     """
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
         suffix = _suffix(Path(path))
         self.frames = find_frames(path, suffix, options.missing_frames == "bridge")
-        facts = SourceFacts(f"scans ({suffix[1:].upper()})", notes=self.frames.notes)
-        super().__init__(path, self.frames.numbers, facts)
+        self.names, first = options.mesh_names, read_mesh(self.frames.first)
+        notes = (*self.frames.notes, *first.notes, *options.unused(suffix[1:].upper(), not first.objects))
+        super().__init__(path, self.frames.numbers, SourceFacts(f"scans ({suffix[1:].upper()})", notes=notes))
 
     def scan(self, index: int) -> Scan | None:
         path = self.frames.paths[index]
@@ -43,7 +47,11 @@ class FileScans(ScanSequence):
         polygons = mesh.polygons()
         if polygons is not None:
             polygons.check(path, len(mesh.points))
-        return Scan(mesh.points, None if polygons is None else triangulated(polygons))
+        points = mesh.points
+        if self.names and mesh.objects:
+            selected = vertices_of(mesh, self.names)
+            points, polygons = points[selected], None if polygons is None else polygons.among(selected)
+        return Scan(points, None if polygons is None else triangulated(polygons))
 
 
 class MeshScans(ScanSequence):
@@ -63,19 +71,21 @@ class RaggedArrays(ScanSequence):
 
     It holds `points (point, 3)` and `offsets (frame + 1,)`: frame f has the points from offsets[f] up to offsets[f + 1]. Meshes
     have `faces (face, 3)`, with vertex indices within their frame, and `face_offsets (frame + 1,)`; point clouds may have
-    `normals (point, 3)`. `fps` and `frame_numbers` as in other clips.
+    `normals (point, 3)`. Other names of the points, rate, times and frame numbers as in other clips.
     """
 
     def __init__(self, path: Path) -> None:
         self.arrays = _load(path)
-        points, offsets = self.arrays.get("points"), self.arrays.get("offsets")
-        if points is None or offsets is None:
+        name, offsets = next((name for name in VERTICES if name in self.arrays), "points"), self.arrays.get("offsets")
+        if name not in self.arrays or offsets is None:
             raise InputError(f"{path}: scans need the arrays points and offsets, found {', '.join(self.arrays) or 'none'}")
-        _check_floats(path, "points", points)
+        self.points = points = self.arrays[name]
+        _check_floats(path, name, points)
         _check_offsets(path, "offsets", offsets, len(points))
-        frames = len(offsets) - 1
-        if "faces" in self.arrays:
-            faces, starts = self.arrays["faces"], self.arrays.get("face_offsets")
+        frames, notes = len(offsets) - 1, list[str]()
+        self.faces = faces = next((self.arrays[name] for name in FACES if name in self.arrays), None)
+        if faces is not None:
+            starts = self.arrays.get("face_offsets")
             if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or starts is None:
                 raise InputError(
                     f"{path}: faces of scans are whole numbers (face, 3) with face_offsets (frame + 1,) beside them"
@@ -83,23 +93,20 @@ class RaggedArrays(ScanSequence):
             _check_offsets(path, "face_offsets", starts, len(faces), frames)
         if "normals" in self.arrays:
             _check_floats(path, "normals", self.arrays["normals"], len(points))
-        numbers = self.arrays.get("frame_numbers", np.arange(frames))
-        if numbers.shape != (frames,) or numbers.dtype.kind not in "iu" or (np.diff(numbers.astype(np.int64)) <= 0).any():
-            raise InputError(f"{path}: frame_numbers are no {frames} whole numbers that rise")
-        rate = self.arrays.get("fps")
-        if rate is not None and (rate.size != 1 or rate.dtype.kind not in "iuf"):
-            raise InputError(f"{path}: fps is {rate.dtype} of shape {rate.shape}, expected one number")
-        facts = SourceFacts("scans (NumPy .npz)", rate_source="" if rate is None else "its array fps")
-        super().__init__(path, numbers, facts, None if rate is None else float(rate.reshape(-1)[0]))
+        times = frame_times(path, self.arrays, frames, notes)
+        if (np.diff(times.numbers) <= 0).any():
+            raise InputError(f"{path}: frame_numbers do not rise: put the frames in order")
+        facts = SourceFacts("scans (NumPy .npz)", rate_source=times.rate_source, notes=tuple(notes))
+        super().__init__(path, times.numbers, facts, times.fps)
 
     def scan(self, index: int) -> Scan | None:
         first, last = (int(value) for value in self.arrays["offsets"][index : index + 2])
-        points = self.arrays["points"][first:last].astype(np.float32)
+        points = self.points[first:last]
         normals = self.arrays.get("normals")
-        if "faces" not in self.arrays:
+        if self.faces is None:
             return Scan(points, None, None if normals is None else normals[first:last])
         start, stop = (int(value) for value in self.arrays["face_offsets"][index : index + 2])
-        faces = self.arrays["faces"][start:stop].astype(np.int64)
+        faces = self.faces[start:stop].astype(np.int64)
         Polygons.triangles(faces).check(self.path, len(points))
         return Scan(points, faces)
 
@@ -171,7 +178,7 @@ def _load(path: Path) -> dict[str, np.ndarray]:
     try:
         check_npz(path)
         with np.load(path, allow_pickle=False) as archive:
-            wanted = ("points", "offsets", "faces", "face_offsets", "normals", "fps", "frame_numbers")
+            wanted = (*VERTICES, "offsets", "face_offsets", "normals", *METADATA)
             return {name: archive[name] for name in wanted if name in archive}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; clip=PATH names a clip") from None
@@ -190,7 +197,8 @@ def _check_offsets(path: Path, name: str, values: np.ndarray, last: int, frames:
     good = values.ndim == 1 and values.dtype.kind in "iu" and len(values) >= 2 and frames in (None, len(values) - 1)
     if not good or values[0] != 0 or int(values[-1]) != last or (np.diff(values.astype(np.int64)) < 0).any():
         raise InputError(
-            f"{path}: {name} must rise from 0 to {last}, one more than there are frames; found shape {values.shape}"
+            f"{path}: {name} must be whole numbers that rise from 0 to {last}, one more than there are frames; found "
+            f"{values.dtype} of shape {values.shape}"
         )
     if np.diff(values.astype(np.int64)).max() > MAX_VERTICES:
         raise InputError(f"{path}: a scan of more than {MAX_VERTICES} points: damaged; save it again")
