@@ -118,7 +118,7 @@ def test_normals_without_a_direction_are_estimated(wrong):
 
 def test_ragged_arrays_have_the_names_and_the_rate_of_other_arrays(tmp_path):
     points, faces = scans_of(ToyRig())[0]
-    far = points.astype(np.float64) + [4e6, 0, 0]  # a float32 there has steps of 0.5 mm
+    far = points + np.array([4e6, 0, 0])  # a float32 there has steps of 0.5 mm
     arrays = {"vertices": far, "offsets": [0, len(far)], "triangles": faces, "face_offsets": [0, len(faces)]}
     np.savez(tmp_path / "take.npz", **arrays, frame_rate="30000/1001", frame_numbers=[17.0])
     scans = RaggedArrays(tmp_path / "take.npz")
