@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
 from riginv.clips.options import ReadingOptions
@@ -18,6 +19,7 @@ from tests.support.pages import read_page
 from tests.support.scans import posed_mesh, resampled, write_ply, write_ragged
 from tests.support.toys import ToyRig
 
+NO_LOOK = ("look.page=false", "look.sheet=false")
 CONF = ROOT / "tests/conf"
 CONTROLS = torch.tensor([0.3, 0.6, 0.2, 0.5, 0.4, -0.5, 0.3])
 
@@ -125,6 +127,28 @@ def test_ragged_arrays_have_the_names_and_the_rate_of_other_arrays(tmp_path):
     assert scans.fps == pytest.approx(29.97, abs=1e-3) and scans.frame_numbers.tolist() == [17]
     np.testing.assert_array_equal(scans.scan(0).points, far)
     np.testing.assert_array_equal(scans.scan(0).faces, faces)
+
+
+def test_still_gltf_files_are_scans_in_metres(run, tmp_path):
+    for number, (points, faces) in enumerate(scans_of(ToyRig())):
+        scene, place = trimesh.Scene(), trimesh.transformations.translation_matrix([0.1, 0.2, 0.3])
+        half = len(faces) // 2
+        scene.add_geometry(trimesh.Trimesh(points / 1000, faces[:half], process=False), node_name="left")
+        moved = points / 1000 - place[:3, 3]
+        scene.add_geometry(trimesh.Trimesh(moved, faces[half:], process=False), node_name="right", transform=place)
+        scene.export(tmp_path / f"scan.{number}.glb")
+    pattern = f"clip={tmp_path}/scan.%d.glb"
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", pattern, "out=got", "motion=keep", *NO_LOOK)
+    assert done.code == 0 and "scans (GLB), 3 frames 0 to 2" in done.text and "unit m (as the file says)" in done.text
+    rows = list(csv.DictReader((tmp_path / "got/scans.csv").read_text().splitlines()))
+    assert all(float(row["scan_to_rig_mm"]) < 0.1 and float(row["scan_explained"]) > 0.95 for row in rows)
+    alone = f"clip={tmp_path}/scan.0.glb"
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", alone, "out=no")
+    assert done.code == 1 and "no animation in it" in done.text and "correspondence=surface" in done.text
+    surface = ("correspondence=surface", "reading.mesh=left", "out=one", *NO_LOOK)
+    assert run("invert", "rig=toy", f"--config-dir={CONF}", alone, *surface).code == 0
+    done = run("wrap", "rig=toy", f"--config-dir={CONF}", f"scan={tmp_path}/got/curves.csv", "out=wrapped.obj")
+    assert done.code == 1 and "ends in .obj, .ply" in done.text and "Traceback" not in done.text
 
 
 def test_objects_of_a_scan_are_chosen(tmp_path):

@@ -1,4 +1,4 @@
-"""Readers of scans: OBJ and PLY files, ragged arrays, and clips of one topology."""
+"""Readers of scans: OBJ, PLY and glTF files, ragged arrays, and clips of one topology."""
 
 import zipfile
 from pathlib import Path
@@ -8,48 +8,52 @@ import numpy as np
 from riginv.clips.array_facts import FACES, METADATA, frame_times
 from riginv.clips.arrays import VERTICES
 from riginv.clips.file_frames import vertices_of
-from riginv.clips.numbered import find_frames, visible_files
+from riginv.clips.numbered import find_frames, is_pattern, visible_files
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts
+from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts, StillMeshError
 from riginv.clips.units import ClipUnits
+from riginv.config.building import class_of
 from riginv.errors import InputError, in_short
+from riginv.meshes.mesh_file import MeshFile, note_on_objects
 from riginv.meshes.polygons import Polygons
-from riginv.meshes.reading import read_mesh
+from riginv.meshes.reading import READERS, read_mesh
 from riginv.rig.interface import RigBackend
 from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
 from riginv.tracking.surfaces.scans import Scan, ScanSequence
 from riginv.tracking.surfaces.units import resolve_scan_units
 
-SUFFIXES = (".obj", ".ply")
+SUFFIXES = (".obj", ".ply", ".glb", ".gltf")  # of files that are a scan each
 
 
 class FileScans(ScanSequence):
-    """OBJ or PLY files, one per frame, each with any number of points.
+    """OBJ, PLY or glTF files, one per frame, each with any number of points.
 
     Args:
         path: as in `find_frames`.
-        options: `missing_frames`, and `mesh`: the objects of OBJ files that are read.
+        options: `missing_frames`, and `mesh`: the objects that are read; `readers` of glTF files.
     """
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
         suffix = _suffix(Path(path))
         self.frames = find_frames(path, suffix, options.missing_frames == "bridge")
-        self.names, first = options.mesh_names, read_mesh(self.frames.first)
+        self.options, first = options, _read(self.frames.first, options)
         notes = (*self.frames.notes, *first.notes, *options.unused(suffix[1:].upper(), not first.objects))
-        super().__init__(path, self.frames.numbers, SourceFacts(f"scans ({suffix[1:].upper()})", notes=notes))
+        notes += note_on_objects(self.frames.first, [name for name in first.objects if name in (options.mesh_names or [name])])
+        facts = SourceFacts(f"scans ({suffix[1:].upper()})", notes=notes)
+        super().__init__(path, self.frames.numbers, facts, None, first.unit_mm, first.up)
 
     def scan(self, index: int) -> Scan | None:
         path = self.frames.paths[index]
         if path is None:
             return None
-        mesh = read_mesh(path)
+        mesh = _read(path, self.options)
         polygons = mesh.polygons()
         if polygons is not None:
             polygons.check(path, len(mesh.points))
         points = mesh.points
-        if self.names and mesh.objects:
-            selected = vertices_of(mesh, self.names)
+        if self.options.mesh_names and mesh.objects:
+            selected = vertices_of(mesh, self.options.mesh_names)
             points, polygons = points[selected], None if polygons is None else polygons.among(selected)
         return Scan(points, None if polygons is None else triangulated(polygons))
 
@@ -120,9 +124,12 @@ def open_scans(path: str, rig: RigBackend, reading: ReadingOptions) -> ScanSeque
     given = Path(path)
     if is_ragged(path):
         return RaggedArrays(given)
-    if given.suffix.lower() in SUFFIXES or given.is_dir():
+    if given.suffix.lower() in READERS or holds_scans(path):
         return FileScans(path, reading)
-    return MeshScans(open_sequence(path, rig, reading))
+    try:
+        return MeshScans(open_sequence(path, rig, reading))
+    except StillMeshError:
+        return FileScans(path, reading)
 
 
 def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "scan") -> tuple[Scan, ClipUnits]:
@@ -143,6 +150,16 @@ def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "s
     return cleaned, resolve_scan_units(scans, rig, reading)
 
 
+def holds_scans(path: str) -> bool:
+    """Whether a path can only hold scans: ragged arrays, or a glTF file for each frame."""
+    given = Path(path)
+    try:
+        several = given.is_dir() or (is_pattern(path) and not given.exists())
+    except OSError:  # its reader reports it
+        return False
+    return is_ragged(path) or (several and _suffix(given) in set(SUFFIXES) - set(READERS))
+
+
 def is_ragged(path: str) -> bool:
     """Whether a path is an .npz of ragged arrays."""
     given = Path(path)
@@ -155,6 +172,18 @@ def is_ragged(path: str) -> bool:
             return "offsets.npy" in archive.namelist()
     except (*DAMAGED_ZIP, OSError, ValueError):
         return False  # its reader reports what is wrong
+
+
+def _read(path: Path, options: ReadingOptions) -> MeshFile:
+    """The mesh in the file of one scan."""
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        return read_mesh(path)
+    known = options.readers.get(suffix[1:])
+    if known is None:
+        raise InputError(f"{path}: a scan is a file that ends in {', '.join(READERS)}: export it as one of these")
+    reader: type[MeshSequence] = class_of(known, kind=MeshSequence)
+    return reader.still(path)
 
 
 def _suffix(given: Path) -> str:
