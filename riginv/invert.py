@@ -50,7 +50,7 @@ from riginv.tracking.rigs import build_rig, build_true_rig
 from riginv.tracking.run import invert_clip, invert_smoothly
 from riginv.tracking.surfaces.assembly import build_scan_parts
 from riginv.tracking.surfaces.results import frame_errors, remarks_of, write_scan_table
-from riginv.tracking.surfaces.scan_files import is_ragged
+from riginv.tracking.surfaces.scan_files import holds_scans
 from riginv.tracking.surfaces.tracking import track_scans
 from riginv.tracking.surfaces.views import ScanViews
 
@@ -124,7 +124,7 @@ def by_surface(
     """
     if options.correspondence != "auto" or has_network or reading.vertices is not None or Path(path).suffix == ".csv":
         return options.correspondence == "surface", []
-    if is_ragged(path):
+    if holds_scans(path):
         return True, ["scans: fitted by their surface (correspondence=surface)"]
     try:
         check_topology(open_sequence(path, rig, reading), rig, reading.check_faces)

@@ -23,7 +23,7 @@ TRANSLATION, ROTATION = "Xposition Yposition Zposition", "Zrotation Yrotation Xr
 def check(rig: RigBackend) -> None:
     """Raise InputError for a rig without joints."""
     if rig.skeleton() is None:
-        raise InputError(f"formats: bvh holds joints, and rig '{rig.name}' has none; choose csv, anim or blender")
+        raise InputError(f"formats: bvh holds joints, and rig '{rig.name}' has none: leave it out")
 
 
 @torch.no_grad()

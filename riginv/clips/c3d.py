@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riginv.clips.markers import MarkerClip, unit_in_mm, without_gaps_at_zero
+from riginv.clips.markers import MarkerClip, is_unnamed, positive_rate, unit_in_mm, without_gaps_at_zero
 from riginv.clips.sequence import SourceFacts
 from riginv.errors import InputError, printable
 from riginv.runs.files import read_bytes
@@ -19,7 +19,6 @@ BLOCK = 512  # bytes
 SIGNATURE = 0x50  # second byte of the file
 ORDERS = {84: "<", 86: ">"}  # by processor type; 85, DEC, has floats of its own
 TYPES = {-1: "S1", 1: "u1", 2: "i2", 4: "f4"}  # of parameters
-UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the labels of unnamed trajectories
 MOST_FRAMES = 65_535  # in the header; longer takes have their length in parameters
 
 Parameters = dict[str, np.ndarray]  # `POINT:LABELS` and so on; texts as one string each
@@ -59,7 +58,7 @@ def read_c3d(path: Path) -> MarkerClip:
         raise InputError(f"{path}: a C3D file without points (it may hold analogue channels alone): export the markers, too")
     labels = [label for key in ("LABELS", *(f"LABELS{n}" for n in range(2, 10))) for label in _texts(values, f"POINT:{key}")]
     labels = [*labels[: header.points], *(f"*{number}" for number in range(len(labels), header.points))]
-    columns = [number for number, label in enumerate(labels) if label and not label.lower().startswith(UNNAMED)]
+    columns = [number for number, label in enumerate(labels) if not is_unnamed(label)]
     if not columns:
         raise InputError(f"{path}: none of its {header.points} points has a name: label them, and export the take again")
     first, points, notes = _frames(path, data, header, values)
@@ -72,7 +71,7 @@ def read_c3d(path: Path) -> MarkerClip:
     unit, unit_notes = unit_in_mm(path, "".join(_texts(values, "POINT:UNITS")[:1]))
     facts = SourceFacts("C3D markers", rate_source="its header", notes=(*notes, *frame_notes, *unit_notes))
     names = tuple(printable(labels[number]) for number in columns)
-    rate = header.rate if 0 < header.rate <= 1e6 else None
+    rate = positive_rate(header.rate)
     up = "".join(_texts(values, "POINT:Y_SCREEN")[:1]).lstrip("+").lower()  # the axis that is up on a screen
     up_axis = up if up in ("x", "y", "z") else None
     return MarkerClip(str(path), names, points, first + np.arange(len(points)), facts, rate, unit, up_axis)

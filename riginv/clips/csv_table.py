@@ -112,7 +112,7 @@ def read_csv(path: Path, text_column: str = "") -> CsvTable:
             if number == text_at:
                 texts.append(cell.strip())
             else:
-                value, has_comma = _number(cell)
+                value, has_comma = number_in(cell)
                 commas += has_comma
                 if math.isnan(value):
                     faults.setdefault(number, Fault(line, cell))
@@ -124,7 +124,7 @@ def read_csv(path: Path, text_column: str = "") -> CsvTable:
     return CsvTable(path, header, np.frombuffer(values).reshape(len(lines), -1), faults, texts, lines, notes)
 
 
-def _number(cell: str) -> tuple[float, bool]:
+def number_in(cell: str) -> tuple[float, bool]:
     """The finite number in a cell, else NaN; and whether it had a decimal comma."""
     try:
         value = float(cell)
@@ -158,7 +158,7 @@ def _opened(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]], str
     """The header, the rows that are not empty with their line numbers, and the delimiter."""
     check_regular(path)
     try:
-        text = _decoded(path.read_bytes())
+        text = decoded(path.read_bytes())
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a .csv is a Live Link Face recording or holds curves of controls") from None
     except (OSError, ValueError) as error:
@@ -182,6 +182,6 @@ def _rows(path: Path, text: io.StringIO, delimiter: str) -> Iterator[tuple[int, 
         raise InputError(f"{path}: cannot be read as a CSV: {error}") from None
 
 
-def _decoded(data: bytes) -> str:
+def decoded(data: bytes) -> str:
     """Decode UTF-8, or UTF-16, which spreadsheets write as `Unicode text`."""
     return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")

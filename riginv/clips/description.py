@@ -140,13 +140,17 @@ def describe_points(
     points: int,
     frames: FrameSpan,
     all_frames: FrameSpan,
-    missing: int,
+    missing: tuple[int, tuple[int, ...]],
     excluded: int,
     units: ClipUnits,
     motion: ClipMotion,
     notes: Sequence[str],
 ) -> ClipDescription:
-    """The description of a clip that is no mesh of the rig, such as scans or markers; arguments as in `ClipDescription`."""
+    """The description of a clip that is no mesh of the rig, such as scans or markers; arguments as in `ClipDescription`.
+
+    Args:
+        missing: as `missing_frames`.
+    """
     return ClipDescription(
         file=Path(path).name or path,
         facts=facts,
@@ -154,8 +158,8 @@ def describe_points(
         faces=0,
         frames=frames,
         all_frames=all_frames,
-        missing=missing,
-        missing_first=(),
+        missing=missing[0],
+        missing_first=missing[1],
         excluded=excluded,
         fps=units.fps,
         rate_source=units.rate_source,

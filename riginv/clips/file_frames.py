@@ -31,7 +31,7 @@ class FileFrames(MeshSequence):
         self.face_bytes, self.first_faces, self.points_in_file = first.face_bytes, first.polygons(), len(first.points)
         names = first.objects
         meshes = tuple(name for name in names if name in options.mesh_names) if names and options.mesh_names else names
-        self.selected = _vertices_of(first, options.mesh_names) if names and options.mesh_names else None
+        self.selected = vertices_of(first, options.mesh_names) if names and options.mesh_names else None
         notes = (*self.frames.notes, *first.notes, *options.unused(self.suffix[1:].upper(), not names))
         notes += note_on_objects(first.path, meshes)
         left_out = tuple(name for name in names if name not in meshes)
@@ -58,7 +58,7 @@ class FileFrames(MeshSequence):
         if len(mesh.points) != self.points_in_file:
             raise InputError(
                 f"{path}: {len(mesh.points)} vertices, and {first} has {self.points_in_file}: all frames must be one mesh; "
-                "export them again"
+                "export them again, or correspondence=surface fits each as a scan"
             )
         if mesh.face_bytes != self.face_bytes:
             found, expected = mesh.polygons(), self.first_faces
@@ -70,7 +70,7 @@ class FileFrames(MeshSequence):
         return mesh.points if self.selected is None else mesh.points[self.selected]
 
 
-def _vertices_of(mesh: MeshFile, names: list[str]) -> np.ndarray:
+def vertices_of(mesh: MeshFile, names: list[str]) -> np.ndarray:
     """The sorted vertex indices `(vertex,)` of some objects.
 
     Raises:

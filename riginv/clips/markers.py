@@ -8,20 +8,31 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.clips.csv_table import read_csv
+from riginv.clips.csv_table import number_in, read_csv
 from riginv.clips.options import UNITS
 from riginv.clips.sequence import SourceFacts
 from riginv.clips.times import FrameTimes, frames_from_times
-from riginv.errors import InputError, printable
+from riginv.errors import InputError, listed, printable
 from riginv.runs.files import is_file, read_bytes
 
 MAX_MARKERS = 2000  # more are no markers but a scan
 MAX_CELLS = 200_000_000  # of a text file
 SUFFIXES = (".c3d", ".trc", ".csv")
-AXIS = re.compile(r"(.+?)[ ._:\-]([xyz])", re.IGNORECASE)  # of a column: `nose.x`, `nose_X`, `nose:X`, `nose X`
+AXIS = re.compile(r"(.+?)(?:[ ._:\-]t?| ?[(\[])([xyz])[)\]]?", re.IGNORECASE)  # `nose.x`, `nose:tx`, `nose (X)`
+UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the names of unnamed trajectories
 TIMES = ("time", "seconds")
 FRAMES = ("frame", "frame#", "field")
-UNIT_WORDS = {"mm": "mm", "millimeters": "mm", "millimetres": "mm", "cm": "cm", "m": "m", "meters": "m", "metres": "m"}
+UNIT_WORDS = {
+    "mm": "mm",
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "cm": "cm",
+    "centimeters": "cm",
+    "centimetres": "cm",
+    "m": "m",
+    "meters": "m",
+    "metres": "m",
+}
 UNIT_WORDS |= {unit: unit for unit in UNITS} | {"in": "inch", "inches": "inch", "ft": "foot", "feet": "foot"}
 
 
@@ -84,11 +95,18 @@ def open_markers(path: str) -> MarkerClip:
         raise InputError(f"{path}: no such file; clip=PATH names a take of markers")
     if suffix == ".trc":
         return read_trc(given)
+    from riginv.clips.c3d import read_c3d  # these need the class of this module
+    from riginv.clips.marker_exports import read_export
+
     if suffix == ".csv":
-        return read_marker_csv(given)
-    from riginv.clips.c3d import read_c3d  # which needs the class of this module
+        return read_export(given) or read_marker_csv(given)
 
     return read_c3d(given)
+
+
+def is_unnamed(name: str) -> bool:
+    """Whether the name of a trajectory says that it has none."""
+    return not name or name.lower().startswith(UNNAMED)
 
 
 def without_gaps_at_zero(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -115,9 +133,12 @@ def read_trc(path: Path) -> MarkerClip:
     Raises:
         InputError: it is damaged.
     """
-    lines = [line.split("\t") for line in _text(path).splitlines()]
+    text = _text(path)
+    lines = [line.split("\t") for line in text.splitlines()]
     if len(lines) < 5 or not lines[0][0].startswith("PathFileType"):
         raise InputError(f"{path}: no TRC file: expected a first line that begins with PathFileType: export it again")
+    if len(lines[3]) < 3:
+        raise InputError(f"{path}, line 4: {len(lines[3])} fields, expected names of markers divided by tabs: export it again")
     header = {name.strip(): value.strip() for name, value in zip(lines[1], lines[2])}
     labels = [cell.strip() for cell in lines[3]]
     columns = [(column, name) for column, name in enumerate(labels) if column >= 2 and name]
@@ -129,6 +150,10 @@ def read_trc(path: Path) -> MarkerClip:
     width = 2 + 3 * len(columns)
     if len(rows) * width > MAX_CELLS:
         raise InputError(f"{path}: {len(rows) * width:,} numbers, expected at most {MAX_CELLS:,}: cut the take")
+    notes = []
+    if rows and not text.endswith("\n") and len(rows[-1][1]) < width:
+        notes.append("its last line is cut short, and was left out.")
+        rows = rows[:-1]
     values = np.full((len(rows), width), np.nan)
     for row, (line, cells) in enumerate(rows):
         if any(cell.strip() for cell in cells[width:]) or len(cells) < 2:
@@ -138,13 +163,18 @@ def read_trc(path: Path) -> MarkerClip:
         for column, cell in enumerate(cells[:width]):
             values[row, column] = _number(path, line, cell)
     counted = header.get("NumFrames", "")
-    notes = [] if counted in ("", str(len(rows))) else [f"its header promises {counted[:12]} frames, it has {len(rows)}."]
+    if counted not in ("", str(len(rows))):
+        notes.append(f"its header promises {counted[:12]} frames, it has {len(rows)}.")
     points, more = without_gaps_at_zero(values[:, 2:].reshape(len(rows), len(columns), 3))
-    times = FrameTimes(np.arange(len(rows))) if np.isnan(values[:, 0]).any() else FrameTimes(_whole(path, values[:, 0]))
-    rate = _rate(header.get("DataRate", ""))
+    times = FrameTimes(np.arange(len(rows))) if np.isnan(values[:, 0]).any() else FrameTimes(whole_numbers(path, values[:, 0]))
+    rate, by_times = positive_rate(header.get("DataRate", "").replace(",", ".")), frames_from_times(values[:, 1], "times")
+    if rate and by_times.fps and abs(by_times.fps / rate - 1) > 0.01:
+        notes.append(f"DataRate is {rate:g}, and its times give {by_times.fps:g} frames a second: DataRate was taken.")
     unit, unit_notes = unit_in_mm(path, header.get("Units", ""))
-    facts = SourceFacts("TRC markers", rate_source="DataRate", notes=(*notes, *more, *unit_notes))
-    return MarkerClip(str(path), tuple(name for _, name in columns), points, times.numbers, facts, rate, unit)
+    facts = SourceFacts(
+        "TRC markers", rate_source="DataRate" if rate else by_times.rate_source, notes=(*notes, *more, *unit_notes)
+    )
+    return MarkerClip(str(path), tuple(name for _, name in columns), points, times.numbers, facts, rate or by_times.fps, unit)
 
 
 def read_marker_csv(path: Path) -> MarkerClip:
@@ -160,6 +190,11 @@ def read_marker_csv(path: Path) -> MarkerClip:
     for column, title in enumerate(table.header):
         if match := AXIS.fullmatch(title):
             axes.setdefault(match[1], {})[match[2].lower()] = column
+    if not axes:
+        raise InputError(
+            f"{path}: no markers in it, expected columns as nose.x, nose.y, nose.z, or an export of Motive or Vicon; found "
+            f"{listed(map(printable, table.header))}"
+        )
     for name, found in axes.items():
         if len(found) != 3:
             raise InputError(f"{path}: marker {name!r} has columns for {', '.join(found)}, expected x, y and z")
@@ -174,38 +209,40 @@ def read_marker_csv(path: Path) -> MarkerClip:
     times = FrameTimes(np.arange(len(table)))
     if time is not None:
         times = frames_from_times(table.column(time), "times")
-    numbers = times.numbers if frame is None else _whole(path, table.column(frame))
+    numbers = times.numbers if frame is None else whole_numbers(path, table.column(frame))
     source = SourceFacts("CSV markers", rate_source=times.rate_source, notes=(*table.notes, *times.notes, *notes))
     return MarkerClip(str(path), tuple(axes), points, numbers, source, times.fps)
 
 
 def _text(path: Path) -> str:
+    data = read_bytes(path)
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{path}: no text: expected a TRC file: export it again") from None
+        return data.decode("latin-1")  # a name in its first line
 
 
 def _number(path: Path, line: int, cell: str) -> float:
-    text = cell.strip()
-    if text.lower() in ("", "nan"):
-        return np.nan
-    try:
-        value = float(text)
-    except ValueError:
-        raise InputError(
-            f"{path}, line {line}: found {printable(text)[:40]!r}, expected a number, or nothing in a gap"
-        ) from None
+    """The number in a cell; NaN in a gap."""
+    value = number_in(cell)[0]
+    if np.isnan(value) and cell.strip().lower() not in ("", "nan"):
+        raise InputError(f"{path}, line {line}: found {printable(cell.strip())[:40]!r}, expected a number, or nothing in a gap")
     return value if abs(value) < 1e30 else np.nan
 
 
-def _whole(path: Path, values: np.ndarray) -> np.ndarray:
+def whole_numbers(path: Path, values: np.ndarray) -> np.ndarray:
+    """Frame numbers `(frame,)` as integers.
+
+    Raises:
+        InputError: one is none.
+    """
     if not np.isfinite(values).all() or (values != np.round(values)).any() or (np.abs(values) > 2**53).any():
         raise InputError(f"{path}: its frame numbers are no whole numbers: renumber them")
     return values.astype(np.int64)
 
 
-def _rate(text: str) -> float | None:
+def positive_rate(text: str | float) -> float | None:
+    """A rate in frames per second; None where it is no plausible number."""
     try:
         rate = float(text)
     except ValueError:

@@ -9,6 +9,7 @@ import numpy as np
 
 from riginv.clips.options import ReadingOptions
 from riginv.errors import InputError
+from riginv.meshes.mesh_file import MeshFile
 from riginv.meshes.polygons import Polygons
 from riginv.rig.interface import RigBackend
 
@@ -36,6 +37,10 @@ class SourceFacts:
     other_animations: tuple[str, ...] = ()
     rate_source: str = ""
     notes: tuple[str, ...] = ()
+
+
+class StillMeshError(InputError):
+    """A file that could hold an animation holds none."""
 
 
 Reader = Callable[[str, ReadingOptions], "MeshSequence"]  # opens a path
@@ -92,6 +97,15 @@ class MeshSequence(ABC):
         """
         reader: Reader = cls  # readers take these two arguments
         return reader(path, options)
+
+    @classmethod
+    def still(cls, path: Path) -> MeshFile:
+        """The mesh in a file as it is without an animation, for formats that have a file for each scan.
+
+        Raises:
+            InputError: the file cannot be read, or the format is read as a whole clip.
+        """
+        raise InputError(f"{path}: not read as a scan of its own: export each frame as .obj, .ply or .glb")
 
     def __len__(self) -> int:
         return len(self.frame_numbers)

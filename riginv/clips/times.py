@@ -10,6 +10,7 @@ from riginv.clips.units import DEFAULT_FPS
 NEAR = 1e-4  # relative difference within which a common rate is taken; more where the times are coarser
 COARSEST = 0.01  # largest such difference
 EVEN = 0.05  # fraction of a step by which times may miss their frames
+ROUNDED = (2, 3, 4)  # decimals that texts round seconds to
 MIN_FPS, MAX_FPS = 5.0, 1000.0  # plausible sampling rates
 MAX_FRAME = 10_000_000  # largest plausible frame number
 MAX_FRAME_STEP = 8.0  # largest step of times in frames; larger ones are in milliseconds
@@ -70,6 +71,9 @@ def frames_from_times(times: np.ndarray, source: str) -> FrameTimes:
         return in_order
     resolution = float(np.spacing(np.abs(times).max())) if np.isfinite(times).all() else np.inf
     times = times.astype(np.float64)
+    for digits in ROUNDED:
+        if np.isfinite(resolution) and (np.abs(times - np.round(times, digits)) < 1e-9).all():
+            resolution = max(resolution, 0.5 * 10.0**-digits)
     with np.errstate(invalid="ignore", over="ignore"):
         steps = np.diff(times)
     if not np.isfinite(resolution) or not (steps > 0).all():
@@ -119,12 +123,13 @@ def common_rate_at(rate: float, coarse: float = 0.0, time: float = 0.0) -> float
 
     Args:
         coarse: relative error of the measured rate.
-        time: of a frame, seconds: of several common rates, one is preferred that gives an integer frame number there.
+        time: of a frame, seconds: of several common rates, one is preferred that gives an integer frame number there; of
+            several of these, which the times are too coarse to tell apart, a whole one.
     """
     near = [float(common) for common in RATES if abs(common / rate - 1) <= min(max(NEAR, coarse), COARSEST)]
 
-    def misfit(common: float) -> tuple[bool, float]:
-        return abs(time * common - round(time * common)) > EVEN, abs(common - rate)
+    def misfit(common: float) -> tuple[bool, bool, float]:
+        return abs(time * common - round(time * common)) > EVEN, common != round(common), abs(common - rate)
 
     return min(near, key=misfit, default=round(rate, 3))
 

@@ -23,7 +23,12 @@ class MeshFile(ABC):
         points: `(vertex, 3)` float64, in the file's unit and order; NaN or infinite where a coordinate is unknown.
         face_bytes: the part of the file with its faces: files with equal bytes have equal faces.
         notes: sentences about what was repaired.
+        unit_mm: millimetres per unit; None where the format does not say it.
+        up: the up axis, `x`, `y` or `z`; None where the format does not say it.
     """
+
+    unit_mm: float | None = None
+    up: str | None = None
 
     def __init__(self, path: Path, points: np.ndarray, face_bytes: bytes, notes: tuple[str, ...] = ()) -> None:
         self.path, self.points, self.face_bytes, self.notes = path, points, face_bytes, notes

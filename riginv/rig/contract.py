@@ -9,7 +9,7 @@ from torch import Tensor
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import LinearRig, RigBackend
 
-MM = 1e-3  # tolerance of meshes that should be equal, mm
+MM, OF_SIZE = 1e-3, 1e-6  # tolerance of meshes that should be equal, mm; of large rigs, relative to their size
 POSES = 5
 PROBES = 4  # random directions in which gradients are checked: a Jacobian of all vertices would take minutes
 
@@ -49,6 +49,11 @@ def random_controls(rig: RigBackend, count: int, seed: int) -> Tensor:
     return rig.lower + fraction * (rig.upper - rig.lower)
 
 
+def _tolerance(rig: RigBackend) -> float:
+    """The distance below which meshes count as equal, mm: float32 keeps seven digits."""
+    return max(MM, OF_SIZE * float((rig.rest_vertices.amax(dim=0) - rig.rest_vertices.amin(dim=0)).max()))
+
+
 def _expect(holds: bool, rig: RigBackend, message: str) -> None:
     if not holds:
         raise ContractError(f"rig '{rig.name}': {message}")
@@ -60,13 +65,15 @@ def _neutral(rig: RigBackend) -> None:
     expected = (1, *rig.rest_vertices.shape)
     _expect(found.shape == expected, rig, f"forward gave shape {tuple(found.shape)} for one pose, expected {expected}")
     distance = (found[0] - rig.rest_vertices).norm(dim=1).max()
-    _expect(bool(distance <= MM), rig, f"neutral controls move a vertex {distance:.4g} mm from the rest mesh")
+    _expect(bool(distance <= _tolerance(rig)), rig, f"neutral controls move a vertex {distance:.4g} mm from the rest mesh")
 
 
 @torch.no_grad()
 def _batch(rig: RigBackend, controls: Tensor) -> None:
     difference = (rig(controls) - torch.cat([rig(row[None]) for row in controls])).abs().max()
-    _expect(bool(difference <= MM), rig, f"poses in a batch differ by {difference:.4g} mm from the same poses alone")
+    _expect(
+        bool(difference <= _tolerance(rig)), rig, f"poses in a batch differ by {difference:.4g} mm from the same poses alone"
+    )
 
 
 @torch.no_grad()
@@ -97,7 +104,7 @@ def _linear(rig: LinearRig, controls: Tensor) -> None:
     _expect(len(rig.coefficient_names) == len(rig.basis), rig, "as many coefficient names as coefficients are needed")
     change = torch.einsum("bk,kvc->bvc", coefficients - rig.neutral_coefficients(), rig.basis)
     difference = (rig.rest_vertices + change - rig(controls)).abs().max()
-    _expect(bool(difference <= MM), rig, f"coefficients times basis lie {difference:.4g} mm from the vertices")
+    _expect(bool(difference <= _tolerance(rig)), rig, f"coefficients times basis lie {difference:.4g} mm from the vertices")
 
 
 def _gradients(rig: RigBackend, controls: Tensor) -> None:

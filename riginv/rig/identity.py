@@ -54,9 +54,9 @@ def fingerprint(rig: LinearRig) -> Tensor:
 
 
 def check_same_rig(where: str, described: dict[str, Any], rig: LinearRig) -> None:
-    """Raises InputError where a store's poses are of another rig; a surrogate's meshes are not compared."""
-    begin = f"{where} holds poses of rig '{described['name']}', and rig '{rig.name}'"
-    end = "name the rig that it was sampled from, or sample another store"
+    """Raises InputError where a store or a prior is of another rig; a surrogate's meshes are not compared."""
+    begin = f"{where} was made with rig '{described['name']}', and rig '{rig.name}'"
+    end = "name the rig that it was made with, or make another with this one"
     theirs, ours = described["controls"], [vars(control) for control in rig.controls]
     if len(theirs) != len(ours):
         raise InputError(f"{begin} has {len(ours)} controls instead of {len(theirs)}: {end}")

@@ -84,6 +84,8 @@ def read_inputs(path: Path, file: DnaFile) -> Arrays:
                 f"{path}: {name} is {found[name].dtype} of shape {found[name].shape}, expected numbers of shape "
                 f"(row, {count}), the {name} controls of {file.path}"
             )
+        if name in found and not (len(found[name]) and np.isfinite(found[name]).all()):
+            raise InputError(f"{path}: {name} has no rows, or values that are not finite, expected numbers in every row")
     return found
 
 

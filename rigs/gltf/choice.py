@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from riginv.clips.sequence import StillMeshError
 from riginv.errors import InputError, listed
 from rigs.gltf.animation import CUBIC, Channel
 from rigs.gltf.channels import animation_names, read_channels, unnamed
@@ -46,7 +47,10 @@ def choose_animation(file: GltfFile, meshes: PosedMeshes, requested: Any) -> Cho
     """
     names = animation_names(file)
     if not names:
-        raise InputError(f"{file.path}: no animation in it: export it with its animation, or give another clip")
+        raise StillMeshError(
+            f"{file.path}: no animation in it: export it with its animation, or give another clip "
+            f"(correspondence=surface fits a still mesh as a scan)"
+        )
     if requested is not None:
         return _requested(file, meshes, names, requested if isinstance(requested, list | tuple) else [requested])
     still = None

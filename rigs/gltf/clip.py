@@ -9,6 +9,7 @@ import numpy as np
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
+from riginv.meshes.mesh_file import MeshFile
 from riginv.rig.interface import RigBackend
 from rigs.gltf.bones import bones_clip
 from rigs.gltf.channels import animation_names
@@ -19,6 +20,7 @@ from rigs.gltf.posing import PosedMeshes, poses_at
 from rigs.gltf.rig import GltfRig
 from rigs.gltf.scene import Scene, read_scene
 from rigs.gltf.selection import listed_meshes, mesh_name, mesh_nodes
+from rigs.gltf.still import GltfMesh
 from rigs.gltf.timing import Timing, timing_of
 
 METRE = 1000.0  # mm, the unit of glTF
@@ -63,6 +65,10 @@ class GltfClip(MeshSequence):
     @classmethod
     def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> MeshSequence:
         return bones_clip(path, options, rig) or cls(path, options, rig)
+
+    @classmethod
+    def still(cls, path: Path) -> MeshFile:
+        return GltfMesh(path)
 
     def read(self, start: int, stop: int) -> np.ndarray:
         poses = poses_at(self.channels, self.times[start:stop])

@@ -14,6 +14,29 @@ def test_the_toy_and_a_black_box_keep_the_contract():
     check_rig(BlackBox())
 
 
+class Hill(ToyRig):
+    """A rig of 50 m, whose float32 meshes have steps of 0.004 mm, which a batch may round differently."""
+
+    step_mm = 0.03
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rest_vertices, self.basis = 500 * self.rest_vertices, 500 * self.basis
+
+    def forward(self, controls):
+        return super().forward(controls) + (self.step_mm if len(controls) > 1 else 0.0)
+
+
+class UnevenHill(Hill):
+    step_mm = 0.2
+
+
+def test_the_tolerance_grows_with_the_rig():
+    check_rig(Hill())
+    with pytest.raises(ContractError, match="poses in a batch differ"):
+        check_rig(UnevenHill())
+
+
 def test_the_face_keeps_the_contract(face):
     check_rig(face)
 

@@ -93,7 +93,7 @@ def test_the_controls_of_another_actor_are_found(how, moving, run, rig, tmp_path
         (["actor.neutral={mixed}"], "from the rig on average, expected at most"),
         (["actor.neutral={other}"], "cannot be brought onto the mesh"),
         (["actor.neutral={few}"], "fewer than 50 points"),
-        (["actor.neutral={npz}"], "a scan is an OBJ or PLY file, which is wrapped"),
+        (["actor.neutral={npz}"], "a scan is an OBJ, PLY or glTF file, which is wrapped"),
         (["actor.neutral={nan}"], "not finite"),
         (["actor.neutral=solve", "actor.neutral_frames=[1]"], "are both given"),
         (["actor.neutral_frames=[900]"], "actor.neutral_frames names 900"),
@@ -162,6 +162,9 @@ def test_scans_of_another_actor_drive_the_rig(run, tmp_path):
     assert max(errors["file"], errors["frame"], errors["solve"]) < 0.5 * errors["plain"], errors
     assert (tmp_path / "frame/actor.obj").is_file() and "solved for with 4 scans" in outcome.text
     assert "do not tell the shape of a face from its expression" in outcome.text
+    write_npz(tmp_path / "one.npz", meshes[:1], rig.faces.numpy())
+    outcome = run("invert", *common[:-3], f"clip={tmp_path / 'one.npz'}", "reading.unit=mm", "out=one", "actor.neutral=solve")
+    assert outcome.code == 0 and "one frame does not tell the shape" in outcome.text, outcome.text
 
 
 def test_a_network_serves_an_actor_as_it_serves_the_rig(run, rig, tmp_path):

@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
 from riginv.clips.options import ReadingOptions
@@ -18,6 +19,7 @@ from tests.support.pages import read_page
 from tests.support.scans import posed_mesh, resampled, write_ply, write_ragged
 from tests.support.toys import ToyRig
 
+NO_LOOK = ("look.page=false", "look.sheet=false")
 CONF = ROOT / "tests/conf"
 CONTROLS = torch.tensor([0.3, 0.6, 0.2, 0.5, 0.4, -0.5, 0.3])
 
@@ -91,6 +93,72 @@ def test_a_scan_is_cleaned_of_what_cannot_be_used():
     assert Scan(points[:49], None).cleaned() is None
 
 
+def test_a_mesh_whose_faces_share_no_vertex_is_as_one_whose_faces_do():
+    points, faces = scans_of(ToyRig())[0]
+    apart = Scan(points[faces.reshape(-1)], np.arange(faces.size).reshape(-1, 3)).cleaned()
+    assert len(apart.points) == len(points) and len(apart.faces) == len(faces)
+    np.testing.assert_array_equal(apart.points[apart.faces], points[faces])
+    assert not apart.surface(1.0, np.eye(3)).border_points.any()
+
+
+def test_points_that_repeat_are_one():
+    points = np.random.default_rng(0).normal(size=(60, 3))
+    found = Scan(np.repeat(points, 20, axis=0), None, np.repeat(points, 20, axis=0)).cleaned()
+    np.testing.assert_array_equal(found.points, points)
+    np.testing.assert_array_equal(found.normals, points)
+    assert Scan(np.repeat(points[:40], 20, axis=0)).cleaned() is None
+
+
+@pytest.mark.parametrize("wrong", [0.0, np.nan])
+def test_normals_without_a_direction_are_estimated(wrong):
+    points = scans_of(ToyRig())[0][0]
+    normals = points.copy()
+    normals[3] = wrong
+    surface = Scan(points, None, normals).cleaned().surface(1.0, np.eye(3))
+    assert np.isfinite(surface.normals).all() and (surface.normals * points).sum(axis=1).min() > 0
+
+
+def test_ragged_arrays_have_the_names_and_the_rate_of_other_arrays(tmp_path):
+    points, faces = scans_of(ToyRig())[0]
+    far = points + np.array([4e6, 0, 0])  # a float32 there has steps of 0.5 mm
+    arrays = {"vertices": far, "offsets": [0, len(far)], "triangles": faces, "face_offsets": [0, len(faces)]}
+    np.savez(tmp_path / "take.npz", **arrays, frame_rate="30000/1001", frame_numbers=[17.0])
+    scans = RaggedArrays(tmp_path / "take.npz")
+    assert scans.fps == pytest.approx(29.97, abs=1e-3) and scans.frame_numbers.tolist() == [17]
+    np.testing.assert_array_equal(scans.scan(0).points, far)
+    np.testing.assert_array_equal(scans.scan(0).faces, faces)
+
+
+def test_still_gltf_files_are_scans_in_metres(run, tmp_path):
+    for number, (points, faces) in enumerate(scans_of(ToyRig())):
+        scene, place = trimesh.Scene(), trimesh.transformations.translation_matrix([0.1, 0.2, 0.3])
+        half = len(faces) // 2
+        scene.add_geometry(trimesh.Trimesh(points / 1000, faces[:half], process=False), node_name="left")
+        moved = points / 1000 - place[:3, 3]
+        scene.add_geometry(trimesh.Trimesh(moved, faces[half:], process=False), node_name="right", transform=place)
+        scene.export(tmp_path / f"scan.{number}.glb")
+    pattern = f"clip={tmp_path}/scan.%d.glb"
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", pattern, "out=got", "motion=keep", *NO_LOOK)
+    assert done.code == 0 and "scans (GLB), 3 frames 0 to 2" in done.text and "unit m (as the file says)" in done.text
+    rows = list(csv.DictReader((tmp_path / "got/scans.csv").read_text().splitlines()))
+    assert all(float(row["scan_to_rig_mm"]) < 0.1 and float(row["scan_explained"]) > 0.95 for row in rows)
+    alone = f"clip={tmp_path}/scan.0.glb"
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", alone, "out=no")
+    assert done.code == 1 and "no animation in it" in done.text and "correspondence=surface" in done.text
+    surface = ("correspondence=surface", "reading.mesh=left", "out=one", *NO_LOOK)
+    assert run("invert", "rig=toy", f"--config-dir={CONF}", alone, *surface).code == 0
+    done = run("wrap", "rig=toy", f"--config-dir={CONF}", f"scan={tmp_path}/got/curves.csv", "out=wrapped.obj")
+    assert done.code == 1 and "ends in .obj, .ply" in done.text and "Traceback" not in done.text
+
+
+def test_objects_of_a_scan_are_chosen(tmp_path):
+    lines = [f"v {number} 0 0" for number in range(9)]
+    text = ["o hair", *lines[:3], "f 1 2 3", "o face", *lines[3:], "f 4 5 6", "f 7 8 9"]
+    (tmp_path / "scan.obj").write_text("\n".join(text))
+    scan = FileScans(str(tmp_path / "scan.obj"), ReadingOptions(mesh="face")).scan(0)
+    assert scan.points[:, 0].tolist() == [3, 4, 5, 6, 7, 8] and scan.faces.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
 @pytest.mark.parametrize(("factor", "mm"), [(1.0, 1.0), (0.1, 10.0), (0.001, 1000.0)])
 def test_the_unit_is_told_by_the_size(tmp_path, factor, mm):
     rig = ToyRig()
@@ -161,3 +229,10 @@ def test_scans_that_are_inside_out_are_said_to_be(run, tmp_path):
     write_ragged(tmp_path / "take.npz", [(points, faces[:, ::-1]) for points, faces in scans_of(ToyRig())], fps=30.0)
     done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got")
     assert done.code == 1 and "normals" in done.text
+
+
+def test_what_was_read_is_said_as_it_is(run, tmp_path):
+    lying = [(points[:, [0, 2, 1]] * [1, -1, 1] + [900, 0, 0], faces) for points, faces in scans_of(ToyRig())]
+    write_ragged(tmp_path / "take.npz", lying, frame_numbers=np.array([10, 12, 16]))
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got")
+    assert done.code == 0 and "3 frames 10 to 16 (1 missing: 14)" in done.text, done.text

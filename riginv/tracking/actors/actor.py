@@ -11,6 +11,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.tracking.fixed_controls import FixedControlsRig
 
 SOLVE = "solve"  # the setting, in place of a file
+FEW = 6  # frames
 
 
 @dataclass(frozen=True)
@@ -92,12 +93,16 @@ class PosedActor(RigBackend):
         return self.rig.vertex_colors()
 
 
-def solved_note(steps: int) -> str:
-    """A sentence on a neutral that was solved for."""
-    return (
+def solved_notes(steps: int, frames: int) -> list[str]:
+    """Sentences on a neutral that was solved for with some frames."""
+    notes = [
         f"the neutral was found in {steps} steps: a control that never comes to rest in the clip may keep an error "
         f"(actor.neutral=FILE avoids it)"
-    )
+    ]
+    if frames < FEW:
+        which = "one frame does" if frames == 1 else f"{frames} frames do"
+        notes.append(f"{which} not tell the shape of a face from its expression: give actor.neutral=FILE, the actor at rest")
+    return notes
 
 
 def posed_actor(rig: RigBackend, actor: Actor | None) -> RigBackend:

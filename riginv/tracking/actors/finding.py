@@ -14,7 +14,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.console import show_lines
 from riginv.solvers.offset import OffsetSolver
-from riginv.tracking.actors.actor import SOLVE, Actor, ActorRig, solved_note
+from riginv.tracking.actors.actor import SOLVE, Actor, ActorRig, solved_notes
 from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, neutral_of_frames, read_neutral
 from riginv.tracking.alternation import MIN_KNOWN
 from riginv.tracking.assembly import build_solver
@@ -85,7 +85,7 @@ class _Finder:
             moved = torch.where(known, found.vertices, torch.nan)
             found = self._solver(LEAST_SPARSITY).solve(moved, found.neutral, STEPS, found.units)
             steps += found.steps
-        notes = [solved_note(steps)]
+        notes = solved_notes(steps, len(frames))
         if not bool(known.any(dim=0).all()):
             notes.append(f"{int((~known.any(dim=0)).sum()):,} vertices are never known: the actor has the rig's there")
         return self._actor(found.neutral, SOLVE, notes, {"frames": len(frames), "steps": steps})

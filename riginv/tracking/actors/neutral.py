@@ -10,6 +10,7 @@ from torch import Tensor
 from riginv.clips.clip import Clip, frames_named
 from riginv.clips.open import open_clip
 from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.sequence import StillMeshError
 from riginv.clips.topology import TopologyError
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
@@ -53,7 +54,9 @@ def read_neutral(path: str, rig: RigBackend, reading: ReadingOptions) -> GivenNe
         if error.same_count:
             raise InputError(f"actor.neutral={error}") from None
         if Path(path).suffix.lower() not in SUFFIXES:
-            raise InputError(f"actor.neutral={error}; a scan is an OBJ or PLY file, which is wrapped") from None
+            raise InputError(f"actor.neutral={error}; a scan is an OBJ, PLY or glTF file, which is wrapped") from None
+        return _wrapped(path, rig, reading)
+    except StillMeshError:
         return _wrapped(path, rig, reading)
     if len(clip) != 1:
         raise InputError(

@@ -11,7 +11,7 @@ from riginv.errors import InputError
 from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.runs.console import show_lines
-from riginv.tracking.actors.actor import SOLVE, Actor, solved_note
+from riginv.tracking.actors.actor import SOLVE, Actor, solved_notes
 from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, read_neutral, wrapped
 from riginv.tracking.actors.scan_offset import ScanOffset, ScanOffsetSettings
 from riginv.tracking.options import ActorOptions
@@ -19,8 +19,6 @@ from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver
-
-FEW = 6  # scans
 
 
 @torch.no_grad()
@@ -63,11 +61,7 @@ def solve_actor(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows:
             f"{scans.path}: actor.neutral=solve finds no face near that of rig '{rig.name}': are they scans of the same part "
             f"of a person, in the unit that was read, with normals that point outwards? set reading.unit and reading.up"
         ) from None
-    notes = [solved_note(settings.schedule.steps)]
-    if len(targets) < FEW:
-        notes.append(
-            f"{len(targets)} scans do not tell the shape of a face from its expression: give actor.neutral=FILE, a scan at rest"
-        )
+    notes = solved_notes(settings.schedule.steps, len(targets))
     facts = {"frames": len(targets), "steps": settings.schedule.steps}
     return Actor(neutral, neutral - rig.rest_vertices, scale, SOLVE, tuple(notes), facts)
 

@@ -59,7 +59,7 @@ class MarkerParts:
         flat = self.points[torch.isfinite(self.points).all(dim=2).sum(dim=1).argmax()].numpy()
         size = np.nan_to_num(np.nanmax(flat, axis=0) - np.nanmin(flat, axis=0))
         motion = ClipMotion(len(numbers), len(numbers), 0, tuple(size.tolist()), 0.0, 0.0, ())
-        spans = span_of(numbers), self.all_frames, missing_frames(numbers)[0], self.excluded
+        spans = span_of(numbers), self.all_frames, missing_frames(numbers), self.excluded
         return describe_points(clip.path, clip.facts, len(clip.names), *spans, self.units, motion, self.notes)
 
 

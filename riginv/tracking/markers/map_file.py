@@ -1,7 +1,7 @@
 """The map of markers to points of a rig's surface, as YAML; and its comparison with the names of a clip."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,7 @@ def matched(
 ) -> tuple[MarkerClip, Placement, list[str]]:
     """The markers that both a clip and a map have, in the map's order, and notes.
 
-    A prefix such as `actor:` of all names of a clip is ignored if the map does not have it.
+    Prefixes such as `actor:` are ignored if the map has none, and nothing is named alike without them.
 
     Args:
         path: of the map, for messages.
@@ -113,9 +113,8 @@ def matched(
         InputError: names do not match and the policy does not ignore that, or fewer than 4 do.
     """
     names, notes = list(clip.names), []
-    prefixes = {name.rpartition(":")[0] for name in names}
-    if len(prefixes) == 1 and not set(names) & set(placement.names):
-        names = [name.rpartition(":")[2] for name in names]
+    if not set(names) & set(placement.names):
+        names = _without_prefixes(names, placement.names)
     new = [name for name in names if name not in placement.names]
     missing = [name for name in placement.names if name not in names]
     if new and not reading.accepts_new:
@@ -138,3 +137,11 @@ def matched(
     shared = placement.subset(rows)
     columns = [names.index(name) for name in shared.names]
     return clip.select(shared.names, clip.points[:, columns], clip.frame_numbers), shared, notes
+
+
+def _without_prefixes(names: list[str], known: Sequence[str]) -> list[str]:
+    """Names without their prefixes; of clips with several prefixes only those that are known, once, without it."""
+    bare = [name.rpartition(":")[2] for name in names]
+    if len({name.rpartition(":")[0] for name in names}) == 1:
+        return bare
+    return [short if short in known and bare.count(short) == 1 else name for name, short in zip(names, bare)]

@@ -58,7 +58,7 @@ class ScanParts:
                 size, points = tuple(np.ptp(upright, axis=0).tolist()), len(cleaned.points)
                 break
         scans, motion = self.scans, ClipMotion(1, len(numbers), 0, size, 0.0, 0.0, ())
-        spans = span_of(numbers), span_of(scans.frame_numbers), missing_frames(numbers)[0], self.rows.count(-1)
+        spans = span_of(numbers), span_of(scans.frame_numbers), missing_frames(numbers), self.rows.count(-1)
         return describe_points(scans.path, scans.facts, points, *spans, self.units, motion, self.notes)
 
 

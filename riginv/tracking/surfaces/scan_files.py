@@ -1,49 +1,61 @@
-"""Readers of scans: OBJ and PLY files, ragged arrays, and clips of one topology."""
+"""Readers of scans: OBJ, PLY and glTF files, ragged arrays, and clips of one topology."""
 
 import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from riginv.clips.numbered import find_frames, visible_files
+from riginv.clips.array_facts import FACES, METADATA, frame_times
+from riginv.clips.arrays import VERTICES
+from riginv.clips.file_frames import vertices_of
+from riginv.clips.numbered import find_frames, is_pattern, visible_files
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts
+from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts, StillMeshError
 from riginv.clips.units import ClipUnits
+from riginv.config.building import class_of
 from riginv.errors import InputError, in_short
+from riginv.meshes.mesh_file import MeshFile, note_on_objects
 from riginv.meshes.polygons import Polygons
-from riginv.meshes.reading import read_mesh
+from riginv.meshes.reading import READERS, read_mesh
 from riginv.rig.interface import RigBackend
 from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
 from riginv.tracking.surfaces.scans import Scan, ScanSequence
 from riginv.tracking.surfaces.units import resolve_scan_units
 
-SUFFIXES = (".obj", ".ply")
+SUFFIXES = (".obj", ".ply", ".glb", ".gltf")  # of files that are a scan each
 
 
 class FileScans(ScanSequence):
-    """OBJ or PLY files, one per frame, each with any number of points.
+    """OBJ, PLY or glTF files, one per frame, each with any number of points.
 
     Args:
         path: as in `find_frames`.
-        options: `missing_frames`.
+        options: `missing_frames`, and `mesh`: the objects that are read; `readers` of glTF files.
     """
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
         suffix = _suffix(Path(path))
         self.frames = find_frames(path, suffix, options.missing_frames == "bridge")
-        facts = SourceFacts(f"scans ({suffix[1:].upper()})", notes=self.frames.notes)
-        super().__init__(path, self.frames.numbers, facts)
+        self.options, first = options, _read(self.frames.first, options)
+        notes = (*self.frames.notes, *first.notes, *options.unused(suffix[1:].upper(), not first.objects))
+        notes += note_on_objects(self.frames.first, [name for name in first.objects if name in (options.mesh_names or [name])])
+        facts = SourceFacts(f"scans ({suffix[1:].upper()})", notes=notes)
+        super().__init__(path, self.frames.numbers, facts, None, first.unit_mm, first.up)
 
     def scan(self, index: int) -> Scan | None:
         path = self.frames.paths[index]
         if path is None:
             return None
-        mesh = read_mesh(path)
+        mesh = _read(path, self.options)
         polygons = mesh.polygons()
         if polygons is not None:
             polygons.check(path, len(mesh.points))
-        return Scan(mesh.points, None if polygons is None else triangulated(polygons))
+        points = mesh.points
+        if self.options.mesh_names and mesh.objects:
+            selected = vertices_of(mesh, self.options.mesh_names)
+            points, polygons = points[selected], None if polygons is None else polygons.among(selected)
+        return Scan(points, None if polygons is None else triangulated(polygons))
 
 
 class MeshScans(ScanSequence):
@@ -63,19 +75,21 @@ class RaggedArrays(ScanSequence):
 
     It holds `points (point, 3)` and `offsets (frame + 1,)`: frame f has the points from offsets[f] up to offsets[f + 1]. Meshes
     have `faces (face, 3)`, with vertex indices within their frame, and `face_offsets (frame + 1,)`; point clouds may have
-    `normals (point, 3)`. `fps` and `frame_numbers` as in other clips.
+    `normals (point, 3)`. Other names of the points, rate, times and frame numbers as in other clips.
     """
 
     def __init__(self, path: Path) -> None:
         self.arrays = _load(path)
-        points, offsets = self.arrays.get("points"), self.arrays.get("offsets")
-        if points is None or offsets is None:
+        name, offsets = next((name for name in VERTICES if name in self.arrays), "points"), self.arrays.get("offsets")
+        if name not in self.arrays or offsets is None:
             raise InputError(f"{path}: scans need the arrays points and offsets, found {', '.join(self.arrays) or 'none'}")
-        _check_floats(path, "points", points)
+        self.points = points = self.arrays[name]
+        _check_floats(path, name, points)
         _check_offsets(path, "offsets", offsets, len(points))
-        frames = len(offsets) - 1
-        if "faces" in self.arrays:
-            faces, starts = self.arrays["faces"], self.arrays.get("face_offsets")
+        frames, notes = len(offsets) - 1, list[str]()
+        self.faces = faces = next((self.arrays[name] for name in FACES if name in self.arrays), None)
+        if faces is not None:
+            starts = self.arrays.get("face_offsets")
             if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or starts is None:
                 raise InputError(
                     f"{path}: faces of scans are whole numbers (face, 3) with face_offsets (frame + 1,) beside them"
@@ -83,23 +97,20 @@ class RaggedArrays(ScanSequence):
             _check_offsets(path, "face_offsets", starts, len(faces), frames)
         if "normals" in self.arrays:
             _check_floats(path, "normals", self.arrays["normals"], len(points))
-        numbers = self.arrays.get("frame_numbers", np.arange(frames))
-        if numbers.shape != (frames,) or numbers.dtype.kind not in "iu" or (np.diff(numbers.astype(np.int64)) <= 0).any():
-            raise InputError(f"{path}: frame_numbers are no {frames} whole numbers that rise")
-        rate = self.arrays.get("fps")
-        if rate is not None and (rate.size != 1 or rate.dtype.kind not in "iuf"):
-            raise InputError(f"{path}: fps is {rate.dtype} of shape {rate.shape}, expected one number")
-        facts = SourceFacts("scans (NumPy .npz)", rate_source="" if rate is None else "its array fps")
-        super().__init__(path, numbers, facts, None if rate is None else float(rate.reshape(-1)[0]))
+        times = frame_times(path, self.arrays, frames, notes)
+        if (np.diff(times.numbers) <= 0).any():
+            raise InputError(f"{path}: frame_numbers do not rise: put the frames in order")
+        facts = SourceFacts("scans (NumPy .npz)", rate_source=times.rate_source, notes=tuple(notes))
+        super().__init__(path, times.numbers, facts, times.fps)
 
     def scan(self, index: int) -> Scan | None:
         first, last = (int(value) for value in self.arrays["offsets"][index : index + 2])
-        points = self.arrays["points"][first:last].astype(np.float32)
+        points = self.points[first:last]
         normals = self.arrays.get("normals")
-        if "faces" not in self.arrays:
+        if self.faces is None:
             return Scan(points, None, None if normals is None else normals[first:last])
         start, stop = (int(value) for value in self.arrays["face_offsets"][index : index + 2])
-        faces = self.arrays["faces"][start:stop].astype(np.int64)
+        faces = self.faces[start:stop].astype(np.int64)
         Polygons.triangles(faces).check(self.path, len(points))
         return Scan(points, faces)
 
@@ -113,9 +124,12 @@ def open_scans(path: str, rig: RigBackend, reading: ReadingOptions) -> ScanSeque
     given = Path(path)
     if is_ragged(path):
         return RaggedArrays(given)
-    if given.suffix.lower() in SUFFIXES or given.is_dir():
+    if given.suffix.lower() in READERS or holds_scans(path):
         return FileScans(path, reading)
-    return MeshScans(open_sequence(path, rig, reading))
+    try:
+        return MeshScans(open_sequence(path, rig, reading))
+    except StillMeshError:
+        return FileScans(path, reading)
 
 
 def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "scan") -> tuple[Scan, ClipUnits]:
@@ -136,6 +150,16 @@ def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "s
     return cleaned, resolve_scan_units(scans, rig, reading)
 
 
+def holds_scans(path: str) -> bool:
+    """Whether a path can only hold scans: ragged arrays, or a glTF file for each frame."""
+    given = Path(path)
+    try:
+        several = given.is_dir() or (is_pattern(path) and not given.exists())
+    except OSError:  # its reader reports it
+        return False
+    return is_ragged(path) or (several and _suffix(given) in set(SUFFIXES) - set(READERS))
+
+
 def is_ragged(path: str) -> bool:
     """Whether a path is an .npz of ragged arrays."""
     given = Path(path)
@@ -148,6 +172,18 @@ def is_ragged(path: str) -> bool:
             return "offsets.npy" in archive.namelist()
     except (*DAMAGED_ZIP, OSError, ValueError):
         return False  # its reader reports what is wrong
+
+
+def _read(path: Path, options: ReadingOptions) -> MeshFile:
+    """The mesh in the file of one scan."""
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        return read_mesh(path)
+    known = options.readers.get(suffix[1:])
+    if known is None:
+        raise InputError(f"{path}: a scan is a file that ends in {', '.join(READERS)}: export it as one of these")
+    reader: type[MeshSequence] = class_of(known, kind=MeshSequence)
+    return reader.still(path)
 
 
 def _suffix(given: Path) -> str:
@@ -171,7 +207,7 @@ def _load(path: Path) -> dict[str, np.ndarray]:
     try:
         check_npz(path)
         with np.load(path, allow_pickle=False) as archive:
-            wanted = ("points", "offsets", "faces", "face_offsets", "normals", "fps", "frame_numbers")
+            wanted = (*VERTICES, "offsets", "face_offsets", "normals", *METADATA)
             return {name: archive[name] for name in wanted if name in archive}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; clip=PATH names a clip") from None
@@ -190,7 +226,8 @@ def _check_offsets(path: Path, name: str, values: np.ndarray, last: int, frames:
     good = values.ndim == 1 and values.dtype.kind in "iu" and len(values) >= 2 and frames in (None, len(values) - 1)
     if not good or values[0] != 0 or int(values[-1]) != last or (np.diff(values.astype(np.int64)) < 0).any():
         raise InputError(
-            f"{path}: {name} must rise from 0 to {last}, one more than there are frames; found shape {values.shape}"
+            f"{path}: {name} must be whole numbers that rise from 0 to {last}, one more than there are frames; found "
+            f"{values.dtype} of shape {values.shape}"
         )
     if np.diff(values.astype(np.int64)).max() > MAX_VERTICES:
         raise InputError(f"{path}: a scan of more than {MAX_VERTICES} points: damaged; save it again")

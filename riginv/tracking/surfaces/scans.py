@@ -27,14 +27,16 @@ class Scan(NamedTuple):
     normals: np.ndarray | None = None
 
     def cleaned(self) -> "Scan | None":
-        """The scan without non-finite points, degenerate faces, and mesh points that no face uses.
+        """The scan without non-finite points, degenerate faces, and mesh points that no face uses; equal points are merged.
 
-        None where fewer than 50 points remain: too few to fit.
+        None where fewer than 50 points remain: too few to fit. Normals are dropped where some have no direction.
         """
-        known = np.isfinite(self.points).all(axis=1)
-        faces, used = self.faces, known
+        kept, merged = distinct_points(self.points)
+        points, faces = self.points[kept], None if self.faces is None else merged[self.faces]
+        known = np.isfinite(points).all(axis=1)
+        used = known
         if faces is not None:
-            corners = np.where(known[:, None], self.points, 0.0)[faces]
+            corners = np.where(known[:, None], points, 0.0)[faces]
             area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
             faces = faces[known[faces].all(axis=1) & (area > 0)]
             used = np.zeros(len(known), bool)
@@ -42,8 +44,10 @@ class Scan(NamedTuple):
         if used.sum() < MIN_POINTS:
             return None
         renumbered = np.cumsum(used) - 1
-        normals = None if self.normals is None else self.normals[used]
-        return Scan(self.points[used], None if faces is None else renumbered[faces], normals)
+        normals = None if self.normals is None else self.normals[kept][used]
+        if normals is not None and not (np.isfinite(normals).all(axis=1) & (normals != 0).any(axis=1)).all():
+            normals = None
+        return Scan(points[used], None if faces is None else renumbered[faces], normals)
 
     def surface(self, mm: float, axes: np.ndarray, shift: np.ndarray | float = 0.0) -> Surface:
         """The scan as a surface in millimetres, y up.
@@ -95,3 +99,15 @@ class ScanSequence(ABC):
         Raises:
             InputError: the file turns out to be damaged there.
         """
+
+
+def distinct_points(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The indices of points `(point, 3)` without those that repeat an earlier one, ascending, and the new index of each.
+
+    Exporters split vertices at seams, or at every face: such a mesh would consist of borders.
+    """
+    rows = np.ascontiguousarray(points) + 0.0  # -0.0 and 0.0 are equal, and differ in their bytes
+    whole = rows.view(np.dtype((np.void, rows.dtype.itemsize * 3))).reshape(-1)
+    _, first, group = np.unique(whole, return_index=True, return_inverse=True)
+    kept = np.sort(first)
+    return kept, np.searchsorted(kept, first[group.reshape(-1)])

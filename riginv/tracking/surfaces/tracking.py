@@ -78,7 +78,7 @@ def track_scans(
         solutions.append(solution if is_smooth or target is None or solution is None else solver.finished(target, solution))
         advance("each frame", 1)
     has_scan = [solution is not None for solution in solutions]
-    _check(scans, [solution for solution in solutions if solution is not None], solver)
+    _check(scans, [solution for solution in solutions if solution is not None], solver, units)
     if smoothness is not None and is_smooth:
         solved = smooth_scans(solver, load, solutions, smoothness, lambda done: advance("the whole clip", done))
     else:
@@ -87,35 +87,55 @@ def track_scans(
     for row in np.unique(np.linspace(0, len(solved) - 1, SAMPLED_FRAMES).astype(int)).tolist():
         if (target := load(row)) is not None:
             uncertainties[row] = uncertainty(solver, target, solved[row])
-    return _result(solver, solved, has_scan, uncertainties)
+    return _result(solver, solved, has_scan, uncertainties, units)
 
 
-def _check(scans: ScanSequence, solutions: list[SolvedScan], solver: ScanSolver) -> None:
+def _check(scans: ScanSequence, solutions: list[SolvedScan], solver: ScanSolver, units: ClipUnits) -> None:
     if not solutions:
         raise InputError(f"{scans.path}: no frame holds a scan of 50 points or more: there is nothing to fit")
     if all("lost" in solver.flags(solution) for solution in solutions):
         distance = min(solution.quality.explained for solution in solutions)
         raise InputError(
             f"{scans.path}: none of its {len(solutions)} scans can be brought onto rig '{solver.rig.name}' (at most "
-            f"{distance:.0%} of a scan's points come near it): is it a scan of this rig's actor, in the unit that was read, "
-            f"with normals that point outwards? set reading.unit and reading.up"
+            f"{distance:.0%} of a scan's points come near it): is it a scan of this rig's actor, in units of {units.mm:g} mm, "
+            f"with {units.up} up and normals that point outwards? set reading.unit and reading.up"
         )
 
 
+def _notes_on_rotation(ups: np.ndarray, assumed: str, rotated: int) -> list[str]:
+    """Sentences about scans that are not upright as they were read.
+
+    Args:
+        ups: the direction up of the rig in each scan, along the file's axes, `(scan, 3)`.
+        assumed: the up axis that they were read with.
+        rotated: the number of scans that were rotated by right angles to fit.
+    """
+    mean = ups.mean(axis=0)
+    axis = "xyz"[int(np.abs(mean).argmax())]
+    notes = [f"{rotated} of the scans were rotated by right angles to fit; each starts from the one before"] * (rotated > 0)
+    if axis != assumed and mean.max() > -mean.min():
+        notes.append(f"the scans have {axis} up, and were read with {assumed} up: reading.up={axis} reads them upright")
+    return notes
+
+
 def _result(
-    solver: ScanSolver, solutions: list[SolvedScan], has_scan: list[bool], uncertainties: dict[int, Uncertainty]
+    solver: ScanSolver,
+    solutions: list[SolvedScan],
+    has_scan: list[bool],
+    uncertainties: dict[int, Uncertainty],
+    units: ClipUnits,
 ) -> ScanTrack:
     fit, settings = solver.fit_of(1.0), solver.settings
     rows = np.array(sorted(uncertainties))
     flags: list[list[str]] = []
-    notes: list[str] = []
     for row, (solution, scanned) in enumerate(zip(solutions, has_scan)):
         near = uncertainties[int(rows[np.abs(rows - row).argmin()])]
         ambiguous = [AMBIGUOUS] if near.skin_mm > settings.ambiguous_mm else []
         flags.append([*solver.flags(solution), *ambiguous] if scanned else [NO_SCAN])
-    rotated = sum(solution.turned for solution in solutions)
-    if rotated:
-        notes.append(f"{rotated} scans were rotated by right angles to fit: is reading.up=z missing?")
+    ups = [solution.state.motion.rotation[:, 1] for solution, scanned in zip(solutions, has_scan) if scanned]
+    notes = _notes_on_rotation(
+        np.array(ups) @ units.axes.double().numpy(), units.up, sum(solution.turned for solution in solutions)
+    )
     values = [solution.quality[1:5] if scanned else [torch.nan] * 4 for solution, scanned in zip(solutions, has_scan)]
     scan_mm, rig_mm, seen, explained = torch.tensor(values).float().T
     return ScanTrack(

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from riginv.errors import InputError
 from rigs.dna.format import DnaFile
 from rigs.dna.format.later_layers import (
     MachineLearning,
@@ -66,7 +67,9 @@ class Logic(Stage):
         definition, behavior = file.need(Definition), file.need(Behavior)
         self.layout = layout = Layout.of(file)
         if not 0 <= lod < max(layout.lod_count, 1):
-            raise layout.wrong(f"level of detail {lod} was requested, the file has {layout.lod_count}")
+            raise InputError(
+                f"{file.path}: rig.lod={lod}, expected 0 to {max(layout.lod_count, 1) - 1}, the levels of the file"
+            )
         table = behavior.controls.table
         self.table = ConditionTable(layout, "the GUI table", table, len(table.inputs), layout.gui, layout.raw)
         learned, operations = file.find(MachineLearning), file.find(MachineLearningOperations)

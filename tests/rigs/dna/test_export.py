@@ -151,10 +151,12 @@ def test_a_file_is_copied_and_evaluated_by_commands(run, tmp_path):
         (["inputs=a.dna", "out=o.npz"], "no .npz, or a damaged one"),
         (["inputs=odd.npz", "out=o.npz"], "neither raw nor gui in it"),
         (["inputs=few.npz", "out=o.npz"], r"raw is float64 of shape (4, 3), expected numbers of shape (row, 12)"),
+        (["inputs=lost.npz", "out=o.npz"], "raw has no rows, or values that are not finite"),
         (["inputs=in.npz", "out=o.csv"], "expected the name of a file that ends in .npz"),
     ):
         np.savez(tmp_path / "odd.npz", rows=np.zeros(3))
         np.savez(tmp_path / "few.npz", raw=np.zeros((4, 3)))
+        np.savez(tmp_path / "lost.npz", raw=np.full((4, 12), np.nan))
         outcome = run("evaluate_dna", "file=a.dna", *arguments)
         assert outcome.code == 1 and message in " ".join(outcome.text.split()), outcome.text
     assert run("copy_dna", "file=in.npz", "out=e.dna").code == 1 and not (tmp_path / "e.dna").exists()

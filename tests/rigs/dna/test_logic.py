@@ -84,7 +84,7 @@ def test_rows_and_channels_beyond_a_level_of_detail_are_0():
     assert torch.equal(one.channels[:, :4], other.channels[:, :4])
     assert one.joints.attributes[3, 6:].abs().max() > 0 and other.joints.attributes[3, 6:].abs().max() == 0
     assert one.maps[:, 1].abs().max() > 0 and other.maps[:, 1].abs().max() == 0
-    with pytest.raises(InputError, match="level of detail 2 was requested, the file has 2"):
+    with pytest.raises(InputError, match="rig.lod=2, expected 0 to 1"):
         Logic(file, 2)
 
 

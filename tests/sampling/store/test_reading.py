@@ -81,7 +81,7 @@ def test_stored_poses_take_the_share_of_those_that_ask_the_rig(whole, toy):
 
 def test_training_refuses_other_and_unfinished_stores(whole, tmp_path, toy):
     rig: LinearRig = ToyRig(last_name="other")
-    with pytest.raises(InputError, match="holds poses of rig 'toy'"):
+    with pytest.raises(InputError, match="was made with rig 'toy'"):
         StoreSampler(RigInMeshSpace(rig, MeshSpace.from_rig(rig)), str(whole), 0)
     filled(tmp_path / "s.zarr", shard="0/2")
     with pytest.raises(InputError, match="not finished: 6 of its 13 chunks are absent"):
