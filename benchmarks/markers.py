@@ -34,6 +34,7 @@ from riginv.tracking.markers.layout import NOISE_MM, marker_skin, suggest_layout
 from riginv.tracking.markers.placement import Placement, at_vertices
 from riginv.tracking.markers.tracking import MarkerTrack, track_markers
 from riginv.tracking.options import ControlOptions, TrackingOptions
+from riginv.tracking.priors.changes import with_changes
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import ControlPrior, blended, learn_prior
 from riginv.tracking.priors.takes import read_take
@@ -85,7 +86,8 @@ def face(take: Path) -> None:
     rig = FaceRig()
     clip, without = live_link_clip(take, rig), default_prior(rig)
     half = len(clip) // 2
-    learned = blended(learn_prior(rig, read_take(take, rig, 0, half - 1).controls, "the first half"), without)
+    first_half = read_take(take, rig, 0, half - 1)
+    learned = with_changes(blended(learn_prior(rig, first_half.controls, "the first half"), without), rig, [first_half])
     rows = torch.arange(half, len(clip))[: FRAMES or None]
     judged = torch.linspace(5, len(rows) - 6, JUDGED).long()
     truth = torch.cat([clip.vertices(row, row + 1) for row in rows[judged].tolist()])

@@ -20,6 +20,7 @@ from riginv.invert import free_folder
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.locks import exclusive_lock
+from riginv.tracking.priors.changes import with_changes
 from riginv.tracking.priors.files import save_prior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
@@ -58,7 +59,7 @@ def learn(config: DictConfig) -> None:
             show_lines([], [f"{path}: {note}" for path, take in zip(settings.takes, takes) for note in take.notes])
             controls = torch.cat([take.controls for take in takes])
             learned = learn_prior(rig, controls, ", ".join(Path(take).name for take in settings.takes))
-            prior, frames = blended(learned, prior, settings.fraction), len(controls)
+            prior, frames = with_changes(blended(learned, prior, settings.fraction), rig, takes), len(controls)
         save_prior(out, prior, rig, frames)
     freest = sorted(zip(prior.deviation.tolist(), prior.names), reverse=True)[:LISTED]
     names = ", ".join(f"{name} ({deviation:.2f})" for deviation, name in freest)

@@ -37,6 +37,7 @@ def solve_clip(
     numbers: Shaped[Tensor, " frame"] | None = None,
     full_smoothness_mm: float = 0.0,
     own: Float[Tensor, "frame control"] | None = None,
+    changes: Float[Tensor, "control control"] | None = None,
 ) -> Float[Tensor, "frame control"]:
     """Minimise the objective of all frames plus half of `smoothness` times the squared second differences of the controls.
 
@@ -58,6 +59,8 @@ def solve_clip(
         full_smoothness_mm: root mean square distance of a frame's own solution at which it is smoothed in full; below, in
             proportion to the squared distance, since fast motion that the rig makes exactly is not noise. 0: all in full.
         own: near each frame's own solution, which is sought from there; None: from the start.
+        changes: covariance of the controls' second differences: `smoothness` is then mm^2 for one standard deviation of a
+            combination of controls; None: for the whole range of each.
 
     Returns:
         Controls `(frame, control)`, as fractions of their ranges.
@@ -67,6 +70,7 @@ def solve_clip(
     frame_steps = usual_steps(torch.arange(len(units)) if numbers is None else numbers).to(units.device)
     by_mean_distance = objective.by_mean_distance() if mean_steps else None
     fractions = torch.ones_like(weights)
+    root = None if changes is None else torch.linalg.cholesky(changes.double())
     for first in range(0, len(units), window):
         stop = min(first + window + lookahead, len(units))
         if len(units) - stop <= lookahead:
@@ -74,7 +78,7 @@ def solve_clip(
         rows, fixed_from = slice(first, stop), max(first - 2, 0)
         scaled = smoothness * objective.squared_mm
         before, steps_between = units[fixed_from:first], frame_steps[fixed_from : stop - 1]
-        frames = _Window(objective, coordinates[rows], weights[rows], before, scaled, steps_between)
+        frames = _Window(objective, coordinates[rows], weights[rows], before, scaled, steps_between, root)
         if full_smoothness_mm:
             alone, fractions[rows] = frames.own_solutions((units if own is None else own)[rows], full_smoothness_mm)
             fraction = max_pool1d(fractions[None, fixed_from:stop], 2 * NEARBY + 1, 1, NEARBY)[0]
@@ -94,11 +98,21 @@ class _Window:
 
     Args:
         steps: between these frames and those before them, from `usual_steps`.
+        root: a Cholesky factor of the covariance of second differences; None: the identity.
     """
 
     def __init__(
-        self, objective: Objective, coordinates: Tensor, weights: Tensor, before: Tensor, smoothness: float, steps: Tensor
+        self,
+        objective: Objective,
+        coordinates: Tensor,
+        weights: Tensor,
+        before: Tensor,
+        smoothness: float,
+        steps: Tensor,
+        root: Tensor | None,
     ) -> None:
+        self.root = root
+        self.whiten = None if root is None else torch.linalg.inv(root).T.to(before)
         self.objective, self.before, self.smoothness, self.weights = objective, before.clone(), smoothness, weights
         self.finite = torch.isfinite(coordinates).all(dim=1)
         self.coordinates = torch.where(self.finite[:, None], coordinates, 0.0)
@@ -164,11 +178,14 @@ class _Window:
         return to_last * curve[2:] + to_middle * curve[1:-1] + to_first * curve[:-2]
 
     def _roughness(self, at: Tensor) -> Tensor:
-        return 0.5 * self.smoothness * self._differences(at).square().sum()
+        second = self._differences(at)
+        return 0.5 * self.smoothness * (second if self.whiten is None else second @ self.whiten).square().sum()
 
     def _roughness_gradient(self, at: Tensor) -> Tensor:
         """`(frame, control)`."""
         second = self.smoothness * self._differences(at)
+        if self.whiten is not None:
+            second = second @ self.whiten @ self.whiten.T
         result = at.new_zeros(len(self.before) + len(at), at.shape[1])
         if len(second):
             to_first, to_middle, to_last = self.differences[:, :, None].unbind(dim=1)
@@ -181,8 +198,8 @@ class _Window:
         main, near, far = self.bands
         diagonal = hessian.diagonal(dim1=1, dim2=2)
         floor = FLOOR * diagonal.mean(dim=1, keepdim=True) + 1e-6
-        added = (damping[:, None] * (diagonal + floor) + main[:, None]).double()
-        return band_box_step(hessian.double(), added, near, far, gradient, at, self.objective.run_tasks)
+        added = (damping[:, None] * (diagonal + floor)).double()
+        return band_box_step(hessian.double(), added, near, far, gradient, at, self.objective.run_tasks, main, self.root)
 
 
 def smoothed(

@@ -1,5 +1,7 @@
 """Priors on controls: learned, made up, kept in files, and in the solvers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,10 +11,11 @@ from riginv.rig.interface import Control
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import GaussianPrior, Objective
+from riginv.tracking.priors.changes import LEAST, LEAST_FPS, with_changes
 from riginv.tracking.priors.files import FACTS, NUMBERS, load_prior, save_prior
 from riginv.tracking.priors.performances import PoseLibrary, default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
-from riginv.tracking.priors.takes import read_take
+from riginv.tracking.priors.takes import Take, read_take
 from tests.support.toys import ToyRig
 
 
@@ -107,6 +110,42 @@ def test_a_prior_comes_back_from_its_folder(rig, tmp_path):
     found = load_prior(tmp_path / "prior", rig)
     torch.testing.assert_close(found.covariance, prior.covariance)
     assert found.source == "monday.csv" and found.names == rig.control_names
+
+
+def smooth_take(rig: ToyRig, rate: float, numbers: torch.Tensor) -> Take:
+    """Controls of which the first two move together, and the last one is still."""
+    seconds = numbers[:, None] / rate
+    units = 0.5 + 0.3 * torch.sin(seconds * torch.tensor([2.0, 2.0, 0.5, 1.0, 3.0, 5.0, 0.0]))
+    return Take(rig.lower + (rig.upper - rig.lower) * units, (), numbers, rate)
+
+
+def test_changes_are_the_second_differences_of_the_takes(rig):
+    rows = torch.arange(200)
+    take = smooth_take(rig, 30.0, torch.cat([rows, rows + 500]))  # a long gap is not a change
+    prior = with_changes(learn_prior(rig, take.controls), rig, [take])
+    halves = [smooth_take(rig, 30.0, numbers) for numbers in (rows, rows + 500)]
+    torch.testing.assert_close(prior.changes, with_changes(prior, rig, halves).changes)
+    units = (take.controls - rig.lower) / (rig.upper - rig.lower)
+    second = torch.cat([half.diff(n=2, dim=0) for half in units.split(200)]).double()
+    expected = second.T @ second / len(second) + LEAST**2 * torch.eye(7)
+    torch.testing.assert_close(prior.changes / LEAST_FPS**3, expected, atol=1e-9, rtol=1e-4)
+    at = prior.changes_at(60.0, 0.3, 50, 1.5)
+    torch.testing.assert_close(at, prior.changes_at(30.0, 0.3, 50, 1.5) / 8)
+    torch.testing.assert_close(1.5 * torch.linalg.inv(at), 0.3**2 / 50 * torch.linalg.inv(prior.changes / 60.0**3))
+    assert with_changes(learn_prior(rig, take.controls), rig, [smooth_take(rig, 30.0, rows[:2])]).changes is None
+
+
+def test_changes_come_back_from_a_folder_and_damaged_ones_are_refused(rig, tmp_path):
+    take = smooth_take(rig, 24.0, torch.arange(90))
+    prior = with_changes(learn_prior(rig, take.controls), rig, [take])
+    save_prior(tmp_path / "prior", prior, rig, 90)
+    torch.testing.assert_close(load_prior(tmp_path / "prior", rig).changes, prior.changes)
+    save_prior(tmp_path / "older", learn_prior(rig, take.controls), rig, 90)
+    assert load_prior(tmp_path / "older", rig).changes is None
+    for number, changes in enumerate((-prior.changes, prior.changes[:3], torch.nan * prior.changes)):
+        save_prior(tmp_path / f"damaged{number}", replace(prior, changes=changes), rig, 90)
+        with pytest.raises(InputError, match="changes"):
+            load_prior(tmp_path / f"damaged{number}", rig)
 
 
 def test_a_prior_of_another_rig_is_refused(rig, tmp_path):

@@ -12,7 +12,7 @@ from riginv.clips.description import ClipDescription, FrameSpan, describe_points
 from riginv.clips.markers import MarkerClip, open_markers
 from riginv.clips.motion_check import ClipMotion
 from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.units import GUESSED, TO_Y_UP, UP_ASSUMED, ClipUnits, SizeLimits, units_from_size
+from riginv.clips.units import DEFAULT_FPS, GUESSED, TO_Y_UP, UP_ASSUMED, ClipUnits, SizeLimits, units_from_size
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
@@ -20,9 +20,10 @@ from riginv.tracking.markers.layout import hidden_controls
 from riginv.tracking.markers.map_file import matched, read_map
 from riginv.tracking.markers.objective import MarkerObjective, MarkerRig
 from riginv.tracking.markers.placement import Placement
-from riginv.tracking.options import TrackingOptions
+from riginv.tracking.options import SolverOptions, TrackingOptions
 from riginv.tracking.priors.files import prior_or_default
 from riginv.tracking.priors.prior import ControlPrior, independent_measurements
+from riginv.tracking.priors.takes import row_rate
 from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls
 
@@ -85,7 +86,8 @@ def build_marker_parts(
     points[excluded] = torch.nan
     prior, note = prior_or_default(options.prior, rig)
     prior = marker_prior(rig, prior, options.noise_of_measurements_mm)
-    objective = build_objective(rig, placement, constraints, prior, options.motion != "keep", options)
+    rate = row_rate(units.fps, torch.tensor(clip.frame_numbers))
+    objective = build_objective(rig, placement, constraints, prior, options.motion != "keep", options, rate)
     if options.motion == "auto" and has_root_controls(objective.rig):
         objective.moves = False
         notes.append(f"rigid motion is left to the controls of rig '{rig.name}' that move all of it (motion=remove removes it)")
@@ -112,14 +114,21 @@ def build_objective(
     prior: ControlPrior,
     moves: bool,
     options: TrackingOptions,
+    fps: float = DEFAULT_FPS,
 ) -> MarkerObjective:
-    """The objective of markers, with the prior weighted for their number and noise."""
+    """The objective of markers, with the prior weighted for their number and noise.
+
+    Args:
+        fps: frames of the clip in a second, for a prior that knows how controls change.
+    """
     free = constraints.free.nonzero()[:, 0]
     measurements = independent_measurements(placement.points(rig.rest_vertices).cpu())
-    learned = prior.subset(free.cpu()).weighed(options.noise_of_measurements_mm, measurements)
+    prior, noise_mm = prior.subset(free.cpu()), options.noise_of_measurements_mm
     solver, penalties = options.solver, constraints.penalties_of_free()
-    marker_rig = MarkerRig(rig, free, constraints.values, placement)
-    return MarkerObjective(marker_rig, placement, moves, solver.prior, solver.sparsity, penalties, learned)
+    marker_rig, learned = MarkerRig(rig, free, constraints.values, placement), prior.weighed(noise_mm, measurements)
+    objective = MarkerObjective(marker_rig, placement, moves, solver.prior, solver.sparsity, penalties, learned)
+    objective.changes = prior.changes_at(fps, noise_mm, measurements, SolverOptions().smoothness)
+    return objective
 
 
 def _check(options: TrackingOptions, constraints: ControlConstraints) -> None:

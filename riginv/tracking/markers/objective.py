@@ -87,7 +87,12 @@ class MarkerObjective(PenalisedObjective):
         placement: of the markers.
         moves: whether rigid motion is eliminated; else the markers are in the rig's frame.
         prior, sparsity, penalties, learned: as in `PenalisedObjective`.
+
+    Attributes:
+        changes: covariance of the controls' second differences, as `solve_clip` takes it; None: not known.
     """
+
+    changes: Tensor | None = None
 
     def __init__(
         self,

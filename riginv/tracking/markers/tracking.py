@@ -17,6 +17,7 @@ from riginv.tracking.options import SolverOptions
 
 KEY_DISTANCE, MORE_STEPS = 8, 2  # of `solve_frames`: the whole clip is solved afterwards
 TOLERANCE = 3e-2  # of `solve_clip`
+MORE_CLIP_STEPS, FINE_TOLERANCE = 2, 1e-3  # factor of its steps, and its tolerance, where a prior knows how controls change
 REFINE_STEPS = 10  # of each frame, after offsets or labels have changed
 
 
@@ -86,8 +87,11 @@ def track_markers(
     units = smoothed(solution, options.blur if is_smooth else 0.0, numbers)
     if is_smooth:
         advance("the whole clip", 0)
-        steps = (options.smoothness, options.clip_steps, 0)
-        units = solve_clip(objective, packed, units, *steps, tolerance=TOLERANCE, numbers=numbers)
+        steps, tolerance = options.clip_steps, TOLERANCE
+        if objective.changes is not None:
+            steps, tolerance = MORE_CLIP_STEPS * steps, FINE_TOLERANCE
+        how = (options.smoothness, steps)
+        units = solve_clip(objective, packed, units, *how, tolerance=tolerance, numbers=numbers, changes=objective.changes)
     seen = objective.residuals(units, pack(labelled.points, torch.ones(points.shape[:2])).nan_to_num(0.0))
     used = objective.residuals(units, packed.nan_to_num(0.0))
     return MarkerTrack(

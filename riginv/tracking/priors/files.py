@@ -6,6 +6,7 @@ import torch
 import yaml
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 from riginv.errors import InputError, in_short
 from riginv.rig.identity import check_same_rig, describe
@@ -29,7 +30,8 @@ def save_prior(folder: Path, prior: ControlPrior, rig: LinearRig, frames: int) -
     facts = {"riginv_prior": VERSION, "source": prior.source, "frames": frames, "rig": describe(rig, {})}
     with atomic_write(folder) as beside:
         beside.mkdir()
-        save_file({"mean": prior.mean.contiguous(), "covariance": prior.covariance.contiguous()}, beside / NUMBERS)
+        numbers = {"mean": prior.mean, "covariance": prior.covariance, "changes": prior.changes}
+        save_file({name: values.contiguous() for name, values in numbers.items() if values is not None}, beside / NUMBERS)
         (beside / FACTS).write_text(yaml.safe_dump(facts, sort_keys=False), encoding="utf-8")
 
 
@@ -55,16 +57,33 @@ def load_prior(folder: Path, rig: LinearRig) -> ControlPrior:
             raise InputError(f"{path}: {path.stat().st_size:,} bytes, expected those of {count} controls")
         read = load_file(path)
         mean, covariance = read["mean"].double(), read["covariance"].double()
+        changes = read["changes"].double() if "changes" in read else None  # older priors have none
     except (OSError, SafetensorError, KeyError) as error:
         raise InputError(f"{path}: cannot be read ({in_short(error)}): learn the prior again") from None
-    if mean.shape != (count,) or covariance.shape != (count, count) or not bool(torch.isfinite(covariance).all()):
+    if mean.shape != (count,) or covariance.shape != (count, count):
         raise InputError(
             f"{path}: mean {tuple(mean.shape)} and covariance {tuple(covariance.shape)}, expected {count} controls"
         )
-    covariance = (covariance + covariance.T) / 2
-    if torch.linalg.cholesky_ex(covariance)[1] != 0 or not bool(torch.isfinite(mean).all()):
-        raise InputError(f"{path}: its covariance is not positive definite: damaged; learn the prior again")
-    return ControlPrior(rig.control_names, mean, covariance, str(facts.get("source", ""))[:200])
+    if changes is not None:
+        changes = _checked(path, "changes", changes, count)
+    if not bool(torch.isfinite(mean).all()):
+        raise InputError(f"{path}: its mean is not finite: damaged; learn the prior again")
+    source = str(facts.get("source", ""))[:200]
+    return ControlPrior(rig.control_names, mean, _checked(path, "covariance", covariance, count), source, changes)
+
+
+def _checked(path: Path, name: str, matrix: Tensor, count: int) -> Tensor:
+    """A covariance as read, symmetric.
+
+    Raises:
+        InputError: it has another shape or is not positive definite.
+    """
+    if matrix.shape != (count, count):
+        raise InputError(f"{path}: {name} {tuple(matrix.shape)}, expected {count} controls")
+    matrix = (matrix + matrix.T) / 2
+    if not bool(torch.isfinite(matrix).all()) or torch.linalg.cholesky_ex(matrix)[1] != 0:
+        raise InputError(f"{path}: its {name} is not positive definite: damaged; learn the prior again")
+    return matrix
 
 
 def prior_or_default(path: str | None, rig: LinearRig) -> tuple[ControlPrior, str]:

@@ -25,12 +25,15 @@ class ControlPrior:
         mean: `(control,)`, float64.
         covariance: `(control, control)`, float64, positive definite.
         source: what it was learned from, as text.
+        changes: `(control, control)`, float64, positive definite: at f frames a second the second differences of the controls
+            from frame to frame have the covariance changes / f^3 (white noise as acceleration); None: not known.
     """
 
     names: tuple[str, ...]
     mean: Tensor
     covariance: Tensor
     source: str = ""
+    changes: Tensor | None = None
 
     @cached_property
     def precision(self) -> Tensor:
@@ -54,6 +57,13 @@ class ControlPrior:
         """
         return GaussianPrior(self.mean, noise_mm**2 / max(measurements, 1.0) * self.precision)
 
+    def changes_at(self, fps: float, noise_mm: float, measurements: float, smoothness: float) -> Tensor | None:
+        """The covariance of second differences for `riginv.solvers.clip.solve_clip`, `(control, control)`; None: not known.
+
+        With `smoothness` as its smoothness the cost is that of the most likely curves beside the measurements of `weighed`.
+        """
+        return None if self.changes is None else smoothness * max(measurements, 1.0) / (noise_mm**2 * fps**3) * self.changes
+
     def rescaled(self, hidden: Tensor, visible_scale: float, hidden_scale: float) -> "ControlPrior":
         """The prior with other variances of some controls; what the others say about these, their regression, is kept.
 
@@ -70,7 +80,8 @@ class ControlPrior:
     def subset(self, controls: Tensor) -> "ControlPrior":
         """The marginal prior of some controls, by their indices `(some,)`."""
         names = tuple(self.names[index] for index in controls.tolist())
-        return ControlPrior(names, self.mean[controls], self.covariance[controls][:, controls], self.source)
+        changes = None if self.changes is None else self.changes[controls][:, controls]
+        return ControlPrior(names, self.mean[controls], self.covariance[controls][:, controls], self.source, changes)
 
 
 def learn_prior(rig: RigBackend, controls: Tensor, source: str = "", ridge: float = RIDGE) -> ControlPrior:

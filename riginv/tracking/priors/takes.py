@@ -9,6 +9,7 @@ from torch import Tensor
 from riginv.clips.live_link import RecordedShapes
 from riginv.clips.open import open_sequence
 from riginv.clips.options import ReadingOptions
+from riginv.clips.units import DEFAULT_FPS
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_sets import WeightedShapes
@@ -22,10 +23,12 @@ READING = ReadingOptions(unknown="ignore_new")  # columns that are no controls o
 
 
 class Take(NamedTuple):
-    """Controls of a take `(frame, control)`, and notes on how they were read."""
+    """Controls of a take `(frame, control)`, notes on how they were read, frame numbers `(frame,)` and rows in a second."""
 
     controls: Tensor
     notes: tuple[str, ...]
+    numbers: Tensor
+    rate: float
 
 
 def read_take(path: Path, rig: LinearRig, first: int | None = None, last: int | None = None) -> Take:
@@ -47,7 +50,13 @@ def read_take(path: Path, rig: LinearRig, first: int | None = None, last: int | 
         raise InputError(f"{path}: meshes, expected curves of controls or a Live Link Face recording: invert it first")
     if not len(controls):
         raise InputError(f"{path}: no rows from {first} to {last}")
-    return Take(controls, sequence.facts.notes)
+    numbers = torch.as_tensor(sequence.frame_numbers)[part]
+    return Take(controls, sequence.facts.notes, numbers, row_rate(sequence.fps or DEFAULT_FPS, numbers))
+
+
+def row_rate(fps: float, numbers: Tensor) -> float:
+    """The rows in a second of frames with these numbers, of which no more than usual are missing."""
+    return fps / max(float(numbers.diff().double().median()), 1.0) if len(numbers) > 1 else fps
 
 
 def _inverted(recording: WeightedShapes, rig: LinearRig, part: slice) -> Tensor:
