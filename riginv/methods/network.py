@@ -41,5 +41,5 @@ class Network(Method):
     def invert(self, meshes: MeshSet) -> Tensor:
         """As `Method.invert`, in the mesh space of the network, whose axes may differ from those of `rig`."""
         coordinates = encoded(meshes, self.inverse.network.rig.space)
-        pieces = [self.inverse.network(piece) for piece in coordinates.split(BATCH_SIZE) if len(piece)]
+        pieces = [self.inverse.answer(piece) for piece in coordinates.split(BATCH_SIZE) if len(piece)]
         return torch.cat(pieces) if pieces else self.rig.source.lower.new_zeros(0, len(self.rig.source.controls))

@@ -48,3 +48,4 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #define SQRT sqrtf
 #include "all.h"
 #include "encode.h"
+#include "refinement.h"
