@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import scipy
 import torch
-from scipy.spatial.transform import Rotation
 
 from riginv.animation.animation import Animation
 from riginv.animation.resampling import fill_gaps
@@ -35,7 +35,7 @@ def write(path: Path, animation: Animation) -> None:
     skeleton = animation.rig.skeleton()
     assert skeleton is not None
     poses = local_poses(skeleton, fill_gaps(animation))
-    angles = Rotation.from_matrix(poses.rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True)
+    angles = scipy.spatial.transform.Rotation.from_matrix(poses.rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True)
     angles = unwrap_angles(angles.reshape(*poses.rotations.shape[:2], 3))
     moving = _moving(poses)
     order = _order(skeleton)

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import scipy
 import torch
-from scipy.spatial.transform import Rotation
 
 from riginv.animation.animation import Animation
 from riginv.animation.glb_document import GlbDocument
@@ -113,7 +113,7 @@ def _influences(document: GlbDocument, skeleton: Skeleton) -> dict[str, int]:
 
 def quaternions(rotations: np.ndarray) -> np.ndarray:
     """Unit quaternions x y z w `(frame, joint, 4)` of rotations `(frame, joint, 3, 3)`, with signs continuous over frames."""
-    found = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*rotations.shape[:2], 4)
+    found = scipy.spatial.transform.Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*rotations.shape[:2], 4)
     flipped = (found[1:] * found[:-1]).sum(axis=-1) < 0
     signs = np.cumprod(np.where(flipped, -1.0, 1.0), axis=0)
     found[1:] *= signs[..., None]

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import scipy
 import torch
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from riginv.animation.animation import Animation
@@ -41,7 +41,7 @@ def write(path: Path, animation: Animation, swap_mouth: bool = False) -> None:
         shapes["MouthLeft"], shapes["MouthRight"] = shapes["MouthRight"], shapes["MouthLeft"]
     angles = np.zeros((len(animation), len(ANGLES)))
     if animation.motion is not None:
-        rotations = Rotation.from_matrix(animation.motion[:, :3, :3].detach().cpu().double().numpy())
+        rotations = scipy.spatial.transform.Rotation.from_matrix(animation.motion[:, :3, :3].detach().cpu().double().numpy())
         angles[:, :3] = rotations.as_euler("YXZ")  # radians, as in the app
     values = np.concatenate([np.stack([shapes[name] for name in LIVE_LINK_SHAPES], axis=1), angles], axis=1)
     first = float(animation.frame_numbers[0]) / animation.fps

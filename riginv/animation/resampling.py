@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy
 import torch
-from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 
 from riginv.animation.animation import Animation
@@ -61,6 +61,7 @@ def _at(animation: Animation, times: np.ndarray, numbers: Tensor, fps: float) ->
 def _motion_at(seconds: np.ndarray, motion: Tensor, times: np.ndarray) -> Tensor:
     known = motion.detach().cpu().double().numpy()
     between = np.broadcast_to(np.eye(4), (len(times), 4, 4)).copy()
-    between[:, :3, :3] = Slerp(seconds, Rotation.from_matrix(known[:, :3, :3]))(times).as_matrix()
+    rotations = scipy.spatial.transform.Rotation.from_matrix(known[:, :3, :3])
+    between[:, :3, :3] = scipy.spatial.transform.Slerp(seconds, rotations)(times).as_matrix()
     between[:, :3, 3] = np.stack([np.interp(times, seconds, known[:, axis, 3]) for axis in range(3)], axis=1)
     return torch.tensor(between).to(motion)

@@ -1,9 +1,10 @@
 """Numbers and rigid motion as text formats write them."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import torch
 
 from riginv.animation.animation import Animation
+from riginv.geometry.euler import euler_angles
 
 TRANSLATION_COLUMNS = ("motion_x_mm", "motion_y_mm", "motion_z_mm")
 ROTATION_COLUMNS = ("motion_turn_x_deg", "motion_turn_y_deg", "motion_turn_z_deg")
@@ -22,9 +23,9 @@ def rigid_motion_columns(animation: Animation) -> np.ndarray | None:
     """
     if animation.motion is None:
         return None
-    motion = animation.motion.detach().cpu().double().numpy()
-    angles = Rotation.from_matrix(motion[:, :3, :3]).as_euler("xyz", degrees=True)
-    return np.concatenate([motion[:, :3, 3], unwrap_angles(angles)], axis=1)
+    motion = animation.motion.detach().cpu().double()
+    angles = euler_angles(motion[:, None, :3, :3], torch.tensor([[2, 1, 0]]))[:, 0].rad2deg()
+    return np.concatenate([motion[:, :3, 3].numpy(), unwrap_angles(angles.numpy())], axis=1)
 
 
 def unwrap_angles(angles: np.ndarray) -> np.ndarray:
@@ -33,6 +34,8 @@ def unwrap_angles(angles: np.ndarray) -> np.ndarray:
     Multiples of 360 degrees may be added to each; and a, b, c is equivalent to a + 180, 180 - b, c + 180.
     """
     smooth = angles.copy()
+    if not _jumps(angles):
+        return smooth
     for frame in range(1, len(angles)):
         before = smooth[frame - 1]
         first, middle, last = np.moveaxis(angles[frame], -1, 0)
@@ -41,3 +44,9 @@ def unwrap_angles(angles: np.ndarray) -> np.ndarray:
         change = np.abs(choices - before).sum(axis=-1)
         smooth[frame] = np.where((change[0] <= change[1])[..., None], choices[0], choices[1])
     return smooth
+
+
+def _jumps(angles: np.ndarray) -> bool:
+    """Whether equivalent angles may be nearer to those of the frame before: else those are 200 degrees away at least."""
+    is_near = (np.abs(np.diff(angles, axis=0)) <= 60).all() and (np.abs(angles[..., 1]) <= 80).all()
+    return not bool(is_near)

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import torch
-from scipy.spatial.transform import Rotation
 
 from riginv.clips.bones import BoneMotion, BonesClip
 from riginv.clips.frame_rate import common_rate
@@ -87,7 +87,7 @@ def _rotations(joint: BvhJoint, values: np.ndarray) -> np.ndarray:
     angles = values[:, [kind == "rotation" for kind, _ in joint.channels]]
     result = np.tile(np.eye(3), (len(values), 1, 1))
     for axis, each in zip(axes, angles.T):
-        result = result @ Rotation.from_euler(axis, each[:, None], degrees=True).as_matrix()
+        result = result @ scipy.spatial.transform.Rotation.from_euler(axis, each[:, None], degrees=True).as_matrix()
     return result
 
 

@@ -1,8 +1,8 @@
 """Clips given as curves of a rig's controls: the meshes are poses of the rig, whose true controls are known."""
 
 import numpy as np
+import scipy
 import torch
-from scipy.spatial.transform import Rotation
 
 from riginv.clips.control_curves import Curves
 from riginv.clips.options import ReadingOptions
@@ -35,7 +35,7 @@ class PosedCurves(MeshSequence):
         if self.motion is not None:
             if not np.abs(self.motion).max() < 1e9:
                 raise InputError(f"{curves.path}: its motion reaches {np.abs(self.motion).max():.3g} mm or degrees: damaged")
-            self.rotations = Rotation.from_euler("xyz", self.motion[:, 3:], degrees=True).as_matrix()
+            self.rotations = scipy.spatial.transform.Rotation.from_euler("xyz", self.motion[:, 3:], degrees=True).as_matrix()
             notes.append("the rigid motion beside the controls was applied")
         facts = SourceFacts(curves.format, rate_source=curves.rate_source, notes=tuple(notes))
         faces = Polygons.triangles(rig.faces.cpu().numpy())

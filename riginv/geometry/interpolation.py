@@ -6,9 +6,9 @@ Source: Drmac and Gugercin, "A New Selection Operator for the Discrete Empirical
 """
 
 import numpy as np
+import scipy
 import torch
 from jaxtyping import Float, Int
-from scipy.linalg import qr
 from torch import Tensor
 
 from riginv.geometry.neighbours import evenly
@@ -25,7 +25,7 @@ def informative_vertices(frame: Float[Tensor, "coefficient vertex 3"]) -> Int[Te
     """
     candidates = evenly(CANDIDATES, frame.shape[1])
     columns = frame[:, candidates.to(frame.device)].flatten(1).double().cpu().numpy()
-    _, order = qr(columns, mode="r", pivoting=True)
+    _, order = scipy.linalg.qr(columns, mode="r", pivoting=True)
     chosen = candidates.numpy()[np.unique(order[: len(frame)] // 3)]
     more = evenly(int(MORE * len(chosen)), frame.shape[1]).numpy()
     return torch.from_numpy(np.union1d(chosen, more)).to(frame.device)

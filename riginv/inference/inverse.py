@@ -19,6 +19,7 @@ from riginv.geometry.kernels.library import kernels_for
 from riginv.geometry.kinematics import remove_motion
 from riginv.inference.bundle import RIG, Bundle, read_bundle
 from riginv.networks.inverse import InverseNetwork, StagedInverse
+from riginv.networks.packed import PackedInverse
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
@@ -137,9 +138,9 @@ class Inverse(nn.Module):
                 f"(mesh, {space.vertex_count}, 3): the same vertices in the same order"
             )
         if not (self.refine or self.fewer_controls or self.mean_steps):
-            return self.network(self.encoder(vertices))
+            return self.answer(self.encoder(vertices))
         coordinates = space.encode(vertices)
-        controls = self.network(coordinates)
+        controls = self.answer(coordinates)
         if self.mean_steps:
             return self.after_mean_steps(coordinates, controls, self.mean_steps)
         start = self.objective.units(controls)
@@ -147,6 +148,18 @@ class Inverse(nn.Module):
         if self.fewer_controls:
             found = with_fewer_controls(self.objective, coordinates, found)
         return self.objective.to_controls(found)
+
+    @torch.no_grad()
+    def answer(self, coordinates: Tensor) -> Tensor:
+        """The network's controls `(batch, control)` for mesh coordinates `(batch, coordinate)`, without a graph."""
+        found = None if self.packed is None else self.packed(coordinates)
+        return self.network(coordinates) if found is None else found
+
+    @functools.cached_property
+    def packed(self) -> PackedInverse | None:
+        """The network with its weights of the first use, for a CPU; None where there is none, or where it is still trained."""
+        is_trained = any(weights.requires_grad for weights in self.network.parameters())
+        return None if is_trained else PackedInverse.of(self.network)
 
     @torch.no_grad()
     def after_mean_steps(self, coordinates: Tensor, controls: Tensor, steps: int, fixed: Tensor | None = None) -> Tensor:

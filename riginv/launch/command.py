@@ -1,6 +1,7 @@
 """The common part of all commands: Hydra composes the config, and a user's mistake ends in one sentence."""
 
 import functools
+import gc
 import logging
 import os
 import re
@@ -42,6 +43,8 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
         @functools.wraps(task)
         def main() -> None:
+            gc.freeze()  # what was imported stays
+            gc.enable()
             os.environ["HYDRA_FULL_ERROR"] = "1"  # pass exceptions on: `explain` formats them
             if is_rank_process():
                 exit_with_launcher()
@@ -61,10 +64,15 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
 def answer_help(module: str, config_name: str) -> None:
     """Answer --help and similar options, and exit; called before a command imports torch, which takes seconds.
 
+    Otherwise garbage is not collected until the command starts: imports leave none, and looking for it takes 0.3 s.
+
     Args:
-        module: `__name__` of the command. Nothing happens where it is not `__main__`, or without such an option.
+        module: `__name__` of the command. Nothing happens where it is not `__main__`.
     """
-    if module == "__main__" and any(argument in ANSWERED_BY_HYDRA for argument in sys.argv[1:]):
+    if module != "__main__":
+        return
+    gc.disable()
+    if any(argument in ANSWERED_BY_HYDRA for argument in sys.argv[1:]):
         command(config_name)(lambda config: None)()
         sys.exit()
 

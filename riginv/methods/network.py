@@ -45,6 +45,6 @@ class Network(Method):
         coordinates = encoded(meshes, self.inverse.network.rig.space)
         if not len(coordinates):
             return self.rig.source.lower.new_zeros(0, len(self.rig.source.controls))
-        controls = torch.cat([self.inverse.network(piece) for piece in coordinates.split(BATCH_SIZE)])
+        controls = torch.cat([self.inverse.answer(piece) for piece in coordinates.split(BATCH_SIZE)])
         steps = self.inverse.mean_steps
         return self.inverse.after_mean_steps(coordinates, controls, steps) if steps else controls

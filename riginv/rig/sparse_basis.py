@@ -9,6 +9,7 @@ from torch import Tensor
 
 from riginv.geometry.distances import FrameDistances
 from riginv.geometry.kernels.library import Kernels, kernels, kernels_for
+from riginv.runs.huge_pages import in_huge_pages
 from riginv.runs.threads import workers
 
 GROUP, BLOCK, TILE = 16, 8, 8  # vertices that are read together, rows and meshes that are multiplied together, as in the kernel
@@ -42,7 +43,7 @@ class SparseBasis:
         moved = basis.flatten(0, 1).index_select(0, (row[:, None] * basis.shape[1] + vertex.clamp_min(0)).flatten())
         moved = (moved.unflatten(0, vertex.shape) * (vertex >= 0)[:, :, None]).flatten(1)
         blocks = basis.new_zeros(len(self.row), 3 * GROUP).index_copy_(0, index, moved)
-        self.values = blocks.unflatten(0, (-1, BLOCK)).transpose(1, 2).flatten()  # eight rows after eight
+        self.values = in_huge_pages([blocks.unflatten(0, (-1, BLOCK)).transpose(1, 2)])[0].flatten()  # eight rows after eight
 
     @classmethod
     def of(cls, basis: Float[Tensor, "row vertex 3"]) -> "SparseBasis | None":

@@ -10,6 +10,7 @@ from torch import Tensor
 from riginv.geometry.distances import FrameDistances
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.rig.sparse_basis import MIN_NUMBERS, SparseBasis
+from riginv.runs.huge_pages import in_huge_pages
 
 PROBES, TOLERANCE = 8, 2e-5  # random meshes, and how far their coordinates may be from the dense ones, of their size
 
@@ -25,7 +26,7 @@ class SparseEncoder:
     def __init__(self, rig: RigInMeshSpace, basis: SparseBasis) -> None:
         self.basis, directions = basis, rig.space.directions  # which the basis spans: the products are of full column rank
         left, upper = torch.linalg.qr(basis.products(torch.zeros_like(directions[0]), directions).T)
-        self.matrix = torch.linalg.solve_triangular(upper, left.T, upper=True).T.contiguous()
+        self.matrix = in_huge_pages([torch.linalg.solve_triangular(upper, left.T, upper=True).T])[0]
 
     @classmethod
     def for_rig(cls, rig: RigInMeshSpace) -> "SparseEncoder | None":

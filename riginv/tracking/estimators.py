@@ -70,13 +70,13 @@ class NetworkEstimator(ControlEstimator):
         self.mean_steps, self.has_final_steps = mean_steps, mean_steps > 0
         self.scale = rig.source.scale if isinstance(rig.source, ActorRig) else 1.0
         self.encode = inverse.encoder if rig is inverse.network.rig else QuickEncoder(rig, rounded=False)
-        _ = self.encode.sparse  # before threads use it
+        _ = self.encode.sparse, inverse.packed  # before threads use them
 
     @torch.no_grad()
     def estimate(self, vertices: Tensor, motion: Tensor | None = None) -> Tensor:
         motions = itertools.repeat(None) if motion is None else motion.split(BATCH_SIZE)
         batches = zip(vertices.split(BATCH_SIZE), motions)
-        controls = torch.cat([self.inverse.network(self.encode(*batch) / self.scale) for batch in batches])
+        controls = torch.cat([self.inverse.answer(self.encode(*batch) / self.scale) for batch in batches])
         return torch.where(self.constraints.free, controls, self.constraints.values)
 
     def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:

@@ -8,13 +8,14 @@ from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.joint_jacobian import JointJacobian
 from riginv.geometry.kinematics import Skeleton, forward_kinematics, transform_from, tree_levels
 from riginv.geometry.skinning import check_weights, skinning_basis
-from riginv.rig.interface import LinearRig, Motion
+from riginv.rig.interface import LinearRig, Motion, Vjp
 from riginv.rig.jacobian import Jacobian
 from riginv.rig.joint_features import JointFeatures, JointFreedom, SkinFeatures
 from rigs.body.build import FPS, body_geometry, walk
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
 from rigs.body.skeleton import KEPT, LAST
+from rigs.body.steps import BodySteps
 
 ORDER = "XZY"  # of the rotations in a joint's frame: last axis first, then the middle one, then the first (skeleton.py)
 AXES = torch.tensor([0, 2, 1])  # of a frame (skeleton.py): first, middle, last
@@ -37,6 +38,7 @@ class BodyRig(LinearRig):
     frames: Tensor
     offsets: Tensor
     skinned: Tensor
+    parent_rows: Tensor
     feature_order: Tensor
     at_rest: Tensor
 
@@ -58,7 +60,13 @@ class BodyRig(LinearRig):
             angles[control[drive.control], 3 * joint[drive.joint] + drive.axis] += drive.factor
         heads, parents = geometry["heads"], geometry["parents"]
         offsets = torch.where(parents[:, None] >= 0, heads - heads[parents], heads)
-        buffers = {"angles": torch.deg2rad(angles), "frames": geometry["frames"], "offsets": offsets, "skinned": skinned}
+        buffers = {
+            "angles": torch.deg2rad(angles),
+            "frames": geometry["frames"],
+            "offsets": offsets,
+            "skinned": skinned,
+            "parent_rows": parents,
+        }
         for name, tensor in buffers.items():
             self.register_buffer(name, tensor.to(self.dtype) if tensor.is_floating_point() else tensor, persistent=False)
         self.moves = slice(control[MOVES[0]], control[MOVES[-1]] + 1)
@@ -120,7 +128,14 @@ class BodyRig(LinearRig):
         """Controls `(batch, control)` to the world transforms `(batch, joint, 3, 4)` of all joints, mm."""
         return self._worlds(self._rotations(controls @ self.angles.to(controls)), controls[:, self.moves])
 
+    @torch.no_grad()
+    def coefficients_and_vjp(self, controls: Tensor) -> tuple[Tensor, Vjp]:
+        steps = BodySteps.of(self, controls @ self.angles.to(controls), controls)
+        return super().coefficients_and_vjp(controls) if steps is None else (steps.coefficients, steps.vjp)
+
     def _coefficients(self, angles: Tensor, controls: Tensor) -> Tensor:
+        if (steps := BodySteps.of(self, angles, controls)) is not None:
+            return steps.coefficients
         return self.coefficients_of(self._rotations(angles), controls[:, self.moves])
 
     def _rotations(self, angles: Tensor) -> Tensor:

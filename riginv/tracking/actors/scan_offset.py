@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import torch
-from scipy.sparse.linalg import eigsh
 from torch import Tensor
 
 from riginv.solvers.objective import sparsity_terms
@@ -64,7 +64,7 @@ class ScanOffset:
         self.skin = skin_component(self.rest, surface.faces, np.flatnonzero(surface.outer))
         matrix = smoothness_matrix(surface.faces, self.skin)
         count = min(settings.modes, matrix.shape[0] - 2)
-        stiffness, vectors = eigsh(matrix, count, sigma=-1e-3, v0=np.ones(matrix.shape[0]))
+        stiffness, vectors = scipy.sparse.linalg.eigsh(matrix, count, sigma=-1e-3, v0=np.ones(matrix.shape[0]))
         self.modes = np.zeros((len(self.rest), count))
         self.modes[self.skin] = vectors
         self.stiffness = torch.from_numpy(np.repeat(settings.stiffness / len(vectors) * (stiffness + RIDGE), 3))

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import torch
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from riginv.solvers.every_mesh import refine_meshes
@@ -122,7 +122,7 @@ def _exchange(points: Tensor, expected: Tensor, limit: float) -> tuple[Tensor, T
     suspects, gaps = (distance > limit).nonzero()[:, 0], distance.isnan().nonzero()[:, 0]
     open_labels = torch.cat([suspects, gaps])
     costs = torch.cdist(expected[open_labels].double(), points[suspects].double())
-    aims, given = linear_sum_assignment(costs.numpy())
+    aims, given = scipy.optimize.linear_sum_assignment(costs.numpy())
     moves = []
     for aim, row in zip(aims.tolist(), given.tolist()):
         label, taken = int(open_labels[aim]), int(suspects[row])

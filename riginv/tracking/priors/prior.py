@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import scipy
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from riginv.errors import InputError
@@ -137,4 +137,4 @@ def independent_measurements(points: Tensor, radius_mm: float = RADIUS_MM) -> fl
         return 0.0
     known = points.double().cpu().numpy()
     known = known[:: -(-len(known) // MAX_POINTS)]
-    return float((1 / cKDTree(known).query_ball_point(known, radius_mm, return_length=True)).sum())
+    return float((1 / scipy.spatial.cKDTree(known).query_ball_point(known, radius_mm, return_length=True)).sum())

@@ -4,8 +4,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion, fit_motion
@@ -53,7 +52,7 @@ class Aligner:
         self.points, self.normals, self.weights = mesh.points[some], mesh.normals[some], stability[some]
         self.vertices, self.vertex_normals = mesh.points[outer], mesh.normals[outer]
         self.vertex_weights = stability[outer] * ~mesh.border_points[outer]  # a scan may extend beyond the border
-        self.tree = cKDTree(self.vertices)
+        self.tree = scipy.spatial.cKDTree(self.vertices)
 
     def align(self, target: Target, thorough: bool = False) -> Alignment:
         """Align from the scan's centre; if that fails, from starts beside it, and from all rotations by right angles.
@@ -126,7 +125,7 @@ class _Scan:
         self.points, self.normals = target.points[::every], target.normals[::every]
         self.all_points, self.all_normals = surface.points, surface.normals
         self.border = surface.border_points
-        self.tree = cKDTree(self.all_points)
+        self.tree = scipy.spatial.cKDTree(self.all_points)
         self.middle = np.median(target.points, axis=0)
 
 
@@ -138,7 +137,7 @@ def _plane_step(source: np.ndarray, target: np.ndarray, normals: np.ndarray, wei
     residual = ((target - moved) * normals).sum(axis=1)
     square = rows.T @ (weights[:, None] * rows)
     change = np.linalg.solve(square + 1e-6 * np.trace(square) * np.eye(6), rows.T @ (weights * residual))
-    small = Rotation.from_rotvec(change[:3]).as_matrix()
+    small = scipy.spatial.transform.Rotation.from_rotvec(change[:3]).as_matrix()
     return Motion(small @ motion.rotation, small @ (motion.shift - centre) + centre + change[3:])
 
 

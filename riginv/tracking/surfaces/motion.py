@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Motion:
             rotation: rotation vector, radians, about `centre`.
             shift: mm.
         """
-        small = Rotation.from_rotvec(rotation).as_matrix()
+        small = scipy.spatial.transform.Rotation.from_rotvec(rotation).as_matrix()
         moved = centre + shift - small @ centre
         return Motion(self.rotation @ small, self.rotation @ moved + self.shift)
 

@@ -1,8 +1,8 @@
 """Further starts for a scan that is not explained: poses ranked by distance from the scan's points, without a fit."""
 
 import numpy as np
+import scipy
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from riginv.tracking.surfaces.fitting import SurfaceFit
@@ -53,5 +53,5 @@ def _points(target: Target, found: Quality) -> np.ndarray:
 
 
 def _misfit(fit: SurfaceFit, coefficients: Tensor, points: np.ndarray) -> float:
-    tree = cKDTree(fit.surface.vertices(coefficients), compact_nodes=False, balanced_tree=False)
+    tree = scipy.spatial.cKDTree(fit.surface.vertices(coefficients), compact_nodes=False, balanced_tree=False)
     return float((np.minimum(tree.query(points, distance_upper_bound=MAX_MM)[0], MAX_MM) ** 2).mean())

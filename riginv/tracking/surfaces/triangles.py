@@ -2,12 +2,13 @@
 
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import igl
 import numpy as np
-from scipy import sparse
-from scipy.spatial import cKDTree
+import scipy
+
+if TYPE_CHECKING:
+    import igl
 
 EDGE = 1e-4  # the barycentric coordinate below which a point lies on an edge
 NEIGHBOURS = 16  # points that a normal is estimated from
@@ -73,7 +74,7 @@ class TriangleMesh(Surface):
         points: np.ndarray,
         faces: np.ndarray,
         border: np.ndarray | None = None,
-        around: sparse.csr_array | None = None,
+        around: "scipy.sparse.csr_array | None" = None,
     ) -> None:
         self.points = np.ascontiguousarray(points, np.float64)
         self.faces = np.ascontiguousarray(faces, np.int64)
@@ -94,6 +95,8 @@ class TriangleMesh(Surface):
 
     @cached_property
     def _tree(self) -> "igl.AABB":
+        import igl  # a third of a second, with SciPy's sparse matrices
+
         tree = igl.AABB()
         tree.init(self.points, self.faces)
         return tree
@@ -137,7 +140,7 @@ class PointCloud(Surface):
 
     def __init__(self, points: np.ndarray, normals: np.ndarray | None = None) -> None:
         self.points = np.ascontiguousarray(points, np.float64)
-        self.tree = cKDTree(self.points)
+        self.tree = scipy.spatial.cKDTree(self.points)
         distance, near = self.tree.query(self.points, k=min(NEIGHBOURS, len(points)))
         self.spacing = float(np.median(distance[:, 1])) if len(points) > 1 else 1.0
         self.normals = self._estimated(near) if normals is None else unit(np.asarray(normals, np.float64))
@@ -205,7 +208,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def faces_around(faces: np.ndarray, points: int) -> sparse.csr_array:
+def faces_around(faces: np.ndarray, points: int) -> "scipy.sparse.csr_array":
     """A matrix `(point, face)` that sums values of the faces around each point."""
     rows, columns = faces.reshape(-1), np.repeat(np.arange(len(faces)), 3)
-    return sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(points, len(faces)))
+    return scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(points, len(faces)))

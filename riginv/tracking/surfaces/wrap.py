@@ -8,11 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from riginv.errors import InputError
 from riginv.tracking.surfaces.alignment import Aligner
@@ -95,8 +91,8 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
         normals = motion.undo_direction(hits.normals)
         along = (towards * normals).sum(axis=1, keepdims=True) * normals
         aim = displacement[moving] + along + (1 - settings.normal_fraction) * (towards - along)
-        matrix = sparse.diags_array(weights) + stiffness * smoothness
-        factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        matrix = scipy.sparse.diags_array(weights) + stiffness * smoothness
+        factor = scipy.sparse.linalg.splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         displacement[moving] = factor.solve(weights[:, None] * aim)
         displacement = with_loose_parts(rest, faces, skin, displacement)
     local = rest + displacement
@@ -161,28 +157,28 @@ def _similarity_step(
     change = np.linalg.solve(
         square + 1e-6 * np.diag(square.diagonal()), rows.T @ (weights * ((scan_points - mesh_points) * normals).sum(1))
     )
-    small, factor = Rotation.from_rotvec(change[:3]).as_matrix(), float(np.exp(change[6]))
+    small, factor = scipy.spatial.transform.Rotation.from_rotvec(change[:3]).as_matrix(), float(np.exp(change[6]))
     return scale * factor, Motion(small @ motion.rotation, factor * small @ (motion.shift - centre) + centre + change[3:6])
 
 
 def skin_component(rest: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> np.ndarray:
     """Whether each vertex is in the connected component with most outer vertices, `(vertex,)`."""
-    _, part = connected_components(_adjacency(faces, len(rest)), directed=False)
+    _, part = scipy.sparse.csgraph.connected_components(_adjacency(faces, len(rest)), directed=False)
     return part == np.bincount(part[outer]).argmax()
 
 
-def smoothness_matrix(faces: np.ndarray, skin: np.ndarray) -> sparse.csc_array:
+def smoothness_matrix(faces: np.ndarray, skin: np.ndarray) -> "scipy.sparse.csc_array":
     """The smoothness matrix of skin displacements: half the squared edges plus five times the squared Laplacian."""
     adjacency = _adjacency(faces, len(skin))[skin][:, skin]
     degrees = adjacency.sum(axis=1)
-    edges = sparse.diags_array(degrees) - adjacency
-    laplacian = sparse.diags_array(1 / np.maximum(degrees, 1)) @ edges
+    edges = scipy.sparse.diags_array(degrees) - adjacency
+    laplacian = scipy.sparse.diags_array(1 / np.maximum(degrees, 1)) @ edges
     return (0.5 * edges + 5.0 * laplacian.T @ laplacian).tocsc()
 
 
-def _adjacency(faces: np.ndarray, count: int) -> sparse.csr_array:
+def _adjacency(faces: np.ndarray, count: int) -> "scipy.sparse.csr_array":
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    matrix = sparse.csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    matrix = scipy.sparse.csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
     matrix = matrix + matrix.T
     matrix.data[:] = 1.0
     return matrix.tocsr()
@@ -193,9 +189,9 @@ def with_loose_parts(rest: np.ndarray, faces: np.ndarray, skin: np.ndarray, disp
     if skin.all():
         return displacement
     result = displacement.copy()
-    count, part = connected_components(_adjacency(faces, len(rest)), directed=False)
+    count, part = scipy.sparse.csgraph.connected_components(_adjacency(faces, len(rest)), directed=False)
     on_skin = np.flatnonzero(skin)
-    tree = cKDTree(rest[on_skin])
+    tree = scipy.spatial.cKDTree(rest[on_skin])
     for number in range(count):
         members = np.flatnonzero(part == number)
         if skin[members[0]]:

@@ -9,6 +9,7 @@
 #include "shapes.h"
 #include "rigid.h"
 #include "distances.h"
+#include "skeleton.h"
 
 #undef PADDING
 #undef ROWS

@@ -17,6 +17,20 @@ static inline Eight load_eight(const float *from) {
     return lanes;
 }
 
+/* result (MESHES,) += sums: in lanes of float64, which compilers do not find by themselves. */
+static inline void add_eight(const Eight *sums, double *result) {
+    typedef float Half __attribute__((vector_size(16)));
+    typedef double Wide __attribute__((vector_size(32)));
+    for (int half = 0; half < 2; half++, result += 4) {
+        Half part;
+        Wide wide;
+        memcpy(&part, (const float *)sums + 4 * half, sizeof part);
+        memcpy(&wide, result, sizeof wide);
+        wide += __builtin_convertvector(part, Wide);
+        memcpy(result, &wide, sizeof wide);
+    }
+}
+
 /* result (row + 1, MESHES) += a block (GROUP, BLOCK) times the numbers of MESHES meshes (GROUP, MESHES). */
 static void multiply_meshes(const float *near, const float *block, const int32_t *row, double *result) {
     Eight sums[BLOCK], s0 = {0}, s1 = {0}, s2 = {0}, s3 = {0}, s4 = {0}, s5 = {0}, s6 = {0}, s7 = {0};
@@ -33,8 +47,7 @@ static void multiply_meshes(const float *near, const float *block, const int32_t
         s7 += factors[7] * values;
     }
     sums[0] = s0, sums[1] = s1, sums[2] = s2, sums[3] = s3, sums[4] = s4, sums[5] = s5, sums[6] = s6, sums[7] = s7;
-    for (int number = 0; number < BLOCK; number++)
-        for (int mesh = 0; mesh < MESHES; mesh++) result[row[number] * MESHES + mesh] += (double)sums[number][mesh];
+    for (int number = 0; number < BLOCK; number++) add_eight(sums + number, result + (Index)row[number] * MESHES);
 }
 
 /* The same for ABREAST blocks and the first mesh alone. */
@@ -67,6 +80,20 @@ static inline void gather(const float *mesh, const float *rest, const int32_t *m
     }
 }
 
+/* gather for the meshes from a number on, of which there are MESHES at most. */
+static inline void gather_meshes(const float *vertices, const float *rest, Index numbers, const float *motion, const int32_t *member,
+                                 Index mesh, Index batch, float *near) {
+    for (Index number = mesh; number < mesh + MESHES && number < batch; number++)
+        gather(vertices + number * numbers, rest, member, motion ? motion + 16 * number : NULL, near + number - mesh);
+}
+
+/* Asks for what gather_meshes will read, so that it is in the cache by then: a group's vertices lie far apart. */
+static inline void fetch(const float *vertices, Index numbers, const int32_t *member, Index mesh, Index batch) {
+    for (Index number = mesh; number < mesh + MESHES && number < batch; number++)
+        for (int each = 0; each < GROUP / 3 && member[each] >= 0; each++)
+            __builtin_prefetch(vertices + number * numbers + 3 * (Index)member[each]);
+}
+
 /* vertices (batch, number), rest (number,), motion (batch, 4, 4) or NULL. vertex (group, 16): those of each group, -1 where there
  * are no more. The rows that a group counts in are row[start[group]] to row[start[group + 1]], a multiple of 8 with `rows` where
  * there are no more; values holds a block (48, 8) for each eight of them. result (batch / 8 rounded up, rows + 1, 8).
@@ -80,8 +107,11 @@ API int encode_f32(const float *vertices, const float *rest, Index numbers, cons
         const Index last = start[group + 1];
         for (Index mesh = 0; mesh < batch; mesh += MESHES) {
             float near[GROUP * MESHES] = {0};
-            for (Index number = mesh; number < mesh + MESHES && number < batch; number++)
-                gather(vertices + number * numbers, rest, member, motion ? motion + 16 * number : NULL, near + number - mesh);
+            gather_meshes(vertices, rest, numbers, motion, member, mesh, batch, near);
+            if (mesh + MESHES < batch)
+                fetch(vertices, numbers, member, mesh + MESHES, batch);
+            else if (group + 1 < groups)
+                fetch(vertices, numbers, member + GROUP / 3, 0, batch);
             double *sums = result + mesh * (rows + 1);
             Index block = start[group];
             if (batch == 1)
@@ -180,8 +210,11 @@ API int compare_f32(const float *vertices, const float *rest, Index numbers, con
         const Index first = start[group], last = start[group + 1];
         for (Index mesh = 0; mesh < batch; mesh += MESHES) {
             float near[GROUP * MESHES] = {0}, far[GROUP * MESHES];
-            for (Index number = mesh; number < mesh + MESHES && number < batch; number++)
-                gather(vertices + number * numbers, rest, member, motion ? motion + 16 * number : NULL, near + number - mesh);
+            gather_meshes(vertices, rest, numbers, motion, member, mesh, batch, near);
+            if (mesh + MESHES < batch)
+                fetch(vertices, numbers, member, mesh + MESHES, batch);
+            else if (group + 1 < groups)
+                fetch(vertices, numbers, member + GROUP / 3, 0, batch);
             decode_group(values + first * GROUP, row + first, last - first, coefficients + mesh * (rows + 1), far);
             add_distances(near, far, member, distances + 7 * mesh);
             for (Index block = first; block < last; block += BLOCK)

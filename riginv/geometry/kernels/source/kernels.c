@@ -32,6 +32,8 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #define EPSILON DBL_EPSILON
 #define FABS fabs
 #define SQRT sqrt
+#define SIN sin
+#define COS cos
 #include "all.h"
 #include "band.h"
 #undef REAL
@@ -39,6 +41,8 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #undef EPSILON
 #undef FABS
 #undef SQRT
+#undef SIN
+#undef COS
 
 #define EXACT
 #define REAL float
@@ -46,5 +50,8 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #define EPSILON FLT_EPSILON
 #define FABS fabsf
 #define SQRT sqrtf
+#define SIN sinf
+#define COS cosf
 #include "all.h"
 #include "encode.h"
+#include "refinement.h"

@@ -1,0 +1,124 @@
+"""A trained inverse on a CPU, with few operations between its matrix products and its weights in one block of memory."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from riginv.geometry.kernels.library import Kernels, kernels, kernels_for
+from riginv.networks.control_maps import NeutralStart
+from riginv.networks.correction import LOG_SCALE, SMALLEST, Correction
+from riginv.networks.inverse import StagedInverse
+from riginv.networks.mlp import ZeroPreserving
+from riginv.runs.huge_pages import in_huge_pages
+
+MAP = ("direction", "depth", "edge", "norm", "least", "above", "below", "neutral")  # as the kernel reads them
+
+
+class _Step(NamedTuple):
+    """The weights of a refinement step, as `Correction` has them, those of the residual times the scale of coordinates."""
+
+    features: Tensor
+    hidden: Tensor
+    hidden_bias: Tensor
+    gates: Tensor
+    gates_bias: Tensor
+    mix: Tensor
+
+
+class PackedInverse:
+    """As `StagedInverse.forward` without features, for weights that no longer change; on a CPU in float32.
+
+    Args:
+        network: the trained network.
+    """
+
+    def __init__(self, network: StagedInverse) -> None:
+        self.rig, self.size = network.rig, network.rig.space.size
+        first = network.stages[0]
+        assert isinstance(first, ZeroPreserving) and isinstance(first.network, nn.Sequential)
+        self.layers = list(first.network)
+        linear = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
+        steps = [self._step(correction, network.coordinate_scale) for correction in network.corrections]
+        packed = in_huge_pages(
+            [each for layer in linear for each in (layer.weight, layer.bias)]
+            + [each for step in steps for each in step]
+            + [network.rig.linear_map]
+        )
+        of_layers, of_steps = packed[: 2 * len(linear)], packed[2 * len(linear) : -1]
+        self.weights = dict(zip(map(id, linear), zip(of_layers[::2], of_layers[1::2])))
+        self.steps = [_Step(*of_steps[start : start + 6]) for start in range(0, len(of_steps), 6)]
+        self.linear_map = packed[-1]
+        self.coordinate_scale = network.coordinate_scale
+        self.map = torch.stack([getattr(network.control_map, name) for name in MAP])
+        self.scales = torch.stack([network.gradient_scale, torch.tensor(SMALLEST), torch.tensor(LOG_SCALE)])
+        self.at_zero = self._mlp(torch.zeros(1, self.size))
+
+    @classmethod
+    def of(cls, network: nn.Module) -> "PackedInverse | None":
+        """None where a network has other parts, is not on a CPU in float32, or there are no kernels."""
+        if type(network) is not StagedInverse or network.features or len(network.stages) != 1:
+            return None
+        if not isinstance(network.control_map, NeutralStart) or not network.rig.source.differentiable:
+            return None
+        tensors = [*network.parameters(), network.control_map.lower, network.rig.linear_map]
+        is_single = all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in tensors)
+        return cls(network) if is_single and kernels() is not None else None
+
+    @torch.no_grad()
+    def __call__(self, target: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"] | None:
+        """Mesh coordinates `(batch, coordinate)` to controls `(batch, control)`; None for tensors that kernels do not take."""
+        compiled = kernels_for(target)
+        if compiled is None or target.dtype != torch.float32 or not len(target):
+            return None
+        raw = self._first(target / self.coordinate_scale).contiguous()
+        for step in self.steps:
+            raw = self._refined(compiled, step, raw, target)
+        return self._controls(compiled, raw)[0]
+
+    def _step(self, correction: nn.Module, coordinate_scale: Tensor) -> _Step:
+        assert isinstance(correction, Correction)
+        hidden, gates = correction.gate[0], correction.gate[2]
+        features = correction.features.weight.detach().clone()
+        features[:, : self.size] /= -coordinate_scale
+        return _Step(features, hidden.weight, hidden.bias, gates.weight, gates.bias + 1, correction.mix.weight)
+
+    def _first(self, inputs: Tensor) -> Tensor:
+        """The first MLP less its outputs at 0, rounded in the same way, which depends on the number of rows."""
+        if len(inputs) == 1:
+            return self._mlp(inputs) - self.at_zero
+        outputs = self._mlp(torch.cat([inputs, torch.zeros_like(inputs[:1])]))
+        return outputs[:-1] - outputs[-1:]
+
+    def _mlp(self, values: Tensor) -> Tensor:
+        for layer in self.layers:
+            if isinstance(layer, nn.Linear):
+                values = nn.functional.linear(values, *self.weights[id(layer)])
+            elif isinstance(layer, nn.GELU) and (compiled := kernels()) is not None:
+                compiled.call("gelu", values.dtype, values, values.numel())
+            else:
+                values = layer(values)
+        return values
+
+    def _controls(self, compiled: Kernels, raw: Tensor) -> tuple[Tensor, Tensor]:
+        """The controls of raw outputs, and the derivative of each by its raw output, both `(batch, control)`."""
+        controls, derivatives = torch.empty_like(raw), torch.empty_like(raw)
+        compiled.call("neutral_start", raw.dtype, raw, self.map, raw.shape[1], controls, derivatives, len(raw))
+        return controls, derivatives
+
+    def _refined(self, compiled: Kernels, step: _Step, raw: Tensor, target: Tensor) -> Tensor:
+        """The raw outputs `(batch, control)` after a refinement step."""
+        batch, count = raw.shape
+        controls, derivatives = self._controls(compiled, raw)
+        coefficients, vjp = self.rig.source.coefficients_and_vjp(controls)
+        linear, gate = raw.new_empty(batch, self.size + count), raw.new_empty(batch, 2 * count + 1)
+        residual = linear[:, : self.size]
+        torch.addmm(target, coefficients - self.rig.neutral_coefficients, self.linear_map, beta=-1, out=residual)
+        gradients = vjp(residual @ self.linear_map.T).contiguous()
+        given = (raw, gradients, derivatives, self.scales, count, linear, self.size, gate, batch)
+        compiled.call("refinement_inputs", raw.dtype, *given)
+        hidden = nn.functional.linear(gate, step.hidden, step.hidden_bias)
+        compiled.call("gelu", hidden.dtype, hidden, hidden.numel())
+        gates = nn.functional.linear(hidden, step.gates, step.gates_bias)
+        return torch.addmm(raw, gates.mul_(nn.functional.linear(linear, step.features)), step.mix.T)
