@@ -10,7 +10,7 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
-from rigs.gltf.bones import bones_clip
+from rigs.gltf.bones import METRE, bones_clip
 from rigs.gltf.channels import animation_names
 from rigs.gltf.choice import Chosen, choice_notes, choose_animation, no_motion
 from rigs.gltf.clip_meshes import ClipMeshes, clip_meshes, welded_faces
@@ -20,8 +20,6 @@ from rigs.gltf.rig import GltfRig
 from rigs.gltf.scene import Scene, read_scene
 from rigs.gltf.selection import listed_meshes, mesh_name, mesh_nodes
 from rigs.gltf.timing import Timing, timing_of
-
-METRE = 1000.0  # mm, the unit of glTF
 
 
 class GltfClip(MeshSequence):
