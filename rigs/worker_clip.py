@@ -81,7 +81,7 @@ class WorkerClip(MeshSequence):
         )
 
     @classmethod
-    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> "WorkerClip":
+    def for_rig(cls, path: str, options: ReadingOptions, rig: RigBackend) -> MeshSequence:
         """Open a clip of a rig, whose number of vertices selects the meshes unless the user names them.
 
         Raises:

@@ -81,10 +81,12 @@ class SampledOptimum(NamedTuple):
     Attributes:
         rows: of the evaluated frames, `(frame,)`.
         least_mm: lowest mean vertex error that a solver reached, `(frame,)`.
+        is_bound: whether it is only an upper bound, from few steps in a basis fitted to the true rig.
     """
 
     rows: Tensor
     least_mm: Tensor
+    is_bound: bool = False
 
 
 class MarkerErrors(NamedTuple):
@@ -144,6 +146,7 @@ class FrameErrors:
         if self.optimum is not None:
             values["least_mean_error_mm"] = float(self.optimum.least_mm.mean())
             values["mean_error_there_mm"] = float(self.mean_mm[self.optimum.rows].mean())
+            values |= {"least_error_is_bound": 1.0} if self.optimum.is_bound else {}
         return values
 
     @property

@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import roma
@@ -10,6 +11,7 @@ import torch
 from torch import Tensor
 
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
+from riginv.clips.units import TO_Y_UP
 from riginv.errors import InputError, listed
 from riginv.geometry.kinematics import tree_levels
 from riginv.geometry.skinning import skin
@@ -20,8 +22,11 @@ STRAIGHT = 0.9999  # cosine of an angle between bones at rest that counts as non
 SAME_SIZE = 1e-3  # relative difference of sizes that counts as none
 
 
-@dataclass(frozen=True)
-class BoneMotion:
+class JointNamesError(InputError):
+    """Too few joints of a file have the name of a joint of the rig."""
+
+
+class BoneMotion(NamedTuple):
     """The motion of a skeleton.
 
     Attributes:
@@ -31,6 +36,9 @@ class BoneMotion:
         rotations: of each joint in world space, relative to rest, `(frame, joint, 3, 3)`.
         positions: of each joint in world space, `(frame, joint, 3)`.
         fps: frames a second.
+        frame_numbers: `(frame,)`, rising; None: from 0.
+        up: the axis of the file that is up.
+        unit_mm: millimetres per unit, where the file states it.
     """
 
     names: tuple[str, ...]
@@ -39,6 +47,28 @@ class BoneMotion:
     rotations: Tensor
     positions: Tensor
     fps: float | None
+    frame_numbers: np.ndarray | None = None
+    up: str = "y"
+    unit_mm: float | None = None
+
+    def y_up(self) -> "BoneMotion":
+        """The same motion with y up."""
+        turn = TO_Y_UP[self.up].to(self.heads)
+        heads, rotations, positions = self.heads @ turn.mT, turn @ self.rotations @ turn.mT, self.positions @ turn.mT
+        return self._replace(heads=heads, rotations=rotations, positions=positions, up="y")
+
+
+def motion_of_worlds(
+    names: Sequence[str], parents: Sequence[int], rest: Tensor, worlds: Tensor, fps: float | None
+) -> BoneMotion:
+    """The motion of a skeleton from world transforms of its joints.
+
+    Args:
+        rest: `(joint, 3, 4)`.
+        worlds: `(frame, joint, 3, 4)`.
+    """
+    rotations = roma.special_procrustes(worlds[..., :3]) @ roma.special_procrustes(rest[..., :3]).mT
+    return BoneMotion(tuple(names), tuple(parents), rest[..., 3], rotations, worlds[..., 3], fps)
 
 
 class BonesClip(MeshSequence):
@@ -62,7 +92,7 @@ class BonesClip(MeshSequence):
                 f"{path}: the motion of a skeleton needs a rig with one, and rig '{rig.name}' has none that is only skinned: "
                 f"give a clip of meshes"
             )
-        self.skeleton, self.motion = skeleton, motion
+        self.skeleton, self.motion, self.axes = skeleton, motion.y_up(), TO_Y_UP[motion.up].double()
         self.source = match_names(skeleton.joint_names, motion.names, path, rig.name)
         self.rest_vertices, self.levels = rig.rest_vertices.cpu().double(), tree_levels(skeleton.parents)
         self.scale, notes = self._scale(), list(facts.notes)
@@ -75,18 +105,20 @@ class BonesClip(MeshSequence):
             notes.append(f"Joints of the rig that it does not name keep their place on their parents: {listed(missing)}.")
         if left := [name for name in motion.names if name not in known]:
             notes.append(f"Joints that the rig does not have were left out: {listed(left)}.")
+        stated = f"; the file states {motion.unit_mm:.4g} mm" if motion.unit_mm else ""
+        notes.append(f"A unit of its skeleton is {self.scale:.4g} mm of the rig's, by the lengths of the bones{stated}.")
         if bent:
             notes.append(f"{bent} bones point elsewhere at rest than the rig's, whose pose at rest was adapted.")
-        facts = SourceFacts(facts.format, animation=facts.animation, rate_source=facts.rate_source, notes=tuple(notes))
+        facts = replace(facts, notes=tuple(notes))
         faces = Polygons.triangles(rig.faces.cpu().numpy())
-        frames = np.arange(len(motion.rotations))
-        super().__init__(path, frames, len(self.rest_vertices), faces, motion.fps, 1.0, "y", facts)
+        frames = np.arange(len(motion.rotations)) if motion.frame_numbers is None else motion.frame_numbers
+        super().__init__(path, frames, len(self.rest_vertices), faces, motion.fps, 1.0, motion.up, facts)
 
     @torch.no_grad()
     def read(self, start: int, stop: int) -> np.ndarray:
         matrices = self.joint_transforms(start, stop)
         matrices[..., 3] -= (matrices[..., :3] @ self.skeleton.heads.double()[..., None])[..., 0]
-        return skin(self.rest_vertices, self.skeleton.weights.double(), matrices).float().numpy()
+        return (skin(self.rest_vertices, self.skeleton.weights.double(), matrices) @ self.axes).float().numpy()
 
     def joint_transforms(self, start: int, stop: int) -> Tensor:
         """World transforms `(frame, joint, 3, 4)` of the rig's joints, mm."""
@@ -157,17 +189,19 @@ def _shortest(before: Tensor, after: Tensor) -> Tensor:
 def match_names(ours: Sequence[str], theirs: Sequence[str], path: str, rig: str) -> list[int]:
     """For each joint of a rig the index of its namesake in a file, -1: none.
 
-    Namespaces (`mixamorig:Hips`), capitals, and signs between words do not count.
+    Namespaces (`mixamorig:Hips`), a prefix of all names (`mixamorig_Hips`), capitals, and signs between words do not count.
 
     Raises:
-        InputError: too few are found.
+        JointNamesError: too few are found.
     """
     exact = {name: number for number, name in reversed(list(enumerate(theirs)))}
     plain = {_plain(name): number for number, name in reversed(list(enumerate(theirs)))}
-    found = [exact.get(name, plain.get(_plain(name), -1)) for name in ours]
+    prefixed = len(theirs) > 1 and len({name.partition("_")[0] for name in theirs}) == 1
+    bare = {_plain(name.partition("_")[2]): number for number, name in reversed(list(enumerate(theirs))) if prefixed}
+    found = [exact.get(name, plain.get(_plain(name), bare.get(_plain(name), -1))) for name in ours]
     count = len({number for number in found if number >= 0})
     if count < max(1, FEWEST * min(len(ours), len(theirs))):
-        raise InputError(
+        raise JointNamesError(
             f"{path}: {count} of its {len(theirs)} joints ({listed(theirs, 4)}) have the name of a joint of rig '{rig}' "
             f"({listed(ours, 4)}), expected at least half: rename them"
         )

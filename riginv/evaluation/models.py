@@ -6,7 +6,7 @@ from typing import Any
 from riginv.config.building import OURS, build
 from riginv.errors import InputError
 from riginv.evaluation.evaluation_sets import random_poses, random_sets
-from riginv.evaluation.optimum import bound_of_optimum, find_optima
+from riginv.evaluation.optimum import find_optima
 from riginv.evaluation.results import EvaluationResult, check_same_controls, evaluate_inverse, evaluate_rig
 from riginv.inference.bundle import read_bundle
 from riginv.inference.inverse import Inverse, load_inverse
@@ -75,14 +75,11 @@ def evaluate_model(
     if not isinstance(model, Inverse):
         return [evaluate_rig(model, random_poses(true_rig, poses))]
     sets = [*random_sets(true_rig, poses), *([clip] if clip else [])]
-    optima = find_optima(true_rig, sets)
+    optima = find_optima(true_rig, sets, model.rig)
     effects = ControlEffects.of_rig(true_rig)
     results = [evaluate_inverse(model, true_rig, meshes).with_accuracy(effects) for meshes in sets]
     for result in results:
-        optimum = optima.get(result.meshes.name)
-        if optimum is None and model.rig.is_fitted and model.rig.differentiable and len(result.meshes):
-            optimum = bound_of_optimum(model.objective, result)
-        if optimum:
+        if optimum := optima.get(result.meshes.name):
             result.metrics.update(optimum.metrics(result))
     return results
 

@@ -3,8 +3,10 @@
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from riginv.evaluation.results import EvaluationResult
@@ -20,11 +22,20 @@ from riginv.solvers.every_mesh import descend_mean_distance, refine_meshes, solv
 from riginv.solvers.objective import Objective
 
 MESHES = 40  # of each set, evenly spread
-STARTS, STEPS, TOLERANCE = 6, 60, 1e-5
-DESCENT_STEPS = 300
 MIN_OPTIMUM_MM = 1e-3  # lower bound of the optimum in ratios, against division by about 0
-BOUND_STARTS, BOUND_STEPS = 2, 10
 SEED = 20221206
+
+
+class Budget(NamedTuple):
+    """The effort of a solver on each mesh, as in `solve_meshes`."""
+
+    starts: int
+    steps: int
+    tolerance: float = 1e-5
+    descent_steps: int = 0
+
+
+FULL, BOUND = Budget(6, 60, descent_steps=300), Budget(2, 10, descent_steps=10)
 
 
 @dataclass(frozen=True)
@@ -34,7 +45,7 @@ class Optimum:
     Attributes:
         rows: which meshes `(mesh,)`.
         errors_mm: the mean vertex error of each on the true rig, `(mesh,)`.
-        is_bound: whether it is only an upper bound, from few steps of one start (`bound_of_optimum`).
+        is_bound: whether it is only an upper bound, from few steps in a basis fitted to the true rig.
     """
 
     rows: Tensor
@@ -57,6 +68,12 @@ class Optimum:
         return {f"{name}/{key}": value for key, value in values.items()}
 
 
+def basis_for(true_rig: RigBackend, fitted: LinearRig | None) -> LinearRig | None:
+    """The rig in which the optimum of a true rig is sought: itself, or a basis fitted to it; None: gradients pass neither."""
+    rig = true_rig if isinstance(true_rig, LinearRig) or fitted is None or not fitted.is_fitted else fitted
+    return rig if isinstance(rig, LinearRig) and rig.differentiable else None
+
+
 def find_optima(true_rig: RigBackend, sets: list[MeshSet], fitted: LinearRig | None = None) -> dict[str, Optimum]:
     """The optimum of each set, by name, cached; empty for rigs that are not differentiable.
 
@@ -66,10 +83,10 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet], fitted: LinearRig | N
         fitted: a basis fitted to the true rig, for one that does not end in a linear map: few starts and steps in that basis
             give an upper bound of the optimum; its errors are those of the true rig's meshes.
     """
-    is_bound = not isinstance(true_rig, LinearRig) and fitted is not None and fitted.is_fitted
-    rig = fitted if is_bound else true_rig
-    if not (isinstance(rig, LinearRig) and rig.differentiable):
+    rig = basis_for(true_rig, fitted)
+    if rig is None:
         return {}
+    is_bound = rig is not true_rig
     key, objective, optima = rig_digest(rig), None, {}
     for meshes in sets:
         if not len(meshes):
@@ -82,7 +99,7 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet], fitted: LinearRig | N
         def solve(vertices: Tensor = vertices, known: Tensor | None = known) -> dict[str, Tensor]:
             nonlocal objective
             objective = objective or Objective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
-            return {"errors_mm": least_errors(objective, true_rig, vertices, known, is_bound)}
+            return {"errors_mm": least_errors(objective, true_rig, vertices, known, BOUND if is_bound else FULL)}
 
         facts = vertices.cpu().numpy().tobytes() + (b"" if known is None else known.cpu().numpy().tobytes())
         name = hashlib.sha256(key + facts).hexdigest()[:32]
@@ -91,41 +108,30 @@ def find_optima(true_rig: RigBackend, sets: list[MeshSet], fitted: LinearRig | N
 
 
 @torch.no_grad()
-def bound_of_optimum(objective: Objective, result: EvaluationResult) -> Optimum:
-    """An upper bound of the optimum for a rig with a fitted basis: Levenberg-Marquardt from predicted controls.
-
-    The steps are taken in the fitted basis, errors are those of the true rig's meshes; a mesh whose error rises keeps
-    that of the prediction.
-
-    Args:
-        objective: in the mesh space of the inverse.
-        result: the evaluation of the predicted controls.
-    """
-    rows = evenly(MESHES, len(result.meshes))
-    vertices = torch.cat([result.meshes.vertices(row, row + 1) for row in rows.tolist()])
-    start, known = objective.units(result.controls[rows]), known_vertices(result.meshes, rows)
-    units = refine_meshes(objective, objective.rig.space.encode(vertices), start, BOUND_STEPS).units
-    errors = mean_distance(result.rig(objective.to_controls(units)), vertices, known)
-    return Optimum(rows, torch.minimum(errors.nan_to_num(torch.inf), result.errors_mm[rows]), is_bound=True)
-
-
-@torch.no_grad()
 def least_errors(
-    objective: Objective, true_rig: RigBackend, vertices: Tensor, known: Tensor | None = None, is_bound: bool = False
-) -> Tensor:
+    objective: Objective,
+    true_rig: RigBackend,
+    vertices: Float[Tensor, "mesh vertex 3"],
+    known: Bool[Tensor, "mesh vertex"] | None = None,
+    budget: Budget = FULL,
+    start: Float[Tensor, "mesh control"] | None = None,
+) -> Float[Tensor, " mesh"]:
     """The least mean vertex errors `(mesh,)`, mm, that were found for meshes `(mesh, vertex, 3)`.
 
     Args:
+        objective: of a basis of the true rig (`basis_for`).
         true_rig: whose meshes are compared.
-        is_bound: whether few starts and steps suffice.
         known: the vertices that errors are measured at, `(mesh, vertex)`; None: all.
+        start: controls `(mesh, control)` to start from as well; None: there are none.
     """
     coordinates = objective.rig.space.encode(vertices)
-    budget = (BOUND_STARTS, BOUND_STEPS, TOLERANCE, BOUND_STEPS) if is_bound else (STARTS, STEPS, TOLERANCE, DESCENT_STEPS)
-    squares = solve_meshes(objective, coordinates, *budget).units
+    squares = solve_meshes(objective, coordinates, *budget)
+    if start is not None:
+        refined = refine_meshes(objective, coordinates, objective.units(start), budget.steps)
+        squares.take_better(torch.arange(len(vertices)), refined)
     masks = [None] * len(vertices) if known is None else known[:, None]
     errors = []
-    for units in (squares, descend_mean_distance(objective, coordinates, squares)):
+    for units in (squares.units, descend_mean_distance(objective, coordinates, squares.units)):
         pairs = zip(objective.to_controls(units), vertices, masks)
         errors.append(torch.cat([mean_distance(true_rig(controls[None]), mesh[None], mask) for controls, mesh, mask in pairs]))
     return torch.minimum(*errors)
@@ -142,7 +148,7 @@ def rig_digest(rig: LinearRig) -> bytes:
     """A hash of what determines a rig: its basis, its limits, and its coefficients in some poses."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     poses = sparse_controls(*limits, len(rig.controls), 16, generator_at(SEED, "fingerprint")).to(rig.device)
-    facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([STARTS, STEPS, TOLERANCE, DESCENT_STEPS]))
+    facts = (rig.basis, rig.coefficients(poses), *limits, torch.tensor([*FULL, *BOUND]))
     here, package = Path(__file__), Path(__file__).parents[1]
     digest = hashlib.sha256(code_key([here, package / "solvers", package / "networks/features.py"]).encode())
     for fact in facts:

@@ -7,20 +7,18 @@ import torch
 from riginv.animation.animation import FrameErrors, SampledOptimum
 from riginv.clips.clip import Clip
 from riginv.evaluation.control_accuracy import control_accuracy
-from riginv.evaluation.optimum import TOLERANCE
-from riginv.geometry.distances import mean_distance
+from riginv.evaluation.optimum import BOUND, Budget, basis_for, least_errors
 from riginv.geometry.kinematics import remove_motion
 from riginv.geometry.neighbours import evenly
 from riginv.rig.control_effects import ControlEffects
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
-from riginv.solvers.every_mesh import descend_mean_distance, refine_meshes, solve_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.frame_evaluation import FrameEvaluator
 from riginv.tracking.run import Inversion
 
 FRAMES = 8
-STARTS, STEPS, DESCENT_STEPS = 3, 60, 100
+BUDGET = Budget(3, 60, descent_steps=100)
 
 
 def with_accuracy(errors: FrameErrors, clip: Clip, inversion: Inversion, true_rig: RigBackend) -> FrameErrors:
@@ -36,26 +34,24 @@ def with_accuracy(errors: FrameErrors, clip: Clip, inversion: Inversion, true_ri
 def with_optimum(errors: FrameErrors, clip: Clip, inversion: Inversion, evaluator: FrameEvaluator) -> FrameErrors:
     """The errors of an inversion, with the lowest that solvers reach on frames spread over the clip (`find_optima`).
 
-    All controls are free, regardless of constraints. Unchanged for a true rig that is no differentiable `LinearRig`.
+    All controls are free, regardless of constraints. An upper bound where a basis was fitted to the true rig; unchanged where
+    no gradient passes.
     """
-    rig, known_frames = evaluator.true_rig, (~errors.mean_mm.isnan()).nonzero()[:, 0]
-    if not (isinstance(rig, LinearRig) and rig.differentiable and len(known_frames)):
+    true_rig, known_frames = evaluator.true_rig, (~errors.mean_mm.isnan()).nonzero()[:, 0]
+    rig = basis_for(true_rig, evaluator.rig if isinstance(evaluator.rig, LinearRig) else None)
+    if rig is None or not len(known_frames):
         return errors
     rows = known_frames[evenly(FRAMES, len(known_frames))]
     vertices = torch.cat([clip.vertices(row, row + 1) for row in rows.tolist()])
     if inversion.motion is not None:
         vertices = remove_motion(inversion.motion[rows], vertices)
-    recovered = rig(inversion.controls[rows])
+    start = inversion.controls[rows]
     known = torch.isfinite(vertices).all(dim=2)
     evaluated = known if evaluator.evaluated is None else known & evaluator.evaluated
-    vertices = torch.where(evaluated[..., None], vertices, recovered)
+    vertices = torch.where(evaluated[..., None], vertices, true_rig(start))
     space = evaluator.space if rig is evaluator.rig else MeshSpace.from_rig(rig)
-    objective = Objective(RigInMeshSpace(rig, space))
-    coordinates = space.encode(vertices)
-    squares = solve_meshes(objective, coordinates, STARTS, STEPS, TOLERANCE, DESCENT_STEPS)
-    refined = refine_meshes(objective, coordinates, objective.units(inversion.controls[rows]), STEPS)
-    squares.take_better(torch.arange(len(rows)), refined)
-    answers = (squares.units, descend_mean_distance(objective, coordinates, squares.units))
-    each = [mean_distance(rig(objective.to_controls(answer)), vertices, evaluated) for answer in answers]
-    least = torch.stack([*each, errors.mean_mm[rows]]).amin(dim=0)
-    return replace(errors, optimum=SampledOptimum(rows, least))
+    is_bound = rig is not true_rig
+    found = least_errors(
+        Objective(RigInMeshSpace(rig, space)), true_rig, vertices, evaluated, BOUND if is_bound else BUDGET, start
+    )
+    return replace(errors, optimum=SampledOptimum(rows, torch.minimum(found, errors.mean_mm[rows]), is_bound))

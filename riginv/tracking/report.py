@@ -112,7 +112,8 @@ def _optimum(errors: FrameErrors, count: int) -> str:
     values = errors.summary()
     found, least = values["mean_error_there_mm"], values["least_mean_error_mm"]
     frames = f"{count} frames spread over the clip" if count > 1 else "one frame"
-    return f"Lowest possible mean error on {frames} (many-start solver): {least:.3g} mm; these curves: {found:.3g} mm there."
+    by, most = ("solver in a fitted basis", "at most ") if "least_error_is_bound" in values else ("many-start solver", "")
+    return f"Lowest possible mean error on {frames} ({by}): {most}{least:.3g} mm; these curves: {found:.3g} mm there."
 
 
 def _worst(animation: Animation, errors: FrameErrors, known: Tensor) -> list[int]:

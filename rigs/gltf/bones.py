@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import roma
+import numpy as np
 import torch
 
-from riginv.clips.bones import BoneMotion, BonesClip, match_names
+from riginv.clips.bones import BoneMotion, BonesClip, JointNamesError, match_names, motion_of_worlds
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import SourceFacts
-from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from rigs.gltf.animation import ROTATION, Channel
 from rigs.gltf.channels import animation_names, read_channels
@@ -20,6 +19,8 @@ from rigs.gltf.posing import LOCAL, posed_scene, poses_at
 from rigs.gltf.scene import Scene, read_scene
 from rigs.gltf.selection import mesh_nodes
 from rigs.gltf.timing import Timing, timing_of
+
+METRE = 1000.0  # mm, the unit of glTF
 
 
 def bones_clip(path: str, options: ReadingOptions, rig: RigBackend) -> BonesClip | None:
@@ -38,7 +39,7 @@ def bones_clip(path: str, options: ReadingOptions, rig: RigBackend) -> BonesClip
         return None
     try:
         matched = {number for number in match_names(skeleton.joint_names, scene.names, path, rig.name) if number >= 0}
-    except InputError:
+    except JointNamesError:
         return None  # as a clip of meshes it is refused with what it lacks
     numbers, channels = _animation(file, options, matched)
     if not channels:
@@ -70,14 +71,12 @@ def _motion(file: GltfFile, scene: Scene, channels: list[Channel], timing: Timin
     """The motion of nodes `joints`, of which each but the topmost has the nearest one above it as parent."""
     moving = [channel._replace(times=timing.on_frames(channel.times)) for channel in channels]
     rest = scene.world[joints]
-    at_rest = roma.special_procrustes(rest[..., :3])
     worlds = torch.stack([posed_scene(file, scene, pose).world[joints] for pose in poses_at(moving, timing.seconds())])
-    rotations = roma.special_procrustes(worlds[..., :3]) @ at_rest.mT
     number_of, parents = {node: number for number, node in enumerate(joints)}, []
     for node in joints:
         parent = scene.parents[node]
         while parent >= 0 and parent not in number_of:
             parent = scene.parents[parent]
         parents.append(number_of.get(parent, -1))
-    names = tuple(scene.names[node] for node in joints)
-    return BoneMotion(names, tuple(parents), rest[..., 3], rotations, worlds[..., 3], timing.rate.fps)
+    motion = motion_of_worlds([scene.names[node] for node in joints], parents, rest, worlds, timing.rate.fps)
+    return motion._replace(frame_numbers=timing.first + np.arange(timing.count), unit_mm=METRE)

@@ -11,7 +11,7 @@ from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.meshes.mesh_file import MeshFile
 from riginv.rig.interface import RigBackend
-from rigs.gltf.bones import bones_clip
+from rigs.gltf.bones import METRE, bones_clip
 from rigs.gltf.channels import animation_names
 from rigs.gltf.choice import Chosen, choice_notes, choose_animation, no_motion
 from rigs.gltf.clip_meshes import ClipMeshes, clip_meshes, welded_faces
@@ -22,8 +22,6 @@ from rigs.gltf.scene import Scene, read_scene
 from rigs.gltf.selection import listed_meshes, mesh_name, mesh_nodes
 from rigs.gltf.still import GltfMesh
 from rigs.gltf.timing import Timing, timing_of
-
-METRE = 1000.0  # mm, the unit of glTF
 
 
 class GltfClip(MeshSequence):

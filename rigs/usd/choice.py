@@ -13,7 +13,7 @@ MOST_PRIMS = 300_000  # limit for nested instances
 
 
 class StageContents:
-    """Meshes and SkelAnimations of a stage, in its order.
+    """Meshes, skeletons and SkelAnimations of a stage, in its order.
 
     Args:
         stage: the stage; its session layer is modified.
@@ -24,6 +24,7 @@ class StageContents:
         self.stage = stage
         self.mesh_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdGeom.Mesh)]
         self.animation_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdSkel.Animation)]
+        self.skeleton_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdSkel.Skeleton)]
         self.skins = Skins(stage)
 
     def mesh(self, path: Sdf.Path) -> PosedMesh:
@@ -41,22 +42,32 @@ class StageContents:
         """
         path = self._animation_path(requested)
         moves = UsdSkel.Animation(self.stage.GetPrimAtPath(path))
-        names = {*(moves.GetJointsAttr().Get() or []), *(moves.GetBlendShapesAttr().Get() or [])}
+        names = {*self.joints_of(path), *(moves.GetBlendShapesAttr().Get() or [])}
         skins = [mesh.skin for mesh in map(self.mesh, self.mesh_paths) if mesh.skin]
         fitting = {
             skin.placed.GetPath()
             for skin in skins
             if names & {*skin.skeleton.GetJointOrder(), *(skin.query.GetBlendShapeOrder() or [])}
         }
+        fitting |= {skeleton for skeleton in self.skeleton_paths if names & self.joints_of(skeleton)}
         if not fitting:
-            raise UnusableStageError(
-                f"reading.animation={requested}: it has no joint or blend shape of a skeleton that a mesh uses"
-            )
+            raise UnusableStageError(f"reading.animation={requested}: it has no joint or blend shape of a skeleton")
         with Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
             for skeleton in fitting:
                 prim = editable(self.stage.GetPrimAtPath(skeleton))
                 UsdSkel.BindingAPI.Apply(prim).CreateAnimationSourceRel().SetTargets([path])
         self.skins = Skins(self.stage)
+
+    def joints_of(self, path: Sdf.Path) -> set[str]:
+        """Paths of the joints of a skeleton or a SkelAnimation."""
+        return {str(joint) for joint in self.stage.GetPrimAtPath(path).GetAttribute("joints").Get() or []}
+
+    def without_meshes(self, notes: Sequence[str]) -> str:
+        """The message for a stage that has no mesh."""
+        more = ""
+        if self.animation_paths and not self.skeleton_paths:
+            more = " It has SkelAnimations and no Skeleton, whose rest pose they need: export both in one stage."
+        return f"expected one mesh, and it has none.{more} {' '.join(notes)}".strip()
 
     def _animation_path(self, requested: str | int) -> Sdf.Path:
         listed = listing([str(path) for path in self.animation_paths])

@@ -57,6 +57,19 @@ class UsdScene:
             fps: requested frame rate.
             vertices: of the rig that the clip is for, where known.
         """
+        self.open(file)
+        with self.refusing("open"):
+            if not self.contents.mesh_paths:
+                raise UnusableStageError(self.contents.without_meshes(self.notes))
+            if animation is not None:
+                self.contents.bind_animation(animation)
+            self.meshes = chosen_meshes(self.contents, meshes or [], vertices, self.notes)
+            times = np.unique(np.concatenate([mesh.times for mesh in self.meshes]))
+            self.grid = frame_grid(times, self.clock(fps))
+        return {"mesh": self.meshes[0].path}, {}
+
+    def open(self, file: str) -> None:
+        """Open the stage, repair its bindings, and list its contents."""
         if self.memory is not None:
             limit_memory(self.memory + MEMORY_PER_BYTE * Path(file).stat().st_size)
         self.file = file
@@ -68,22 +81,12 @@ class UsdScene:
             self.stage = Usd.Stage.Open(file)
             self.notes += repair_bindings(self.stage, all_prims(self.stage))
             self.contents = StageContents(self.stage, all_prims(self.stage))
-            if not self.contents.mesh_paths:
-                raise UnusableStageError(f"expected one mesh, and it has none. {' '.join(self.notes)}".strip())
-            if animation is not None:
-                self.contents.bind_animation(animation)
-            self.meshes = chosen_meshes(self.contents, meshes or [], vertices, self.notes)
-            times = np.unique(np.concatenate([mesh.times for mesh in self.meshes]))
-            self.grid = frame_grid(times, self.clock(fps))
-        return {"mesh": self.meshes[0].path}, {}
 
     def describe(self) -> Answer:
         """Frames, faces, what was read and left out, and the units and up axis, where the stage states them."""
         stage, meshes, grid = self.stage, self.meshes, self.grid
         with self.refusing("read"):
             self.frame(0)
-            mm = UsdGeom.GetStageMetersPerUnit(stage) * 1000 if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else None
-            up = str(UsdGeom.GetStageUpAxis(stage)).lower() if stage.HasAuthoredMetadata("upAxis") else None
             read, others = animations(self.contents, meshes)
             sizes, corners = faces(meshes)
             paths = [mesh.path for mesh in meshes]
@@ -98,8 +101,7 @@ class UsdScene:
             "rate_source": grid.source,
             "notes": notes,
             "vertices": sum(mesh.vertex_count for mesh in meshes),
-            "unit_mm": mm,
-            "up": up,
+            **self.units(),
         }
         return facts, {"frames": grid.numbers, "sizes": sizes, "corners": corners}
 
@@ -127,6 +129,15 @@ class UsdScene:
         if not stage.HasAuthoredTimeCodeRange():
             return StageClock(**rates, requested=requested)
         return StageClock(**rates, start=stage.GetStartTimeCode(), end=stage.GetEndTimeCode(), requested=requested)
+
+    def units(self) -> dict[str, Any]:
+        """Millimetres per unit and the up axis, None where not authored."""
+        stage = self.stage
+        mm = UsdGeom.GetStageMetersPerUnit(stage) * 1000 if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else None
+        return {
+            "unit_mm": mm,
+            "up": str(UsdGeom.GetStageUpAxis(stage)).lower() if stage.HasAuthoredMetadata("upAxis") else None,
+        }
 
     @contextmanager
     def refusing(self, what: str) -> Iterator[None]:

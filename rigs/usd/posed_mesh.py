@@ -1,5 +1,7 @@
 """Meshes of a stage, evaluated at a time: points, blend shapes, skin and world transform."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from pxr import Usd, UsdGeom, Vt
 
@@ -96,17 +98,22 @@ class PosedMesh:
 
     def _sample_times(self) -> np.ndarray:
         """Time samples of points, skin and all transforms above; attributes with one sample are constant."""
-        found: set[float] = set()
         points = [self._points] if self._rest is None else []
-        for attribute in (*points, *(self.skin.attributes() if self.skin else ()), *_transform_attributes(self._placed)):
-            times = attribute.GetTimeSamples()
-            if attribute.HasSpline():
-                times = [knot.GetTime() for knot in attribute.GetSpline().GetKnots().values()]
-            if len(times) > 1:
-                found.update(times)
-            if len(found) > MOST_FRAMES:
-                raise UnusableStageError(f"{len(found)} time samples: damaged; export it again")
-        return np.array(sorted(found), np.float64)
+        return sample_times((*points, *(self.skin.attributes() if self.skin else ()), *transform_attributes(self._placed)))
+
+
+def sample_times(attributes: Iterable[Usd.Attribute]) -> np.ndarray:
+    """Distinct time samples of attributes, ascending; attributes with one sample are constant."""
+    found: set[float] = set()
+    for attribute in attributes:
+        times = attribute.GetTimeSamples()
+        if attribute.HasSpline():
+            times = [knot.GetTime() for knot in attribute.GetSpline().GetKnots().values()]
+        if len(times) > 1:
+            found.update(times)
+        if len(found) > MOST_FRAMES:
+            raise UnusableStageError(f"{len(found)} time samples: damaged; export it again")
+    return np.array(sorted(found), np.float64)
 
 
 def _upwards(prim: Usd.Prim) -> list[Usd.Prim]:
@@ -118,7 +125,7 @@ def _upwards(prim: Usd.Prim) -> list[Usd.Prim]:
     return found
 
 
-def _transform_attributes(prim: Usd.Prim) -> list[Usd.Attribute]:
+def transform_attributes(prim: Usd.Prim) -> list[Usd.Attribute]:
     """Transform operations of a prim and its ancestors, up to a reset of the stack."""
     found = []
     for one in _upwards(prim):

@@ -131,12 +131,13 @@ def world(stage: Usd.Stage, mesh: str, time: float) -> np.ndarray:
 
 
 class SameProcess:
-    """The worker's own scene in this process, in place of a pool: starting one takes seconds."""
+    """The workers' own scenes in this process, in place of a pool: starting one takes seconds."""
 
     def __init__(self, command: Sequence[str], load: dict[str, Any], *settings: Any) -> None:
+        from rigs.usd.play_bones import UsdBones
         from rigs.usd.play_usd import UsdScene
 
-        self.scene, self.load = UsdScene(), load
+        self.scene, self.load = UsdBones() if "play_bones" in command[-1] else UsdScene(), load
 
     def describe(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         return self._answer(lambda: (self.scene.load(**self.load), self.scene.describe())[1])

@@ -11,6 +11,7 @@ import trimesh
 from riginv.methods.solvers import LevenbergMarquardt
 from riginv.rig.mesh_sets import StoredMeshes
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.tracking.missing.drivers import Driver, numbered
 from riginv.tracking.missing.finding import find_missing
 from rigs.shapes import ShapesRig
 from tests.config.test_bad_input import refused
@@ -91,6 +92,12 @@ def test_controls_are_solved_for_where_they_are_not_known(folders, run):
     facts = json.loads((folders / "solved/missing.json").read_text())
     assert set(GONE) <= {row["name"] for row in facts["shapes"]}
     assert facts["mean_error_mm_with_shapes"] < 0.5 * facts["mean_error_mm"]
+
+
+def test_two_in_betweens_with_one_peak_are_numbered():
+    drivers = [Driver((factor,), name) for factor, name in enumerate(("nose50", "jaw25", "nose50", "nose50"))]
+    assert [driver.name for driver in numbered(drivers)] == ["nose50", "jaw25", "nose50-2", "nose50-3"]
+    assert [driver.factors for driver in numbered(drivers)] == [(0,), (1,), (2,), (3,)]
 
 
 def test_a_clip_that_the_rig_makes_lacks_nothing(folders, run):

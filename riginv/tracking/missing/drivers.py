@@ -2,7 +2,9 @@
 
 import itertools
 import re
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -31,6 +33,17 @@ class Driver:
 
     factors: tuple[int, ...]
     name: str
+
+
+def numbered(drivers: Sequence[Driver]) -> list[Driver]:
+    """The drivers with names of their own: of in-betweens with one peak (`nose50`) the second is called `nose50-2`."""
+    count: Counter[str] = Counter()
+    found = []
+    for driver in drivers:
+        count[driver.name] += 1
+        number = count[driver.name]
+        found.append(replace(driver, name=f"{driver.name}-{number}") if number > 1 else driver)
+    return found
 
 
 class Factors:

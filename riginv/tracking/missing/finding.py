@@ -14,7 +14,7 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.tables import WITHIN_REACH_MM
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
-from riginv.tracking.missing.drivers import Driver, Factors
+from riginv.tracking.missing.drivers import Driver, Factors, numbered
 from riginv.tracking.missing.joint_fit import JointFit, Span
 from riginv.tracking.missing.search import MIN_GAIN_KNOWN, MIN_GAINS, choose_drivers, fit_shapes, sparse, voters
 
@@ -31,6 +31,7 @@ class RigWithShapes(LinearRig):
     """
 
     def __init__(self, rig: LinearRig, factors: Factors, drivers: list[Driver], shapes: Tensor) -> None:
+        drivers = numbered(drivers)
         names = [*rig.coefficient_names, *(driver.name for driver in drivers)]
         basis = torch.cat([rig.basis, shapes.to(rig.basis)])
         super().__init__(rig.name, rig.controls, rig.rest_vertices, rig.faces, basis, names)

@@ -1,6 +1,7 @@
 """DNA files as rigs: controls, meshes, units, axes, levels of detail, bases, and the usual commands."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -233,6 +234,9 @@ def test_a_rig_trains_is_evaluated_and_inverted_by_the_usual_commands(run, tmp_p
     inverted = run("invert", f"bundle={made.folder}", "clip=clip.npz", "out=curves", "formats=[csv]")
     assert inverted.code == 0, inverted.text
     assert (tmp_path / "curves/curves.csv").read_text().startswith("frame,seconds," + ",".join(rig.control_names))
+    errors = json.loads((tmp_path / "curves/curves.json").read_text())["errors"]
+    assert errors["least_mean_error_mm"] <= errors["mean_error_there_mm"]
+    assert ("least_error_is_bound" in errors) == ("in a fitted basis" in inverted.text) == (file == "fitted")
 
 
 @pytest.mark.parametrize(
