@@ -43,8 +43,9 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
         @functools.wraps(task)
         def main() -> None:
-            gc.freeze()  # what was imported stays
-            gc.enable()
+            if not gc.isenabled():  # by `answer_help`, in this process
+                gc.freeze()  # what was imported stays
+                gc.enable()
             os.environ["HYDRA_FULL_ERROR"] = "1"  # pass exceptions on: `explain` formats them
             if is_rank_process():
                 exit_with_launcher()
