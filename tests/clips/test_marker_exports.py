@@ -48,6 +48,12 @@ def test_damaged_exports_end_in_a_sentence(tmp_path, write, before, after, said)
         open_markers(str(path))
 
 
+def test_a_take_may_have_a_name_in_another_encoding(tmp_path):
+    path = write_motive(tmp_path / "take.csv", NAMES, POINTS)
+    path.write_bytes(path.read_text().replace("A take", "Köpfe").encode("latin-1"))
+    np.testing.assert_allclose(open_markers(str(path)).points, POINTS, atol=1e-4)
+
+
 def test_titles_of_columns_have_several_forms(tmp_path):
     for form in ("{}.x", "{}_TX", "{}:x", "{} X", "{} (X)", "{}[x]"):
         titles = [form.format(name).replace("x", axis).replace("X", axis) for name in NAMES for axis in "xyz"]
