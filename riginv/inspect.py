@@ -1,4 +1,4 @@
-"""python -m riginv.inspect PATH: what a clip, a bundle or a store of poses holds, and whether a clip fits a rig."""
+"""python -m riginv.inspect PATH: what a clip, markers, a bundle or a store of poses holds, and whether a clip fits a rig."""
 
 from riginv.launch.command import answer_help, command
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.text import Text
@@ -16,6 +17,8 @@ from riginv.clips.clip import Clip
 from riginv.clips.description import describe
 from riginv.clips.description_text import NAMES, cell_of, rows
 from riginv.clips.live_link import Recording, read_live_link
+from riginv.clips.marker_exports import read_export
+from riginv.clips.markers import SUFFIXES, MarkerClip, open_markers
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.config.building import ClassSpec
@@ -59,8 +62,37 @@ def inspect(config: DictConfig) -> None:
         show_store(store, {})
     elif any(is_file(folder / DESCRIPTION) for folder in (path, path / BUNDLE)):
         show_rows(path.name, bundle_rows(path, names))
+    elif (markers := markers_of(path)) is not None:
+        show_rows(path.name, marker_rows(markers, names))
+        show_lines([], markers.facts.notes, console=Console())
     else:
         show_clip_file(settings, names)
+
+
+def markers_of(path: Path) -> MarkerClip | None:
+    """The markers of a file of a format that holds nothing else; None for other files."""
+    suffix = path.suffix.lower()
+    if suffix == TABLE:
+        return read_export(path) if is_file(path) else None
+    return open_markers(str(path)) if suffix in SUFFIXES else None
+
+
+def marker_rows(clip: MarkerClip, names: int | None) -> list[Row]:
+    """The contents of a take of markers, as table rows."""
+    known = np.isfinite(clip.points).all(axis=2)
+    gaps = [f"{name} ({1 - seen:.0%})" for name, seen in zip(clip.names, known.mean(axis=0)) if seen < 1]
+    first, last = int(clip.frame_numbers[0]), int(clip.frame_numbers[-1])
+    size = np.ptp(clip.points[known], axis=0) if known.any() else np.zeros(3)
+    return [
+        ("format", clip.facts.format),
+        ("markers", f"{len(clip.names):,}: {cell_of(list(clip.names), names)}"),
+        ("frames", f"{len(clip.frame_numbers):,} frames {first} to {last}"),
+        ("rate", f"{clip.fps:g} frames a second ({clip.facts.rate_source})" if clip.fps else "not known"),
+        ("size", " x ".join(f"{axis:.4g}" for axis in size.tolist()) + " units, over all frames"),
+        ("unit", f"{clip.unit_mm:g} mm" if clip.unit_mm else "not known"),
+        ("up", clip.up or "not known"),
+        ("gaps", f"{len(gaps):,} markers: {cell_of(gaps, names)}" if gaps else "none"),
+    ]
 
 
 def show_clip_file(settings: InspectConfig, names: int | None) -> None:

@@ -35,7 +35,11 @@ def read_export(path: Path) -> MarkerClip | None:
     Raises:
         InputError: it is damaged, or holds no markers.
     """
-    text = decoded(read_bytes(path))
+    data = read_bytes(path)
+    try:
+        text = decoded(data)
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")  # a name of the take
     if not text.startswith(MOTIVE) and VICON not in text:
         return None
     delimiter = max(DELIMITERS, key=text[:FIRST_LINES].count)

@@ -146,10 +146,12 @@ def _guessed_mm(clip: Source, size: float, rig_mm: float, rig: str, limits: Size
 
 
 def _absurd(clip: Source, found_mm: float, rig_mm: float, rig: str, taken: str) -> InputError:
+    if not found_mm > 0:
+        return InputError(f"{clip.path}: all points of its mesh are one, expected the shape of rig '{rig}': export it again")
     return InputError(
         f"{clip.path}: with {taken} its mesh measures {length(found_mm)}, and that of rig '{rig}' {length(rig_mm)}: give "
         f"the unit with reading.unit=mm, cm, m or millimetres to a unit as a number (one of about "
-        f"{rig_mm / max(found_mm, 1e-30):.3g} times this size fits)"
+        f"{rig_mm / found_mm:.3g} times this size fits)"
     )
 
 

@@ -9,6 +9,7 @@ from rigs.usd.skins import Skin
 from rigs.usd.stage_clock import MOST_FRAMES, UnusableStageError
 
 LOOKS = 64  # sampled times to detect motion
+ONE_TOPOLOGY = "all frames must be the same mesh; export it again, or scans as a file for each frame (.ply, .obj or .glb)"
 
 
 class PosedMesh:
@@ -21,11 +22,14 @@ class PosedMesh:
 
     def __init__(self, prim: Usd.Prim, skin: Skin | None) -> None:
         self.prim, self.skin, self.path = prim, skin, str(prim.GetPath())
-        self._points = UsdGeom.Mesh(prim).GetPointsAttr()
+        mesh = UsdGeom.Mesh(prim)
+        self._points = mesh.GetPointsAttr()
         self._placed = skin.placed if skin and skin.has_joints else prim  # whose transform applies
         self._rest = self._points.Get() if skin else None  # UsdSkel ignores time samples of the points
         self.times = self._sample_times()
         self.vertex_count = len(self._points_at(self.first_time) or [])
+        topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+        self._topology = [(attribute, attribute.Get(self.first_time)) for attribute in topology if _varies(attribute)]
 
     @property
     def first_time(self) -> float | Usd.TimeCode:
@@ -39,16 +43,17 @@ class PosedMesh:
             transforms: of that time.
 
         Raises:
-            UnusableStageError: points are missing, their number changes, or the skin cannot be evaluated.
+            UnusableStageError: points are missing, their number or the faces change, or the skin cannot be evaluated.
         """
         points = self._points_at(time)
         if points is None or not len(points):
             raise UnusableStageError(f"no points of {self.path} at time code {time:g}: export it again")
         if len(points) != self.vertex_count:
             raise UnusableStageError(
-                f"{len(points)} points at time code {time:g} and {self.vertex_count} at first: all frames must be the same "
-                f"mesh; export it again"
+                f"{len(points)} points at time code {time:g} and {self.vertex_count} at first: {ONE_TOPOLOGY}"
             )
+        if any(attribute.Get(time) != first for attribute, first in self._topology):
+            raise UnusableStageError(f"other faces at time code {time:g} than at first: {ONE_TOPOLOGY}")
         if self.skin:
             points = self.skin.shaped(points, time)
             points = self.skin.posed(points, time) if self.skin.has_joints else points

@@ -13,6 +13,7 @@ from riginv.launch.command import path_as_value
 from riginv.rig.arkit import LIVE_LINK_SHAPES as SHAPES
 from tests.conftest import ROOT
 from tests.support.clips import obj_sequence, performance, write_animated_glb, write_npz, write_usd
+from tests.support.markers import write_c3d, write_motive, write_trc
 from tests.support.toys import ToyRig
 
 TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
@@ -126,6 +127,19 @@ def test_a_recording_says_which_shapes_move(run: Callable, tmp_path):
         "more (verbose=true names all)"
     )
     assert "cheekPuff" in run("inspect", "take.csv", "verbose=true").text
+
+
+@pytest.mark.parametrize("name", ["take.c3d", "take.trc", "take.csv"])
+def test_markers_are_named_with_their_gaps(name, run: Callable, tmp_path):
+    points = np.random.default_rng(0).uniform(-100, 100, (4, 2, 3))
+    points[1:3, 1] = np.nan
+    write = {"take.c3d": write_c3d, "take.trc": write_trc, "take.csv": write_motive}[name]
+    write(tmp_path / name, ["nose", "chin"], points, 24.0)
+    outcome = run("inspect", name)
+    assert outcome.code == 0 and "24 frames a second" in outcome.text and "chin (50%)" in outcome.text, outcome.text
+    assert "4 frames" in outcome.text and "2: " in outcome.text and "1 mm" in outcome.text
+    done = run("inspect", f"gone{name}")
+    assert done.code == 1 and "no such file" in done.text
 
 
 def test_bundles_and_stores_of_poses_are_told(run: Callable, tmp_path):

@@ -9,7 +9,7 @@ from riginv.clips.sequence import SourceFacts
 from riginv.clips.times import frames_from_times
 from riginv.errors import InputError
 from riginv.tracking.markers.map_file import matched
-from tests.support.markers import placed, write_trc
+from tests.support.markers import placed, write_motive, write_trc, write_vicon
 from tests.support.toys import ToyRig
 
 NAMES = ["nose", "chin", "brow L"]
@@ -17,67 +17,47 @@ POINTS = np.random.default_rng(0).uniform(-100, 100, (6, 3, 3)).round(4)
 POINTS[2:4, 1] = np.nan
 
 
-def cells(frame: np.ndarray) -> list[str]:
-    return ["" if np.isnan(value) else f"{value:.4f}" for value in frame.reshape(-1)]
-
-
-def motive(unit: str = "Millimeters") -> str:
-    """An export of Motive 3: a rigid body, its expected marker, the markers, and one without a name."""
-    names = [*(f"Face:{name}" for name in NAMES), "Unlabeled 1042"]
-    kinds = ["Rigid Body"] * 4 + ["Rigid Body Marker"] * 3 + ["Marker"] * 3 * len(names)
-    rows = [
-        ["Format Version", "1.23", "Take Name", "A take, of 2026", "Export Frame Rate", "120.000000", "Length Units", unit],
-        [],
-        ["", "Type", *kinds],
-        ["", "Name", *["head"] * 4, *["Face:nose"] * 3, *(name for name in names for _ in range(3))],
-        ["", "ID", *["A1"] * len(kinds)],
-        ["", "", "Rotation", *["Position"] * (len(kinds) - 1)],
-        ["Frame", "Time (Seconds)", "W", *["X", "Y", "Z"] * (2 + len(names))],
-    ]
-    rows += [[str(7 + n), f"{n / 120:.6f}", *["9"] * 7, *cells(frame), *["5"] * 3] for n, frame in enumerate(POINTS)]
-    return "\n".join(",".join(f'"{cell}"' if "," in cell else cell for cell in row) for row in rows) + "\n"
-
-
-def vicon() -> str:
-    """An export of Nexus: a section of another kind, and then the trajectories."""
-    rows = ["Devices", "1000", ",,Force", "Frame,Sub Frame,Fx", ",,N", "1,0,0.5", "", "Trajectories", "100"]
-    rows += [",," + ",,,".join(f"Face:{name}" for name in NAMES), "Frame,Sub Frame" + ",X,Y,Z" * 3, ",," + ",".join(["cm"] * 9)]
-    rows += [",".join([str(7 + n), "0", *cells(frame)]) for n, frame in enumerate(POINTS)]
-    return "\n".join([*rows, "", "Joints", "100", "x,y"]) + "\n"
-
-
 @pytest.mark.parametrize(
-    ("text", "fps", "unit_mm"), [(motive(), 120, 1.0), (motive("Meters"), 120, 1000.0), (vicon(), 100, 10.0)]
+    ("write", "unit", "fps", "unit_mm"),
+    [(write_motive, "Millimeters", 120, 1.0), (write_motive, "Meters", 120, 1000.0), (write_vicon, "cm", 100, 10.0)],
 )
-def test_exports_of_capture_software_are_read(tmp_path, text, fps, unit_mm):
-    (tmp_path / "take.csv").write_text(text)
-    clip = open_markers(str(tmp_path / "take.csv"))
+def test_exports_of_capture_software_are_read(tmp_path, write, unit, fps, unit_mm):
+    clip = open_markers(str(write(tmp_path / "take.csv", NAMES, POINTS, fps, unit)))
     assert list(clip.names) == [f"Face:{name}" for name in NAMES]
     np.testing.assert_allclose(clip.points, POINTS, atol=1e-4)
     assert (clip.fps, clip.unit_mm, clip.frame_numbers.tolist()) == (fps, unit_mm, list(range(7, 13)))
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("write", "before", "after", "said"),
     [
-        (motive().replace("Frame,Time (Seconds)", "Sample,Time"), "without its row of axes"),
-        (motive().replace(",Marker", ",Bone"), "no markers"),
-        (motive().replace(f"{POINTS[1, 0, 0]:.4f}", "lost"), "line 9: found 'lost'"),
-        (vicon().replace("Face:chin", "Face:nose"), "'Face:nose' is there twice"),
-        (vicon().replace("\n9,0", "\n8,0"), "do not rise"),
-        ("Trajectories\n", "without its row of axes"),
+        (write_motive, "Frame,Time (Seconds)", "Sample,Time", "without its row of axes"),
+        (write_motive, ",Marker", ",Bone", "no markers"),
+        (write_motive, f"{POINTS[1, 0, 0]:.4f}", "lost", "line 9: found 'lost'"),
+        (write_vicon, "Face:chin", "Face:nose", "'Face:nose' is there twice"),
+        (write_vicon, "\n9,0", "\n8,0", "do not rise"),
+        (write_vicon, "Sub Frame,X", "X", "no markers"),
     ],
 )
-def test_damaged_exports_end_in_a_sentence(tmp_path, text, said):
-    (tmp_path / "take.csv").write_text(text)
+def test_damaged_exports_end_in_a_sentence(tmp_path, write, before, after, said):
+    path = write(tmp_path / "take.csv", NAMES, POINTS)
+    text = path.read_text()
+    assert before in text
+    path.write_text(text.replace(before, after))
     with pytest.raises(InputError, match=said):
-        open_markers(str(tmp_path / "take.csv"))
+        open_markers(str(path))
+
+
+def test_a_take_may_have_a_name_in_another_encoding(tmp_path):
+    path = write_motive(tmp_path / "take.csv", NAMES, POINTS)
+    path.write_bytes(path.read_text().replace("A take", "Köpfe").encode("latin-1"))
+    np.testing.assert_allclose(open_markers(str(path)).points, POINTS, atol=1e-4)
 
 
 def test_titles_of_columns_have_several_forms(tmp_path):
     for form in ("{}.x", "{}_TX", "{}:x", "{} X", "{} (X)", "{}[x]"):
         titles = [form.format(name).replace("x", axis).replace("X", axis) for name in NAMES for axis in "xyz"]
-        lines = [",".join(titles), *(",".join(cells(frame)) for frame in POINTS)]
+        lines = [",".join(titles), *(",".join(map(str, frame.reshape(-1))) for frame in POINTS)]
         (tmp_path / "take.csv").write_text("\n".join(lines) + "\n")
         assert list(open_markers(str(tmp_path / "take.csv")).names) == NAMES, form
 

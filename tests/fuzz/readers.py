@@ -212,7 +212,7 @@ READERS: dict[str, Make] = {
     "config folder": _configs,
     "ragged scans": surfaces.ragged,
     "prior": surfaces.prior,
-    **{f"markers {suffix}": surfaces.markers(suffix) for suffix in (".c3d", ".trc", ".csv")},
+    **{f"markers {suffix}": surfaces.markers(suffix) for suffix in surfaces.WRITERS},
     "marker map": surfaces.marker_map,
 }
 IN_PROCESSES = (

@@ -16,9 +16,11 @@ from riginv.tracking.surfaces.scan_files import RaggedArrays
 from riginv.tracking.surfaces.triangles import Surface
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.fuzz.tally import Target
-from tests.support.markers import placed, played, write_c3d, write_csv, write_trc
+from tests.support.markers import placed, played, write_c3d, write_csv, write_motive, write_trc, write_vicon
 from tests.support.scans import resampled, write_ragged
 from tests.support.toys import ToyRig
+
+WRITERS = {".c3d": write_c3d, ".trc": write_trc, ".csv": write_csv, ".motive.csv": write_motive, ".vicon.csv": write_vicon}
 
 
 def _rig() -> ToyRig:
@@ -74,7 +76,7 @@ def markers(suffix: str) -> Callable[[Path], Target]:
         with torch.no_grad():
             points = placement.points(rig(played(rig, 8))).numpy()
         points[3, 2] = np.nan
-        {".c3d": write_c3d, ".trc": write_trc, ".csv": write_csv}[suffix](path, placement.names, points)
+        WRITERS[suffix](path, placement.names, points)
         return Target([path], lambda: read_markers(path))
 
     return make

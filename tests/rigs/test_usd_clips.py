@@ -210,3 +210,23 @@ def test_samples_that_differ_by_rounding_are_one(tmp_path):
         slide.Set(Gf.Vec3d(time, 0, 0), time + 1e-7)
     stage.Save()
     near(tmp_path / "a.usda", rest + TIMES[:, None, None] * [2, 1, 1])
+
+
+@pytest.mark.parametrize("changes", [False, True])
+def test_faces_with_time_samples_may_not_change(tmp_path, changes):
+    stage = new_stage(tmp_path / "a.usda")
+    mesh = add_mesh(stage, "/mesh")
+    points, corners = mesh.GetPointsAttr(), mesh.GetFaceVertexIndicesAttr()
+    rest, first = points.Get(), corners.Get()
+    points.Clear()
+    for time in TIMES.tolist():
+        points.Set([point + Gf.Vec3f(time, 0, 0) for point in rest], time)
+        corners.Set(list(reversed(first)) if changes and time > 5 else first, time)
+    stage.Save()
+    clip = opened(tmp_path / "a.usda")
+    assert len(clip.read(0, 5)) == 5
+    if changes:
+        with pytest.raises(InputError, match="other faces at time code 6 than at first"):
+            clip.read(5, 6)
+    else:
+        assert len(clip.read(5, 12)) == 7

@@ -60,3 +60,35 @@ def write_csv(path: Path, names: Sequence[str], points: np.ndarray, fps: float =
         lines.append(",".join([str(number), f"{number / fps:.5f}", *cells]))
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def write_motive(path: Path, names: Sequence[str], points: np.ndarray, fps: float = 120.0, unit: str = "Millimeters") -> Path:
+    """An export of Motive: a rigid body with its expected marker, the markers, and one without a name; from frame 7."""
+    titles = [*(f"Face:{name}" for name in names), "Unlabeled 1042"]
+    kinds = ["Rigid Body"] * 4 + ["Rigid Body Marker"] * 3 + ["Marker"] * 3 * len(titles)
+    rows = [
+        ["Format Version", "1.23", "Take Name", '"A take, of 2026"', "Export Frame Rate", f"{fps:.6f}", "Length Units", unit],
+        [],
+        ["", "Type", *kinds],
+        ["", "Name", *["head"] * 4, *["Face:nose"] * 3, *(title for title in titles for _ in range(3))],
+        ["", "ID", *["A1"] * len(kinds)],
+        ["", "", "Rotation", *["Position"] * (len(kinds) - 1)],
+        ["Frame", "Time (Seconds)", "W", *["X", "Y", "Z"] * (2 + len(names) + 1)],
+    ]
+    rows += [[str(7 + n), f"{n / fps:.6f}", *["9"] * 7, *_cells(frame), *["5"] * 3] for n, frame in enumerate(points)]
+    path.write_text("\n".join(map(",".join, rows)) + "\n")
+    return path
+
+
+def write_vicon(path: Path, names: Sequence[str], points: np.ndarray, fps: int = 100, unit: str = "mm") -> Path:
+    """An export of Vicon Nexus: devices, the trajectories from frame 7, and joints."""
+    rows = ["Devices", "1000", ",,Force", "Frame,Sub Frame,Fx", ",,N", "1,0,0.5", "", "Trajectories", str(fps)]
+    rows += [",," + ",,,".join(f"Face:{name}" for name in names), "Frame,Sub Frame" + ",X,Y,Z" * len(names)]
+    rows += [",," + ",".join([unit] * 3 * len(names))]
+    rows += [",".join([str(7 + n), "0", *_cells(frame)]) for n, frame in enumerate(points)]
+    path.write_text("\n".join([*rows, "", "Joints", "100", "x,y"]) + "\n")
+    return path
+
+
+def _cells(frame: np.ndarray) -> list[str]:
+    return ["" if np.isnan(value) else f"{value:.4f}" for value in frame.flatten()]
