@@ -138,8 +138,8 @@ class JointFeatures(nn.Module):
         angles, moves, scales = (matrices.new_empty(len(matrices), count, 3) for _ in range(3))
         least = matrices.new_tensor([LEAST_DETERMINANT, LEAST_SCALE, LOCKED])
         rest = (values.to(matrices).contiguous() for values in (self.rest, self.inverse_rest, self.shift))
-        given = (matrices, matrices.shape[1], self.source, self.parents, *rest, self.orders.contiguous(), count, least)
-        compiled.call("joint_features", matrices.dtype, *given, angles, moves, scales, len(matrices))
+        given = matrices, matrices.shape[1], self.source, self.parents, *rest, self.orders.contiguous()
+        compiled.call("joint_features", matrices.dtype, *given, count, least, angles, moves, scales, len(matrices))
         return angles, moves, scales
 
     def change(
