@@ -137,8 +137,9 @@ class JointFeatures(nn.Module):
         matrices, count = matrices.detach().contiguous(), len(self.source)
         angles, moves, scales = (matrices.new_empty(len(matrices), count, 3) for _ in range(3))
         least = matrices.new_tensor([LEAST_DETERMINANT, LEAST_SCALE, LOCKED])
-        rest = (values.to(matrices).contiguous() for values in (self.rest, self.inverse_rest, self.shift))
-        given = matrices, matrices.shape[1], self.source, self.parents, *rest, self.orders.contiguous()
+        rest, inverse_rest, shift = (values.to(matrices).contiguous() for values in (self.rest, self.inverse_rest, self.shift))
+        of_joints = self.source, self.parents, rest, inverse_rest, shift, self.orders.contiguous()
+        given = matrices, matrices.shape[1], *of_joints
         compiled.call("joint_features", matrices.dtype, *given, count, least, angles, moves, scales, len(matrices))
         return angles, moves, scales
 
