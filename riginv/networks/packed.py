@@ -80,6 +80,7 @@ class PackedInverse:
     def _step(self, correction: nn.Module, coordinate_scale: Tensor) -> _Step:
         assert isinstance(correction, Correction)
         hidden, gates = correction.gate[0], correction.gate[2]
+        assert isinstance(hidden, nn.Linear) and isinstance(gates, nn.Linear)
         features = correction.features.weight.detach().clone()
         features[:, : self.size] /= -coordinate_scale
         return _Step(features, hidden.weight, hidden.bias, gates.weight, gates.bias + 1, correction.mix.weight)

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from riginv.errors import InputError
+from riginv.geometry.axis_basis import AxisBasisCache
 from riginv.geometry.blendshapes import apply_deltas
 from riginv.geometry.kernels.library import pure_torch
 from riginv.geometry.kinematics import Skeleton
@@ -206,6 +207,7 @@ class LinearRig(RigBackend):
         self.register_buffer("joint_noise", rest_vertices.new_zeros(0), persistent=False)
         self.coefficient_names = tuple(coefficient_names or (f"coefficient_{i}" for i in range(len(basis))))
         self.primary_count = primary_count
+        self._by_axis = AxisBasisCache()
 
     @property
     def has_blendshapes(self) -> bool:
@@ -288,4 +290,6 @@ class LinearRig(RigBackend):
 
     def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch vertex 3"]:
         change = self.coefficients(controls) - self.neutral_coefficients().to(controls)
+        if (by_axis := self._by_axis.get(self.basis, change)) is not None:
+            return self.rest_vertices + by_axis.displacements(change)
         return apply_deltas(self.rest_vertices.to(controls), self.basis.to(controls), change)

@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from riginv.geometry.euler import euler_angles, nearest_angles
+from riginv.geometry.euler import LOCKED, euler_angles, nearest_angles
+from riginv.geometry.kernels.library import Kernels, kernels_for
 from riginv.geometry.kinematics import tree_levels
 from riginv.geometry.skinning import NUMBERS
 
@@ -108,6 +109,16 @@ class JointFeatures(nn.Module):
             matrices: of all joints, the change of each from rest: its rotation and scale minus the identity, and the
                 displacement of its rest position, mm.
         """
+        compiled = None if torch.is_grad_enabled() and matrices.requires_grad else kernels_for(matrices)
+        found = self._relative(matrices) if compiled is None else self._relative_compiled(compiled, matrices)
+        angles, moves, scales = found
+        linear = matrices[:, self.source[self.roots], :, :3] + torch.eye(3).to(matrices)
+        moves = self.to_moves.to(matrices) @ moves[:, self.moved, :, None]
+        sizes = ((scales[:, self.scaled] - 1) * self.scaled_axes.to(matrices)).sum(dim=2)
+        return torch.cat([linear.flatten(1), angles.flatten(1), moves.flatten(1), sizes], dim=1)
+
+    def _relative(self, matrices: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Angles, displacements and scales of each joint relative to the one above it, each `(batch, joint, 3)`."""
         change = matrices[:, self.source]
         rest, eye = self.rest.to(change), torch.eye(3).to(change)
         linear = change[..., :3] + eye
@@ -119,10 +130,18 @@ class JointFeatures(nn.Module):
         rotations = local / scales.clamp_min(LEAST_SCALE)[..., None, :]
         parent, parent_rest = (torch.where(is_root, 0.0, places[..., above, :]) for places in (position, rest[..., 3]))
         moves = (inverse @ (position - parent)[..., None])[..., 0] - (rest[..., 3] - parent_rest)
-        moves = self.to_moves.to(change) @ moves[:, self.moved, :, None]
-        sizes = ((scales[:, self.scaled] - 1) * self.scaled_axes.to(change)).sum(dim=2)
-        angles = euler_angles(rotations, self.orders)
-        return torch.cat([linear[:, self.roots].flatten(1), angles.flatten(1), moves.flatten(1), sizes], dim=1)
+        return euler_angles(rotations, self.orders), moves, scales
+
+    def _relative_compiled(self, compiled: Kernels, matrices: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """As `_relative`, by a kernel."""
+        matrices, count = matrices.detach().contiguous(), len(self.source)
+        angles, moves, scales = (matrices.new_empty(len(matrices), count, 3) for _ in range(3))
+        least = matrices.new_tensor([LEAST_DETERMINANT, LEAST_SCALE, LOCKED])
+        rest, inverse_rest, shift = (values.to(matrices).contiguous() for values in (self.rest, self.inverse_rest, self.shift))
+        of_joints = self.source, self.parents, rest, inverse_rest, shift, self.orders.contiguous()
+        given = matrices, matrices.shape[1], *of_joints
+        compiled.call("joint_features", matrices.dtype, *given, count, least, angles, moves, scales, len(matrices))
+        return angles, moves, scales
 
     def change(
         self, before: Float[Tensor, "#batch feature"], after: Float[Tensor, "batch feature"]

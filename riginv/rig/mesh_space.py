@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.errors import InputError
+from riginv.geometry.axis_basis import AxisBasisCache, axis_by_axis
 from riginv.rig.interface import LinearRig, Vjp
 
 SEARCH_VERTICES = 3000  # vertices used in the search for the number of components
@@ -41,12 +42,13 @@ class MeshSpace(nn.Module):
         self.register_buffer("rest_vertices", rest_vertices, persistent=False)
         self.register_buffer("directions", directions, persistent=False)
         self.residual_mm = residual_mm
+        self._by_axis = AxisBasisCache()
         self._mapped: tuple[Tensor, Tensor, Tensor] | None = None  # basis and directions, and the linear map between them
 
     @classmethod
     def from_rig(cls, rig: LinearRig) -> "MeshSpace":
         """The exact mesh space of a rig that ends in a linear map: the span of its basis."""
-        axes = _axis_by_axis(rig.basis)
+        axes = axis_by_axis(rig.basis)
         if axes is None:
             directions, values = _orthonormal(rig.basis.flatten(1))
             directions = directions.unflatten(1, rig.rest_vertices.shape)
@@ -110,10 +112,15 @@ class MeshSpace(nn.Module):
 
     def encode(self, vertices: Float[Tensor, "batch vertex 3"]) -> Float[Tensor, "batch coordinate"]:
         """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`, by orthogonal projection."""
-        return (vertices - self.rest_vertices).flatten(1) @ self.directions.flatten(1).T
+        displacements = vertices - self.rest_vertices
+        if (by_axis := self._by_axis.get(self.directions, displacements)) is not None:
+            return by_axis.products(displacements)
+        return displacements.flatten(1) @ self.directions.flatten(1).T
 
     def decode(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch vertex 3"]:
         """Mesh coordinates `(batch, coordinate)` to meshes `(batch, vertex, 3)`, mm."""
+        if (by_axis := self._by_axis.get(self.directions, coordinates)) is not None:
+            return self.rest_vertices + by_axis.displacements(coordinates)
         return self.rest_vertices + (coordinates @ self.directions.flatten(1)).unflatten(1, self.rest_vertices.shape)
 
 
@@ -172,7 +179,7 @@ def inner_products(
     shapes: Float[Tensor, "shape vertex 3"], others: Float[Tensor, "other vertex 3"]
 ) -> Float[Tensor, "shape other"]:
     """Inner products of shapes, as three of a ninth of the cost where each moves vertices along one axis."""
-    axes, others_axes = _axis_by_axis(shapes), _axis_by_axis(others)
+    axes, others_axes = axis_by_axis(shapes), axis_by_axis(others)
     if axes is None or others_axes is None:
         return shapes.flatten(1) @ others.flatten(1).T
     products = shapes.new_zeros(len(shapes), len(others))
@@ -187,14 +194,6 @@ def _orthonormal(rows: Tensor) -> tuple[Tensor, Tensor]:
     q, r = torch.linalg.qr(rows.double().T)
     left, values, _ = torch.linalg.svd(r)
     return (q @ left[:, : len(values)]).T, values
-
-
-def _axis_by_axis(basis: Tensor) -> Tensor | None:
-    """The axis `(coefficient,)` along which each coefficient moves vertices, as in skinning; None where one has several."""
-    if int(basis[:1].ne(0).any(dim=1).sum()) > 1:
-        return None  # the first shape tells of most rigs
-    moved = torch.stack([basis[:, :, axis].ne(0).any(dim=1) for axis in range(3)], dim=1)
-    return moved.int().argmax(dim=1) if bool((moved.sum(dim=1) <= 1).all()) else None
 
 
 def _orthonormal_by_axis(basis: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:

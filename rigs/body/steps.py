@@ -30,8 +30,7 @@ class BodySteps:
         self.move = controls[:, body.moves].detach().contiguous()
         self.worlds = self.angles.new_empty(batch, joints, 3, 4)
         self.skeleton = (body.frames.to(angles), body.offsets.to(angles), body.parent_rows, joints)
-        frames, *chain = self.skeleton
-        compiled.call("skeleton", angles.dtype, self.angles, self.move, 3, frames, *chain, self.worlds, batch)
+        compiled.call("skeleton", angles.dtype, self.angles, self.move, *self.skeleton, self.worlds, batch)
         self.coefficients = self.worlds[:, body.skinned].flatten(1)
 
     @classmethod

@@ -94,6 +94,7 @@ def test_a_bundle_from_before_the_features_goes_on_on_mesh_coordinates(rig, tmp_
     space, target = in_mesh_space(rig), "riginv.networks.inverse.StagedInverse"
     sizes = {"hidden": (8,), "refinement_steps": 1, "width": 8, "gate": 4}
     network = StagedInverse(space, **sizes, features=False)
+    network.calibrate(space(random_controls(rig, 64)))
     rig_config = {"_target_": "rigs.gltf.rig.GltfRig", "file": str(rig.file), "joints": True}
     write_bundle(tmp_path / "bundle", "inverse", network, space, {"_target_": target, **sizes}, rig_config, {})
     loaded = load_inverse(tmp_path / "bundle")

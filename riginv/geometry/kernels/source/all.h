@@ -10,6 +10,7 @@
 #include "rigid.h"
 #include "distances.h"
 #include "skeleton.h"
+#include "joint_features.h"
 
 #undef PADDING
 #undef ROWS

@@ -34,6 +34,7 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #define SQRT sqrt
 #define SIN sin
 #define COS cos
+#define ATAN2 atan2
 #include "all.h"
 #include "band.h"
 #undef REAL
@@ -43,6 +44,7 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #undef SQRT
 #undef SIN
 #undef COS
+#undef ATAN2
 
 #define EXACT
 #define REAL float
@@ -52,6 +54,7 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #define SQRT sqrtf
 #define SIN sinf
 #define COS cosf
+#define ATAN2 atan2f
 #include "all.h"
 #include "encode.h"
 #include "refinement.h"

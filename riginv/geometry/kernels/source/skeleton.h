@@ -34,7 +34,7 @@ static inline void NAME(rotate)(const REAL *angles, const REAL *frame, REAL *eul
 /* angles (batch, joint, 3), radians; move (batch, 3), of the roots; frames (joint, 3, 3); offsets (joint, 3) from the parent.
  * worlds (batch, joint, 3, 4).
  */
-API int NAME(skeleton)(const REAL *angles, const REAL *move, Index move_ld, const REAL *frames, const REAL *offsets, const Index *parents,
+API int NAME(skeleton)(const REAL *angles, const REAL *move, const REAL *frames, const REAL *offsets, const Index *parents,
                        Index joints, REAL *worlds, Index batch) {
     for (Index row = 0; row < batch; row++, angles += 3 * joints, worlds += 12 * joints)
         for (Index joint = 0; joint < joints; joint++) {
@@ -44,7 +44,7 @@ API int NAME(skeleton)(const REAL *angles, const REAL *move, Index move_ld, cons
             if (parents[joint] < 0) {
                 for (int axis = 0; axis < 3; axis++) {
                     memcpy(world + 4 * axis, rotation + 3 * axis, 3 * sizeof(REAL));
-                    world[4 * axis + 3] = offset[axis] + move[row * move_ld + axis];
+                    world[4 * axis + 3] = offset[axis] + move[3 * row + axis];
                 }
                 continue;
             }
