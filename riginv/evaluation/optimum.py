@@ -35,7 +35,7 @@ class Budget(NamedTuple):
     descent_steps: int = 0
 
 
-FULL, BOUND = Budget(6, 60, descent_steps=300), Budget(2, 10, descent_steps=10)
+FULL, BOUND = Budget(6, 60, descent_steps=300), Budget(2, 5, descent_steps=10)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class RigFeatures(nn.Module):
 
     @classmethod
     def fitted(cls, rig: RigInMeshSpace) -> "RigFeatures":
-        """Features without a network, calibrated on random poses of the rig."""
+        """Features without a network, calibrated on random poses of the rig; where it has none, its coefficients are these."""
         features, backend = cls(rig), rig.source
         limits = backend.lower, backend.upper, backend.neutral_controls
         features.calibrate(rig, rig(sparse_controls(*limits, len(backend.controls), POSES, generator_at(0, "scale"))))
@@ -107,6 +107,6 @@ class RigFeatures(nn.Module):
 
 
 def _features_of(rig: LinearRig, coefficients: Tensor) -> Tensor:
+    """The rig's features `(batch, feature)`; where it has none, the coefficients themselves."""
     features = rig.features(coefficients)
-    assert features is not None, f"rig '{rig.name}' has no features"
-    return features
+    return coefficients if features is None else features

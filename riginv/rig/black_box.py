@@ -21,6 +21,7 @@ SEED = 20221206
 CHECKED = 50  # poses that a fitted basis is checked on
 MIN_SUBSET_RATIO = 3  # a vertex subset is used if the mesh has at least this many times its vertices
 BATCH_SIZE = 50
+GRADIENT_STEPS = 6  # a gradient costs as much as one to two columns of the Jacobian
 
 
 def fitted_basis(
@@ -66,6 +67,7 @@ class BlackBoxRig(LinearRig):
         super().__init__(rig.name, rig.controls, rig.rest_vertices, rig.faces, basis)
         self.posed = rig
         self.differentiable = rig.differentiable
+        self.gradient_steps = GRADIENT_STEPS if rig.differentiable else 0
         squares = basis.flatten(1).square().sum(dim=1)
         self.register_buffer("projection", (basis.flatten(1) / squares[:, None]).T.contiguous(), persistent=False)
         self.some: nn.Module | None = None

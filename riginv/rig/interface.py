@@ -178,11 +178,14 @@ class LinearRig(RigBackend):
         is_fitted: whether the basis was fitted to sampled poses: its coefficients are scaled by their spread and have no names.
         is_surrogate: whether it is a learned surrogate of another rig, its `true_rig()`.
         has_first_guess: whether `guess_from_features` is near the solution, so that solvers need no other start.
+        gradient_steps: steps that solvers take with a new gradient alone after each Jacobian, for rigs whose Jacobian costs
+            much more than a gradient.
         length_scale: factor on the lengths in mm that solvers take for small, for rigs whose files may be in any unit.
     """
 
     is_fitted: bool = False
     is_surrogate: bool = False
+    gradient_steps: int = 0
     length_scale: float = 1.0
     has_first_guess: bool = False
     basis: Tensor

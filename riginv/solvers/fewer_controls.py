@@ -35,7 +35,7 @@ class OneSidedObjective:
     """
 
     def __init__(self, objective: Objective) -> None:
-        self.objective, self.squared_mm = objective, objective.squared_mm
+        self.objective, self.squared_mm, self.gradient_steps = objective, objective.squared_mm, objective.gradient_steps
         self.neutral = torch.zeros_like(objective.neutral)
 
     def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
@@ -50,6 +50,11 @@ class OneSidedObjective:
     def prior_cost(self, units: Tensor) -> Tensor:
         """The part of the objective `(mesh,)` that does not depend on the mesh: none."""
         return torch.zeros_like(units[:, 0])
+
+    def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor:
+        """The gradient `(mesh, control)` of the objective."""
+        coordinates, extent, penalty = self._split(coordinates)
+        return extent * self.objective.gradient(self.objective.neutral + extent * units, coordinates) + penalty
 
     def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised:
         """The objective with its gradient and Gauss-Newton Hessian."""

@@ -43,10 +43,12 @@ class Minimised(Protocol):
 
     neutral: Tensor
     squared_mm: float
+    gradient_steps: int
 
     def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]: ...
     def cost(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Tensor: ...
     def prior_cost(self, units: Tensor) -> Tensor: ...
+    def gradient(self, units: Tensor, coordinates: Tensor) -> Tensor: ...
     def linearise(self, units: Tensor, coordinates: Tensor, weights: Tensor | None = None) -> Linearised: ...
 
 
@@ -58,7 +60,7 @@ class Solution:
         units: the controls `(mesh, control)`, as fractions of their ranges; neutral for skipped meshes.
         cost: the objective `(mesh,)`; NaN for skipped meshes.
         converged: `(mesh,)`.
-        steps: number of linearisations, `(mesh,)`.
+        steps: number of linearisations, `(mesh,)`; the steps that follow each with a new gradient alone are not counted.
         skipped: `(mesh,)`, whether the mesh has NaN or infinite values.
     """
 
@@ -142,6 +144,10 @@ def _solve(
         target = targets(active)
         near = objective.linearise(best[active], *target)
         new_units, new_cost, new_damping = _improve(objective, near, best[active], target, damping[active], pace.longest_step)
+        for _ in range(objective.gradient_steps if weights is None else 0):
+            near_new = near._replace(cost=new_cost, gradient=objective.gradient(new_units, *target))
+            arguments = (new_units, target, new_damping, pace.longest_step)
+            new_units, new_cost, new_damping = _improve(objective, near_new, *arguments)
         gained = near.cost - new_cost
         best[active], cost[active], damping[active] = new_units, new_cost, new_damping
         step_counts[active] += 1

@@ -93,6 +93,7 @@ class Objective:
         self.rig = rig
         self.vertex_count = rig.space.vertex_count
         self.squared_mm = self.vertex_count * rig.source.length_scale**2  # a mean squared distance of 1 mm^2
+        self.gradient_steps = rig.source.gradient_steps
         self.prior, self.sparsity = prior * self.squared_mm, sparsity * self.squared_mm
         self.is_sparse = bool(torch.as_tensor(sparsity).any())
         dtype = dtype or rig.linear_map.dtype
@@ -117,8 +118,9 @@ class Objective:
 
     @functools.cached_property
     def features(self) -> RigFeatures | None:
-        """The rig's calibrated features, or None where it has none (`LinearRig.features`)."""
-        return RigFeatures.fitted(self.rig) if RigFeatures.offered_by(self.rig) else None
+        """The rig's calibrated features (`LinearRig.features`), or coefficients of a fitted basis; None: it has neither."""
+        has_any = self.gradient_steps > 0 or RigFeatures.offered_by(self.rig)
+        return RigFeatures.fitted(self.rig) if has_any else None
 
     def by_mean_distance(self, corner_mm: float = CORNER_MM, vertices: int = VERTICES) -> "Objective":
         """The same objective with the mean distance in place of the mean squared distance (`MeanDistance`)."""

@@ -23,6 +23,7 @@ class FixedControlsRig(LinearRig):
         super().__init__(rig.name, controls, rig.rest_vertices, rig.faces, rig.basis, rig.coefficient_names, rig.primary_count)
         self.rig, self.differentiable = rig, rig.differentiable
         self.length_scale, self.has_first_guess = rig.length_scale, rig.has_first_guess
+        self.gradient_steps = rig.gradient_steps
         self.register_buffer("free", free, persistent=False)
         self.register_buffer("values", values.to(rig.dtype), persistent=False)
 

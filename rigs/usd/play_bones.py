@@ -15,14 +15,14 @@ from rigs.blender.in_blender.mesh_choice import listing
 from rigs.blender.in_blender.worker import serve
 from rigs.usd.choice import StageContents
 from rigs.usd.frame_grid import frame_grid
-from rigs.usd.play_usd import MEMORY, Answer, UsdScene
+from rigs.usd.play_usd import MEMORY, Answer, OpenedStage
 from rigs.usd.posed_mesh import sample_times, transform_attributes
 from rigs.usd.stage_clock import UnusableStageError
 
 MOST_TRANSFORMS = 5_000_000  # frames times joints
 
 
-class UsdBones(UsdScene):
+class UsdBones(OpenedStage):
     """Loads a stage, and describes the motion of its animated skeleton."""
 
     def load(self, file: str, animation: str | int | None = None, fps: float | None = None) -> Answer:

@@ -30,8 +30,8 @@ MOST_NAMED = 1000  # meshes and animations named to the user
 DAMAGED = (Tf.ErrorException, Tf.CppException, RuntimeError, ValueError, TypeError, MemoryError)
 
 
-class UsdScene:
-    """Loads a stage, describes it, and evaluates frames of it: its `controls` are indices of frames.
+class OpenedStage:
+    """A stage that is opened with limits, and its metadata.
 
     Args:
         memory: limit in bytes beyond MEMORY_PER_BYTE times the size of the file; None: unlimited.
@@ -39,6 +39,56 @@ class UsdScene:
 
     def __init__(self, memory: int | None = None) -> None:
         self.memory = memory
+
+    def open(self, file: str) -> None:
+        """Open the stage, repair its bindings, and list its contents."""
+        if self.memory is not None:
+            limit_memory(self.memory + MEMORY_PER_BYTE * Path(file).stat().st_size)
+        self.file = file
+        self.notes: list[str] = []
+        with self.refusing("open"):
+            missing = refuse_layers_elsewhere(file)
+            if missing:
+                self.notes.append(f"Layers that it refers to are not there: {listing(missing)}.")
+            self.stage = Usd.Stage.Open(file)
+            self.notes += repair_bindings(self.stage, all_prims(self.stage))
+            self.contents = StageContents(self.stage, all_prims(self.stage))
+
+    def clock(self, requested: float | None) -> StageClock:
+        """Time metadata of the stage."""
+        stage = self.stage
+        rates = {
+            "time_codes_per_second": stage.GetTimeCodesPerSecond() if stage.HasAuthoredMetadata("timeCodesPerSecond") else None,
+            "frames_per_second": stage.GetFramesPerSecond() if stage.HasAuthoredMetadata("framesPerSecond") else None,
+        }
+        if not stage.HasAuthoredTimeCodeRange():
+            return StageClock(**rates, requested=requested)
+        return StageClock(**rates, start=stage.GetStartTimeCode(), end=stage.GetEndTimeCode(), requested=requested)
+
+    def units(self) -> dict[str, Any]:
+        """Millimetres per unit and the up axis, None where not authored."""
+        stage = self.stage
+        mm = UsdGeom.GetStageMetersPerUnit(stage) * 1000 if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else None
+        return {
+            "unit_mm": mm,
+            "up": str(UsdGeom.GetStageUpAxis(stage)).lower() if stage.HasAuthoredMetadata("upAxis") else None,
+        }
+
+    @contextmanager
+    def refusing(self, what: str) -> Iterator[None]:
+        """Convert errors to refusals that name the file."""
+        try:
+            yield
+        except UnusableStageError as error:
+            raise RefusedError(f"{self.file}: {error}") from None
+        except DAMAGED as error:
+            raise RefusedError(
+                f"{self.file}: USD cannot {what} it ({type(error).__name__}): damaged, or no USD; export it again"
+            ) from None
+
+
+class UsdScene(OpenedStage):
+    """Loads a stage, describes it, and evaluates frames of it: its `controls` are indices of frames."""
 
     def load(
         self,
@@ -67,20 +117,6 @@ class UsdScene:
             times = np.unique(np.concatenate([mesh.times for mesh in self.meshes]))
             self.grid = frame_grid(times, self.clock(fps))
         return {"mesh": self.meshes[0].path}, {}
-
-    def open(self, file: str) -> None:
-        """Open the stage, repair its bindings, and list its contents."""
-        if self.memory is not None:
-            limit_memory(self.memory + MEMORY_PER_BYTE * Path(file).stat().st_size)
-        self.file = file
-        self.notes: list[str] = []
-        with self.refusing("open"):
-            missing = refuse_layers_elsewhere(file)
-            if missing:
-                self.notes.append(f"Layers that it refers to are not there: {listing(missing)}.")
-            self.stage = Usd.Stage.Open(file)
-            self.notes += repair_bindings(self.stage, all_prims(self.stage))
-            self.contents = StageContents(self.stage, all_prims(self.stage))
 
     def describe(self) -> Answer:
         """Frames, faces, what was read and left out, and the units and up axis, where the stage states them."""
@@ -118,38 +154,6 @@ class UsdScene:
         with np.errstate(over="ignore"):
             points = [mesh.world_points(time, transforms).astype(np.float32) for mesh in self.meshes]
         return np.concatenate(points)
-
-    def clock(self, requested: float | None) -> StageClock:
-        """Time metadata of the stage."""
-        stage = self.stage
-        rates = {
-            "time_codes_per_second": stage.GetTimeCodesPerSecond() if stage.HasAuthoredMetadata("timeCodesPerSecond") else None,
-            "frames_per_second": stage.GetFramesPerSecond() if stage.HasAuthoredMetadata("framesPerSecond") else None,
-        }
-        if not stage.HasAuthoredTimeCodeRange():
-            return StageClock(**rates, requested=requested)
-        return StageClock(**rates, start=stage.GetStartTimeCode(), end=stage.GetEndTimeCode(), requested=requested)
-
-    def units(self) -> dict[str, Any]:
-        """Millimetres per unit and the up axis, None where not authored."""
-        stage = self.stage
-        mm = UsdGeom.GetStageMetersPerUnit(stage) * 1000 if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else None
-        return {
-            "unit_mm": mm,
-            "up": str(UsdGeom.GetStageUpAxis(stage)).lower() if stage.HasAuthoredMetadata("upAxis") else None,
-        }
-
-    @contextmanager
-    def refusing(self, what: str) -> Iterator[None]:
-        """Convert errors to refusals that name the file."""
-        try:
-            yield
-        except UnusableStageError as error:
-            raise RefusedError(f"{self.file}: {error}") from None
-        except DAMAGED as error:
-            raise RefusedError(
-                f"{self.file}: USD cannot {what} it ({type(error).__name__}): damaged, or no USD; export it again"
-            ) from None
 
 
 if __name__ == "__main__":

@@ -22,6 +22,8 @@ class ModelObjective:
         sparsity: the same, in proportion to the weight: a weight is not negative, so the penalty has no corner inside.
     """
 
+    gradient_steps = 0
+
     def __init__(self, model: ProductModel, vertex_count: int, prior: float, sparsity: float = 0.0) -> None:
         self.model, self.squared_mm = model, vertex_count  # of a mean squared distance of 1 mm^2
         self.prior, self.sparsity = prior * vertex_count, sparsity * vertex_count
@@ -35,6 +37,10 @@ class ModelObjective:
         """The objective `(mesh,)`."""
         residual = self.model.coordinates(weights) - coordinates
         return 0.5 * residual.square().sum(dim=1) + self._penalty(weights)
+
+    def gradient(self, weights: Tensor, coordinates: Tensor) -> Tensor:
+        """The gradient `(mesh, side)` of the objective."""
+        return self.linearise(weights, coordinates).gradient
 
     def linearise(self, weights: Tensor, coordinates: Tensor) -> Linearised:
         """The objective with its gradient and Gauss-Newton Hessian, all from the approximation."""

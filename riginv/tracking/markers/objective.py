@@ -34,7 +34,7 @@ class MarkerRig(FixedControlsRig):
 
     def __init__(self, rig: LinearRig, free: Tensor, values: Tensor, placement: Placement) -> None:
         super().__init__(rig, free, values)
-        self.has_first_guess = False  # that of whole meshes
+        self.has_first_guess, self.gradient_steps = False, 0  # those of whole meshes
         self.register_buffer("corners_rest", rig.rest_vertices[placement.corners], persistent=False)
         self.register_buffer("corners_basis", rig.basis[:, placement.corners].contiguous(), persistent=False)
         weights = placement.barycentric[..., None]
