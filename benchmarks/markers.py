@@ -8,8 +8,9 @@ Markers are where `riginv.markers count=50` puts them, and, for comparison, even
 coordinate (body: 1 mm), 10 % dropped. TAKE.csv is a Live Link Face recording, whose 52 curves are added linearly to the default
 face: meshes near the rig's reach, but not in it. The frames of its second half are inverted in a row; 40 of them, spread, are
 evaluated by their true vertices, all 8,447 of them, in the rig's own frame. `x` is over the best same-topology answer
-(Levenberg-Marquardt from three starts). `take` has a prior learned from the first half, `none` the default prior; with `motion`
-the head also turns by up to 20 degrees and moves by up to 50 mm, and the error is that in the rig's own frame.
+(Levenberg-Marquardt from three starts). `take` has a prior learned from the first half, with its changes from frame to frame,
+`none` the default prior; with `motion` the head also turns by up to 20 degrees and moves by up to 50 mm, and the error is that
+in the rig's own frame.
 Milliseconds are of one core's time (`time.process_time`), which other processes beside it lengthen.
 """
 

@@ -20,7 +20,9 @@ from riginv.tracking.markers.objective import MarkerObjective, pack
 from riginv.tracking.markers.placement import Placement, point_derivatives, points_on
 from riginv.tracking.markers.tracking import MarkerTrack, track_markers
 from riginv.tracking.options import ControlOptions, SolverOptions, TrackingOptions
+from riginv.tracking.priors.changes import with_changes
 from riginv.tracking.priors.prior import learn_prior
+from riginv.tracking.priors.takes import Take
 from tests.conftest import ROOT
 from tests.support.markers import placed, played, write_c3d
 from tests.support.toys import ToyRig
@@ -38,6 +40,21 @@ def objective_of(rig, placement: Placement, moves: bool = False, noise_mm: float
     prior = learn_prior(rig, played(rig, 60), "itself")
     options = TrackingOptions(correspondence="markers", markers="-", noise_mm=noise_mm)
     return build_objective(rig, placement, resolve_constraints(rig, ControlOptions()), prior, moves, options)
+
+
+def test_a_prior_that_knows_how_controls_change_averages_noise_over_time(toy_rig):
+    placement, controls = placed(toy_rig, 12), played(toy_rig, FRAMES)
+    noise = 0.5 * torch.randn(FRAMES, 12, 3, generator=torch.Generator().manual_seed(3))
+    points, options = placement.points(toy_rig(controls)) + noise, TrackingOptions(noise_mm=0.5)
+    plain = learn_prior(toy_rig, played(toy_rig, 60), "itself")
+    takes = [Take(played(toy_rig, 60), (), torch.arange(60), 30.0)]
+    errors = []
+    for prior in (plain, with_changes(plain, toy_rig, takes)):
+        constraints = resolve_constraints(toy_rig, ControlOptions())
+        objective = build_objective(toy_rig, placement, constraints, prior, False, options, 30.0)
+        found = track_markers(objective, points, torch.arange(FRAMES), SolverOptions(), 0.5)
+        errors.append(mesh_error(toy_rig, found, controls))
+    assert errors[1] < 0.8 * errors[0]
 
 
 def track(objective: MarkerObjective, points: torch.Tensor, noise_mm: float = 0.1) -> MarkerTrack:

@@ -28,6 +28,7 @@ from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls
 
 IN_SEQUENCE = 0.67  # of the weight of the prior, as a standard deviation: tuned, see docs/experiments.md#markers
+KNOWN_CHANGES, REGRESSION = 0.6, 0.8  # the same where takes tell how controls change; of what visible controls say about others
 MISFIT_MM = 0.3  # how far exact markers lie off the rig, by what it cannot make
 LIMITS = SizeLimits(("mm", "cm", "m"), 3.0, 3.0)  # wide enough for another pose
 
@@ -104,7 +105,8 @@ def marker_prior(rig: LinearRig, prior: ControlPrior, noise_mm: float) -> Contro
     make, and that must not turn the gaze: what markers do not see is not weighted by less than `MISFIT_MM`.
     """
     hidden = hidden_controls(rig, prior.mean)
-    return prior.rescaled(hidden, IN_SEQUENCE**-2, (noise_mm / max(noise_mm, MISFIT_MM)) ** 2)
+    weight, regression = (IN_SEQUENCE, 1.0) if prior.changes is None else (KNOWN_CHANGES, REGRESSION)
+    return prior.rescaled(hidden, weight**-2, (noise_mm / max(noise_mm, MISFIT_MM)) ** 2, regression)
 
 
 def build_objective(

@@ -17,7 +17,8 @@ from riginv.tracking.options import SolverOptions
 
 KEY_DISTANCE, MORE_STEPS = 8, 2  # of `solve_frames`: the whole clip is solved afterwards
 TOLERANCE = 3e-2  # of `solve_clip`
-MORE_CLIP_STEPS, FINE_TOLERANCE = 2, 1e-3  # factor of its steps, and its tolerance, where a prior knows how controls change
+MORE_CLIP_STEPS, FINE_TOLERANCE = 1, 1e-3  # of it where a prior knows how controls change: further steps, and the tolerance
+FLOOR, USUAL = 0.3, 10.0  # of a marker's variance: times that of the noise, and how many observations of usual size it has more
 REFINE_STEPS = 10  # of each frame, after offsets or labels have changed
 
 
@@ -89,9 +90,11 @@ def track_markers(
         advance("the whole clip", 0)
         steps, tolerance = options.clip_steps, TOLERANCE
         if objective.changes is not None:
-            steps, tolerance = MORE_CLIP_STEPS * steps, FINE_TOLERANCE
-        how = (options.smoothness, steps)
-        units = solve_clip(objective, packed, units, *how, tolerance=tolerance, numbers=numbers, changes=objective.changes)
+            steps, tolerance = steps + MORE_CLIP_STEPS, FINE_TOLERANCE
+            packed = _weighted_by_fit(objective, packed, solution.units, noise_mm)
+        units = solve_clip(
+            objective, packed, units, options.smoothness, steps, tolerance=tolerance, numbers=numbers, changes=objective.changes
+        )
     seen = objective.residuals(units, pack(labelled.points, torch.ones(points.shape[:2])).nan_to_num(0.0))
     used = objective.residuals(units, packed.nan_to_num(0.0))
     return MarkerTrack(
@@ -104,6 +107,17 @@ def track_markers(
         labelled.stray,
         ~solution.skipped,
     )
+
+
+def _weighted_by_fit(objective: MarkerObjective, packed: Tensor, units: Tensor, noise_mm: float) -> Tensor:
+    """The clip with smaller weights of markers that the rig follows worse than others, such as those on lids."""
+    found = objective.residuals(units, packed.nan_to_num(0.0))
+    squared, observed = (found.weights * found.residual.square().sum(dim=2)).sum(dim=0) / 3, found.weights.sum(dim=0)
+    usual = squared.sum() / observed.sum()
+    variance = (squared + USUAL * usual) / (observed + USUAL) + FLOOR * noise_mm**2
+    factor = variance**-0.5  # the root of what independent errors would have: those of one marker are alike in many frames
+    count = len(factor)
+    return torch.cat([packed[:, : 3 * count], packed[:, 3 * count :] * factor / factor.mean()], dim=1)
 
 
 def _matrices(rotation: Tensor, translation: Tensor) -> Tensor:

@@ -64,17 +64,21 @@ class ControlPrior:
         """
         return None if self.changes is None else smoothness * max(measurements, 1.0) / (noise_mm**2 * fps**3) * self.changes
 
-    def rescaled(self, hidden: Tensor, visible_scale: float, hidden_scale: float) -> "ControlPrior":
+    def rescaled(
+        self, hidden: Tensor, visible_scale: float, hidden_scale: float, regression_scale: float = 1.0
+    ) -> "ControlPrior":
         """The prior with other variances of some controls; what the others say about these, their regression, is kept.
 
         Args:
             hidden: which controls they are, `(control,)`.
             visible_scale: factor of the covariance of the other controls.
             hidden_scale: factor of the covariance that these have for given values of the others.
+            regression_scale: factor of that regression: below 1 for others that are not known exactly.
         """
         across = self.covariance[:, ~hidden]
         explained = across @ torch.linalg.solve(across[~hidden], across.T)
-        covariance = visible_scale * explained + hidden_scale * (self.covariance - explained)
+        by = torch.where(hidden, regression_scale, 1.0).double()
+        covariance = visible_scale * torch.outer(by, by) * explained + hidden_scale * (self.covariance - explained)
         return replace(self, covariance=(covariance + covariance.T) / 2)
 
     def subset(self, controls: Tensor) -> "ControlPrior":
