@@ -68,7 +68,7 @@ def propose(
     if with_pose:
         hits, motion, mesh = _pose(rig, names, points, skin, hits)
     local = motion.undo(points)
-    hits = _at_common_height(mesh, local, hits)
+    hits = at_common_height(mesh, local, hits)
     height = ((local - hits.points) * _face_normals(mesh, hits)).sum(axis=1)
     weights = torch.from_numpy(hits.barycentric).float()
     free = torch.full((len(names),), calibrated)
@@ -76,7 +76,7 @@ def propose(
     return Proposal(placement, hits.distance, rivals)
 
 
-def _at_common_height(mesh: TriangleMesh, local: np.ndarray, hits: Hits) -> Hits:
+def at_common_height(mesh: TriangleMesh, local: np.ndarray, hits: Hits) -> Hits:
     """The closest points, of the other lip or lid where the markers' common height fits that and not the nearest one.
 
     Args:
