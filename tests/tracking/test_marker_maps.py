@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from riginv.tracking.constraints import resolve_constraints
@@ -10,10 +11,11 @@ from riginv.tracking.markers.assembly import build_objective, marker_prior
 from riginv.tracking.markers.layout import NOISE_MM, hidden_controls, marker_skin, suggest_layout
 from riginv.tracking.markers.map_file import read_map, write_map
 from riginv.tracking.markers.placement import Placement
-from riginv.tracking.markers.proposing import propose
+from riginv.tracking.markers.proposing import at_common_height, propose
 from riginv.tracking.markers.tracking import track_markers
 from riginv.tracking.options import ControlOptions, SolverOptions, TrackingOptions
 from riginv.tracking.priors.performances import default_prior
+from riginv.tracking.surfaces.triangles import TriangleMesh
 from tests.conftest import ROOT
 from tests.support.markers import placed, write_csv
 from tests.support.toys import ToyRig
@@ -126,3 +128,16 @@ def test_places_are_suggested_from_the_command_line(run, tmp_path):
     done = run("markers", "rig=toy", f"--config-dir={CONF}", "count=5", "out=map.yaml")
     assert done.code == 0, done.text
     assert len(read_map(tmp_path / "map.yaml", ToyRig())) == 5
+
+
+def test_a_marker_goes_to_the_lip_at_the_height_of_the_others_and_not_to_the_nearest_one():
+    grid = np.stack(np.meshgrid(np.linspace(-20, 20, 21), np.linspace(0.2, 20.2, 11)), axis=2).reshape(-1, 2)
+    faces = Delaunay(grid).simplices
+    upper, lower = np.c_[grid, np.ones(len(grid))], np.c_[grid * (1, -1), np.zeros(len(grid))]
+    strips = TriangleMesh(np.concatenate([upper, lower]), np.concatenate([faces, faces[:, ::-1] + len(grid)]))
+    markers = np.array([(-9.0, -9.0, 2.0), (5.0, -12.0, 2.1), (7.0, 9.0, 3.0), (0.0, -0.3, 2.0)])
+    nearest = strips.closest(markers)
+    assert nearest.points[3, 2] == 1.0  # the other strip, which the marker does not belong to
+    found = at_common_height(strips, markers, nearest)
+    np.testing.assert_allclose(found.points[3], (0.0, -0.3, 0.0), atol=1e-9)
+    np.testing.assert_allclose(found.points[[0, 1, 2]], nearest.points[[0, 1, 2]])

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from riginv.rig.interface import LinearRig
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
@@ -24,6 +26,7 @@ RIDGE = 0.01  # on the common height, relative to one marker's distance
 PLACES, FINALISTS = 24, 12  # of the skin, near which the markers may be; starts that are refined further
 BETTER = 0.8  # factor of the distance that a rotated start must reach
 POSE_ROUNDS, POSE_STEPS, POSE_NOISE_MM = 5, 10, 10.0
+AROUND, TOO_LOW = 2.0, 0.3  # of the common height: the surface near a marker; how much lower one is that may belong elsewhere
 NEARLY = 1.25  # factor of the distance up to which another alignment is as good
 
 
@@ -65,11 +68,36 @@ def propose(
     if with_pose:
         hits, motion, mesh = _pose(rig, names, points, skin, hits)
     local = motion.undo(points)
+    hits = at_common_height(mesh, local, hits)
     height = ((local - hits.points) * _face_normals(mesh, hits)).sum(axis=1)
     weights = torch.from_numpy(hits.barycentric).float()
     free = torch.full((len(names),), calibrated)
     placement = Placement(names, torch.from_numpy(hits.corners), weights, torch.from_numpy(height).float(), free)
     return Proposal(placement, hits.distance, rivals)
+
+
+def at_common_height(mesh: TriangleMesh, local: np.ndarray, hits: Hits) -> Hits:
+    """The closest points, of the other lip or lid where the markers' common height fits that and not the nearest one.
+
+    Args:
+        local: markers in the mesh's frame, `(marker, 3)`.
+    """
+    result = Hits(*(values.copy() for values in hits))
+    height = ((local - hits.points) * hits.normals).sum(axis=1)
+    common = float(np.median(height))
+    for marker in np.flatnonzero((height > 0) & (height < (1 - TOO_LOW) * common)):
+        near = np.linalg.norm(mesh.points - local[marker], axis=1) < AROUND * common
+        faces = mesh.faces[near[mesh.faces].any(axis=1)]
+        edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
+        graph = coo_array((np.ones(edges.shape[1]), edges), shape=(len(near), len(near)))
+        part = connected_components(graph, directed=False)[1]
+        for other in np.setdiff1d(part[faces[:, 0]], part[hits.corners[marker]]):
+            found = TriangleMesh(mesh.points, faces[part[faces[:, 0]] == other]).closest(local[marker : marker + 1])
+            above = float(((local[marker] - found.points[0]) * found.normals[0]).sum())
+            if abs(above - common) < BETTER * abs(float(height[marker]) - common):
+                for mine, theirs in zip(result, found):
+                    mine[marker] = theirs[0]
+    return result
 
 
 def _face_normals(mesh: TriangleMesh, hits: Hits) -> np.ndarray:
