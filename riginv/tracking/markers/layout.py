@@ -16,13 +16,15 @@ OPEN = 0.5  # fraction of unoccluded rays at a vertex that a marker can be glued
 NOISE_MM = 0.15  # of a marker while places are chosen; half of a real one: see docs/experiments.md#markers
 HIDDEN = 0.3  # fraction of a control's squared displacement on the skin, below which markers do not see it
 SPACING = 0.02  # least distance of two markers, relative to the rig's size
+POSES = 6  # about which the rig is taken as linear
 
 
 @torch.no_grad()
 def suggest_layout(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: float, offset_mm: float | None) -> Placement:
     """Markers at vertices, chosen one by one: each reduces the variance of the whole mesh most (A-optimal design).
 
-    The variance is that of the prior's Gaussian after markers of some noise, linear about its mean.
+    The variance is that of the prior's Gaussian after markers of some noise, summed over linear models of the rig about the
+    prior's mean and random poses.
 
     Args:
         offset_mm: of the markers from the skin; None: to be calibrated.
@@ -30,25 +32,55 @@ def suggest_layout(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: fl
     rest, faces = rig.rest_vertices.cpu().double().numpy(), rig.faces.cpu().numpy()
     outer = marker_skin(rest, faces)
     some = torch.from_numpy(outer[:: -(-len(outer) // CANDIDATES)])
-    span = rig.upper - rig.lower
-    _, jacobian = rig.coefficient_jacobian((rig.lower + span * prior.mean.to(span))[None])
-    roots = span[:, None].double() * torch.linalg.cholesky(prior.covariance)
-    columns = rig.basis.flatten(1).T.double() @ (jacobian.dense()[0].double() @ roots)
-    whole, here = columns.T @ columns, columns.unflatten(0, (-1, 3))[some]
-    variance, noise = torch.eye(columns.shape[1], dtype=torch.float64), noise_mm**2 * torch.eye(3, dtype=torch.float64)
+    models = [_Linear(rig, units, prior, some, noise_mm) for units in _poses(prior)]
     places, spacing_mm = rig.rest_vertices[some], SPACING * float(np.ptp(rest, axis=0).max())
     chosen, too_near = list[int](), torch.zeros(len(some), dtype=torch.bool)
     for _ in range(min(count, len(some))):
-        half = here @ variance
-        measured = half @ here.mT + noise
-        gain = torch.linalg.solve(measured, half @ whole @ half.mT).diagonal(dim1=1, dim2=2).sum(dim=1)
-        gain[too_near] = -1.0
+        gain = torch.stack([model.gain() for model in models]).sum(dim=0).where(~too_near, -1.0)
         best = int(gain.argmax())
         chosen.append(best)
         too_near |= (places - places[best]).norm(dim=1) < spacing_mm
-        variance = variance - half[best].T @ torch.linalg.solve(measured[best], half[best])
+        for model in models:
+            model.add(best)
     vertices = some[chosen].tolist()
     return at_vertices(rig, _names(rig, vertices), vertices, offset_mm)
+
+
+def _poses(prior: ControlPrior) -> Tensor:
+    """The prior's mean and random poses of it `(pose, control)`, as fractions of the ranges."""
+    draws = torch.randn(POSES - 1, len(prior.mean), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    root = torch.linalg.cholesky(prior.covariance)
+    return torch.cat([prior.mean.double()[None], (prior.mean.double() + draws @ root.T).clamp(0, 1)])
+
+
+class _Linear:
+    """What markers tell of a rig that is linear about a pose.
+
+    Args:
+        units: the pose, `(control,)`, as fractions of the ranges.
+        some: vertices that may carry a marker.
+        noise_mm: of a marker.
+    """
+
+    def __init__(self, rig: LinearRig, units: Tensor, prior: ControlPrior, some: Tensor, noise_mm: float) -> None:
+        span = rig.upper - rig.lower
+        _, jacobian = rig.coefficient_jacobian((rig.lower + span * units.to(span))[None])
+        roots = span[:, None].double() * torch.linalg.cholesky(prior.covariance)
+        columns = rig.basis.flatten(1).T.double() @ (jacobian.dense()[0].double() @ roots)
+        self.whole, self.here = columns.T @ columns, columns.unflatten(0, (-1, 3))[some]
+        self.variance = torch.eye(columns.shape[1], dtype=torch.float64)
+        self.noise = noise_mm**2 * torch.eye(3, dtype=torch.float64)
+
+    def gain(self) -> Tensor:
+        """By how much a marker at each vertex reduces the variance of the whole mesh, `(vertex,)`, mm^2."""
+        self.half = self.here @ self.variance
+        self.measured = self.half @ self.here.mT + self.noise
+        return torch.linalg.solve(self.measured, self.half @ self.whole @ self.half.mT).diagonal(dim1=1, dim2=2).sum(dim=1)
+
+    def add(self, vertex: int) -> None:
+        """Put a marker at a vertex that `gain` was asked for."""
+        half = self.half[vertex]
+        self.variance = self.variance - half.T @ torch.linalg.solve(self.measured[vertex], half)
 
 
 @torch.no_grad()
