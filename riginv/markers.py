@@ -22,7 +22,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write
 from riginv.tracking.markers.assembly import frame_units, in_millimetres
-from riginv.tracking.markers.layout import NOISE_MM, suggest_layout
+from riginv.tracking.markers.layout import NOISE_MM, SPACING, suggest_layout
 from riginv.tracking.markers.map_file import read_map, write_map
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.proposing import propose
@@ -68,6 +68,8 @@ def run(config: DictConfig) -> None:
     if settings.count is not None:
         placement = suggest_layout(rig, default_prior(rig), settings.count, NOISE_MM, None)
         lines = [f"  {len(placement)} places on rig '{rig.name}', the most informative first"]
+        if len(placement) < settings.count:
+            lines.append(f"  count={settings.count} would put them nearer to each other than {SPACING:.0%} of the rig's size")
     else:
         placement, distance, lines = _proposed(settings, rig)
         comments = {name: f"{mm:.1f} mm from the surface" for name, mm in zip(placement.names, distance.tolist())}

@@ -125,6 +125,8 @@ def test_a_map_that_cannot_be_made_is_told_in_a_sentence(run, tmp_path, more, sa
 
 
 def test_places_are_suggested_from_the_command_line(run, tmp_path):
+    many = run("markers", "rig=toy", f"--config-dir={CONF}", "count=5000", "out=many.yaml")
+    assert many.code == 0 and "count=5000 would put them nearer to each other than 2% of the rig's size" in many.text
     done = run("markers", "rig=toy", f"--config-dir={CONF}", "count=5", "out=map.yaml")
     assert done.code == 0, done.text
     assert len(read_map(tmp_path / "map.yaml", ToyRig())) == 5

@@ -27,6 +27,7 @@ def suggest_layout(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: fl
     prior's mean and random poses.
 
     Args:
+        count: of markers, fewer where they would be nearer to each other than `SPACING`.
         offset_mm: of the markers from the skin; None: to be calibrated.
     """
     rest, faces = rig.rest_vertices.cpu().double().numpy(), rig.faces.cpu().numpy()
@@ -35,7 +36,7 @@ def suggest_layout(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: fl
     models = [_Linear(rig, units, prior, some, noise_mm) for units in _poses(prior)]
     places, spacing_mm = rig.rest_vertices[some], SPACING * float(np.ptp(rest, axis=0).max())
     chosen, too_near = list[int](), torch.zeros(len(some), dtype=torch.bool)
-    for _ in range(min(count, len(some))):
+    while len(chosen) < count and not too_near.all():
         gain = torch.stack([model.gain() for model in models]).sum(dim=0).where(~too_near, -1.0)
         best = int(gain.argmax())
         chosen.append(best)
