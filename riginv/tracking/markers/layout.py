@@ -68,20 +68,22 @@ class _Linear:
         _, jacobian = rig.coefficient_jacobian((rig.lower + span * units.to(span))[None])
         roots = span[:, None].double() * torch.linalg.cholesky(prior.covariance)
         columns = rig.basis.flatten(1).T.double() @ (jacobian.dense()[0].double() @ roots)
-        self.whole, self.here = columns.T @ columns, columns.unflatten(0, (-1, 3))[some]
-        self.variance = torch.eye(columns.shape[1], dtype=torch.float64)
+        self.here = columns.unflatten(0, (-1, 3))[some]
+        self.half = self.here.clone()  # times the variance of the controls given the markers so far: at first 1
+        self.reach = self.half @ (columns.T @ columns)  # their covariances with the whole mesh, times its own displacements
         self.noise = noise_mm**2 * torch.eye(3, dtype=torch.float64)
 
     def gain(self) -> Tensor:
         """By how much a marker at each vertex reduces the variance of the whole mesh, `(vertex,)`, mm^2."""
-        self.half = self.here @ self.variance
-        self.measured = self.half @ self.here.mT + self.noise
-        return torch.linalg.solve(self.measured, self.half @ self.whole @ self.half.mT).diagonal(dim1=1, dim2=2).sum(dim=1)
+        measured = self.half @ self.here.mT + self.noise
+        return torch.linalg.solve(measured, self.reach @ self.half.mT).diagonal(dim1=1, dim2=2).sum(dim=1)
 
     def add(self, vertex: int) -> None:
-        """Put a marker at a vertex that `gain` was asked for."""
-        half = self.half[vertex]
-        self.variance = self.variance - half.T @ torch.linalg.solve(self.measured[vertex], half)
+        """Put a marker at a vertex."""
+        half, reach = self.half[vertex].clone(), self.reach[vertex].clone()
+        share = torch.linalg.solve(half @ self.here[vertex].T + self.noise, self.here @ half.T, left=False)
+        self.half -= share @ half
+        self.reach -= share @ reach
 
 
 @torch.no_grad()

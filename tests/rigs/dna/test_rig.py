@@ -244,7 +244,7 @@ def test_a_rig_trains_is_evaluated_and_inverted_by_the_usual_commands(run, tmp_p
     [
         ({"controls": "both"}, "rig.controls is 'both', expected gui, raw or null"),
         ({"lod": -1}, "rig.lod is -1, expected a whole number"),
-        ({"lod": 2}, "level of detail 2"),
+        ({"lod": 2}, "rig.lod=2, expected 0 to 1"),
         ({"meshes": "skin"}, "rig.meshes is 'skin', expected a list of globs"),
         ({"unit_mm": 0}, "rig.unit_mm is 0, expected a number above 0"),
         ({"unit_mm": True}, "rig.unit_mm is True"),
