@@ -112,7 +112,7 @@ def print_results(metrics: Mapping[str, Any], title: str, notes: Sequence[str] =
         "Mesh worst: the largest vertex error of a mesh, averaged over the meshes; all worst: the largest of all. "
         "Times optimum: the mean error over the least that a solver found from many starts, on a few of the meshes; "
         f"{EXACT}: that least is below {WITHIN_REACH_MM:g} mm, the rig can make these meshes; {BOUND.strip()}: for rigs with a "
-        "fitted basis, the least that a few solver steps from the predicted controls reach. "
+        "fitted basis, the least that few solver steps reach. "
         "Roughness: mean squared second difference of the curves.",
         highlight=False,
         soft_wrap=True,
