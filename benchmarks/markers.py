@@ -35,10 +35,9 @@ from riginv.tracking.markers.layout import NOISE_MM, marker_skin, suggest_layout
 from riginv.tracking.markers.placement import Placement, at_vertices
 from riginv.tracking.markers.tracking import MarkerTrack, track_markers
 from riginv.tracking.options import ControlOptions, TrackingOptions
-from riginv.tracking.priors.changes import with_changes
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import ControlPrior, blended, learn_prior
-from riginv.tracking.priors.takes import read_take
+from riginv.tracking.priors.takes import read_take, with_changes
 from riginv.tracking.surfaces.rig_surface import farthest_points
 from rigs.body import BodyRig
 from rigs.face import FaceRig

@@ -20,11 +20,10 @@ from riginv.invert import free_folder
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.locks import exclusive_lock
-from riginv.tracking.priors.changes import with_changes
 from riginv.tracking.priors.files import save_prior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
-from riginv.tracking.priors.takes import read_take
+from riginv.tracking.priors.takes import read_take, with_changes
 from riginv.tracking.rigs import build_rig
 
 LISTED = 5  # controls with the largest standard deviations

@@ -140,7 +140,7 @@ def test_windows_bound_what_is_held(rig, meshes, tmp_path):
 
 
 def test_obj_frames_are_read_fast(face, tmp_path):
-    """50 MB/s on one core; a quarter of that is asked for here, in processor time, because others may be at work on the machine."""
+    """50 MB/s on one core; a quarter of that is asked for here, in processor time, for others may be at work."""
     points, faces = face.rest_vertices.numpy(), face.faces.numpy()
     paths = [write_obj(tmp_path / f"head.{number:04d}.obj", points + number, faces) for number in range(8)]
     sequence = opened(tmp_path / "head.%04d.obj", face)

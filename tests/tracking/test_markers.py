@@ -20,9 +20,8 @@ from riginv.tracking.markers.objective import MarkerObjective, pack
 from riginv.tracking.markers.placement import Placement, point_derivatives, points_on
 from riginv.tracking.markers.tracking import MarkerTrack, track_markers
 from riginv.tracking.options import ControlOptions, SolverOptions, TrackingOptions
-from riginv.tracking.priors.changes import with_changes
 from riginv.tracking.priors.prior import learn_prior
-from riginv.tracking.priors.takes import Take
+from riginv.tracking.priors.takes import Take, with_changes
 from tests.conftest import ROOT
 from tests.support.markers import placed, played, write_c3d
 from tests.support.toys import ToyRig

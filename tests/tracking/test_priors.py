@@ -11,11 +11,10 @@ from riginv.rig.interface import Control
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import GaussianPrior, Objective
-from riginv.tracking.priors.changes import LEAST, LEAST_FPS, with_changes
 from riginv.tracking.priors.files import FACTS, NUMBERS, load_prior, save_prior
 from riginv.tracking.priors.performances import PoseLibrary, default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
-from riginv.tracking.priors.takes import Take, read_take
+from riginv.tracking.priors.takes import LEAST, LEAST_FPS, Take, read_take, with_changes
 from tests.support.toys import ToyRig
 
 
