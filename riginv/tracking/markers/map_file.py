@@ -48,7 +48,7 @@ def read_points(path: Path, names: Sequence[str]) -> np.ndarray:
     markers = {str(name): place for name, place in read_yaml(path)["markers"].items()}
     for name in names:
         point = markers[name].get("point")
-        if not (isinstance(point, list) and len(point) == 3 and all(_is_number(value) for value in point)):
+        if not (isinstance(point, list) and len(point) == 3 and all(_is_number(each) and abs(each) < 1e12 for each in point)):
             raise InputError(f"{path}: marker {name!r} has point {point!r:.60}, expected its position in the scan: [x, y, z]")
     return np.array([markers[name]["point"] for name in names], np.float64)
 
