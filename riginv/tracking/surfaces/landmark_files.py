@@ -93,7 +93,7 @@ def read_landmarks(
     clip, placement, notes = matched(open_markers(options.clip), given, options.map, reading, FEWEST)
     rows = _rows(clip, scans)
     points = np.where(rows[:, None, None] >= 0, clip.points[rows], np.nan).astype(np.float64)
-    seen = np.isfinite(points).all(axis=2).any(axis=1)
+    seen = np.isfinite(points).all(axis=2).sum(axis=1) > 0
     if not seen.any():
         raise InputError(f"{clip.path}: it has no landmark in any frame of the scans, only gaps: export their positions")
     if not seen.all():
