@@ -79,6 +79,8 @@ class InvertConfig(TrackingOptions):
         self.resolved_method(bool(self.bundle))
         if self.bundle and self.correspondence in ("surface", "markers"):
             raise InputError(f"correspondence={self.correspondence} needs no network: give rig=NAME in place of bundle=DIR")
+        if self.bundle and self.landmarks.is_given:
+            raise InputError("landmarks are for scans, which need no network: give rig=NAME in place of bundle=DIR")
         if not self.bundle and self.rig is None:
             raise InputError("the rig of the clip is not given: add rig=NAME, or bundle=DIR (a trained inverse)")
 
@@ -122,6 +124,8 @@ def by_surface(
     Raises:
         InputError: the file cannot be read, or has the rig's vertices in another order.
     """
+    if options.landmarks.is_given:
+        return True, []
     if options.correspondence != "auto" or has_network or reading.vertices is not None or Path(path).suffix == ".csv":
         return options.correspondence == "surface", []
     if holds_scans(path):
@@ -180,7 +184,9 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
     numbers = parts.frame_numbers
     with exclusive_lock(out), InversionProgress(len(numbers), [*notes, *parts.notes]) as progress:
         free_folder(settings.out)
-        track = track_scans(parts.solver, parts.scans, parts.units, parts.rows, parts.smoothness, progress.advance)
+        track = track_scans(
+            parts.solver, parts.scans, parts.units, parts.rows, parts.smoothness, progress.advance, parts.landmarks
+        )
         facts, source = made_by(settings, "surface", parts.actor), Path(settings.clip).name
         motion = track.motion if parts.solver.moves else None
         animation = Animation(true_rig, track.controls, parts.units.fps, numbers, motion, source, facts)

@@ -23,6 +23,7 @@ from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write, write_text
+from riginv.tracking.surfaces.landmark_files import landmarks_of_scan
 from riginv.tracking.surfaces.scan_files import read_scan
 from riginv.tracking.surfaces.triangles import Surface, TriangleMesh
 from riginv.tracking.surfaces.wrap import Wrapped, WrapSettings, wrap
@@ -37,6 +38,7 @@ class WrapConfig:
     rig: ClassSpec[RigBackend]
     scan: str
     out: str
+    landmarks: str | None
     unit: str | float
     up: str
     seed: NonNegativeInt
@@ -53,14 +55,20 @@ def run(config: DictConfig) -> None:
     scan, units = read_scan(settings.scan, ReadingOptions(unit=settings.unit, up=settings.up, fps=1.0), rig)
     show_lines([], units.notes, console=Console())
     surface = scan.surface(units.mm, units.axes.double().numpy())
-    found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface, WrapSettings())
+    landmarks = landmarks_of_scan(Path(settings.landmarks), rig, scan.points, units) if settings.landmarks else None
+    found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface, WrapSettings(), landmarks)
     out = Path(settings.out)
     write_text(out, obj_text(found.vertices, rig.faces.cpu().numpy()))
     picture = out.with_suffix(".png")
     with atomic_write(picture) as file:
         distance_map(rig, found, surface).save(file, format="PNG", optimize=True)
     mean = float(np.nanmean(found.distance_mm))
-    lines = [
+    lines: list[str] = []
+    if landmarks is not None:
+        away = np.linalg.norm(landmarks.on(found.vertices) - landmarks.points, axis=1)
+        names = landmarks.placement.names
+        lines.append(f"  the landmarks lie {away.mean():.3g} mm from the mesh's, {names[away.argmax()]!r} {away.max():.3g} mm")
+    lines += [
         f"  {found.usable:.1%} of the outer skin lies on the scan, at {mean:.3g} mm on average; scale {found.scale:.3f}",
         f"  {out}, {picture}",
     ]

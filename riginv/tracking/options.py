@@ -93,6 +93,36 @@ class ActorOptions:
 
 
 @dataclass(frozen=True)
+class LandmarkOptions:
+    """Landmarks of scans.
+
+    Attributes:
+        map: file with their places on the rig's surface, as for markers.
+        clip: take of their positions in the scans' space: .c3d, .trc or .csv.
+        weight: of their mean squared distance at the widest robust scale, relative to that of the surface; it falls with the
+            scale.
+
+    Raises:
+        InputError: only one of the files is given.
+    """
+
+    map: str | None = None
+    clip: str | None = None
+    weight: PositiveFloat = 1.0
+
+    def __post_init__(self) -> None:
+        if bool(self.map) != bool(self.clip):
+            given, lacking = ("map", "clip") if self.map else ("clip", "map")
+            path = self.map or self.clip
+            raise InputError(f"landmarks.{given}={path} needs landmarks.{lacking}=FILE beside it: add it, or leave both out")
+
+    @property
+    def is_given(self) -> bool:
+        """Whether there are landmarks."""
+        return bool(self.map)
+
+
+@dataclass(frozen=True)
 class SolverOptions:
     """Settings of the solver.
 
@@ -165,6 +195,7 @@ class TrackingOptions:
         motion: rigid motion: `remove`, `keep`, or `auto`: remove it, unless the rig has controls for it.
         iterations: iterations of the alternating solve for rigid motion, missing vertices and controls, at most.
         actor: the actor, where its face at rest is not the rig's.
+        landmarks: of scans.
         window: frames in memory at a time.
 
     Raises:
@@ -181,6 +212,7 @@ class TrackingOptions:
     motion: Literal["auto", "remove", "keep"] = "auto"
     iterations: PositiveInt = 12
     actor: ActorOptions = field(default_factory=ActorOptions)
+    landmarks: LandmarkOptions = field(default_factory=LandmarkOptions)
     vertices: VertexOptions = field(default_factory=VertexOptions)
     controls: ControlOptions = field(default_factory=ControlOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
@@ -194,6 +226,8 @@ class TrackingOptions:
             raise InputError(f"mean_steps={self.mean_steps} is for method=network: leave it out with a solver")
         if self.markers is not None and self.correspondence != "markers":
             raise InputError(f"markers={self.markers} is for correspondence=markers: add that, or leave it out")
+        if self.landmarks.is_given and self.correspondence in ("vertices", "markers"):
+            raise InputError(f"landmarks are for correspondence=surface, not {self.correspondence}: leave landmarks.* out")
 
     @property
     def noise_of_measurements_mm(self) -> float:

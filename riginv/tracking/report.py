@@ -26,6 +26,7 @@ FLAG_MEANINGS = {
     "lost": "the scan does not lie on the rig's surface",
     "unexplained": "part of the scan is nowhere near the rig's surface",
     "little_seen": "the scan has seen little of the rig",
+    "far_landmarks": "a landmark lies more than 10 mm from where the rig has it",
     "ambiguous": "scan and prior together leave the mesh unsure",
     "few_markers": "fewer than half of the markers were observed",
     "no_markers": "fewer than 4 markers were observed, or the frame was excluded: interpolated",

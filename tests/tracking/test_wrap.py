@@ -6,10 +6,12 @@ import torch
 import trimesh
 
 from riginv.errors import InputError
+from riginv.tracking.surfaces.landmarks import Landmarks
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.triangles import TriangleMesh
 from riginv.tracking.surfaces.wrap import wrap
 from tests.conftest import ROOT
+from tests.support.markers import placed
 from tests.support.scans import write_ply
 from tests.support.toys import ToyRig
 
@@ -37,6 +39,51 @@ def test_a_scan_of_something_else_is_refused():
     hull = trimesh.convex.convex_hull(needle)
     with pytest.raises(InputError, match="cannot be brought onto"):
         wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), TriangleMesh(hull.vertices, hull.faces))
+
+
+def turned(rig: ToyRig, degrees: float) -> tuple[TriangleMesh, np.ndarray]:
+    """The scan of `somebody`, turned further, and where the toy's vertices lie on it, about."""
+    scan = somebody(rig)
+    axis = np.array([1.0, 0.5, 0.3])
+    motion = Motion.identity().after(np.radians(degrees) * axis / np.linalg.norm(axis), np.array([60.0, 0, 0]), np.zeros(3))
+    points = motion.apply(scan.points)
+    return TriangleMesh(points, scan.faces), points[: len(rig.rest_vertices)]  # subdivision keeps the vertices first
+
+
+def test_landmarks_bring_a_mesh_onto_a_scan_that_was_turned_by_150_degrees(run, tmp_path):
+    rig = ToyRig(detail=3)
+    scan, truth = turned(rig, 150.0)
+    plain = wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), scan)
+    assert np.linalg.norm(plain.vertices - truth, axis=1).mean() > 20  # it lies on the scan, with another side up
+    placement, rng = placed(rig, 6), np.random.default_rng(0)
+    points = placement.points(torch.from_numpy(truth)).numpy() + rng.normal(0, 1.0, (6, 3))
+    found = wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), scan, landmarks=Landmarks(placement, points))
+    assert np.linalg.norm(found.vertices - truth, axis=1).mean() < 4.0  # on a ball it may slide
+    assert found.usable > 0.97 and np.nanmean(found.distance_mm) < 0.25
+
+    write_ply(tmp_path / "neutral.ply", scan.points / 1000, scan.faces)  # in metres
+    lines = [
+        f"  {name}: {{triangle: {where}, barycentric: {weights}, point: {(at / 1000).tolist()}}}"
+        for name, where, weights, at in zip(placement.names, placement.corners.tolist(), placement.barycentric.tolist(), points)
+    ]
+    (tmp_path / "map.yaml").write_text("\n".join(["rig: toy", "markers:", *lines]))
+    given = ("rig=toy", "+rig.detail=3", f"--config-dir={ROOT / 'tests/conf'}", f"scan={tmp_path / 'neutral.ply'}")
+    given = (*given, f"out={tmp_path / 'wrapped.obj'}", f"landmarks={tmp_path / 'map.yaml'}")
+    done = run("wrap", *given)
+    assert done.code == 0 and "the landmarks lie" in done.text, done.text
+    for old, new, words in [
+        ("point", "offset_mm: 0, pint", "expected vertex: NUMBER"),
+        ("point: [", "point: [.nan, ", "expected its position in the scan"),
+        (", point: [", ", offset_mm: 0} # [", "marker 'm00' has point None"),
+        ("m00", "m01", "is there twice"),
+        ("point: [", "point: [9.0, 0.0, 0.0]} # [", "mm from the scan, expected near it"),
+    ]:
+        (tmp_path / "map.yaml").write_text("\n".join(["rig: toy", "markers:", *lines]).replace(old, new))
+        done = run("wrap", *given)
+        assert done.code == 1 and words in done.text and "Traceback" not in done.text, done.text
+    (tmp_path / "map.yaml").write_text("\n".join(["markers:", *lines[:2]]))
+    done = run("wrap", *given)
+    assert done.code == 1 and "2 landmarks, expected 3 at least" in done.text
 
 
 def test_the_command_leaves_the_mesh_and_a_picture(run, tmp_path):

@@ -16,6 +16,7 @@ from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, read_neut
 from riginv.tracking.actors.scan_offset import ScanOffset, ScanOffsetSettings
 from riginv.tracking.options import ActorOptions
 from riginv.tracking.stability import stability_weights
+from riginv.tracking.surfaces.landmark_files import LandmarkTake
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver
@@ -38,18 +39,26 @@ def actor_of_scans(
 
 
 @torch.no_grad()
-def solve_actor(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows: Sequence[int], scale: float) -> Actor:
+def solve_actor(
+    solver: ScanSolver,
+    scans: ScanSequence,
+    units: ClipUnits,
+    rows: Sequence[int],
+    scale: float,
+    landmarks: LandmarkTake | None = None,
+) -> Actor:
     """The actor of a clip of scans, found together with the controls of scans spread over it.
 
     Args:
         solver: of the rig, or of the rig with the actor's scale.
         rows: indices of the frames in the clip; -1 for an excluded one.
+        landmarks: that align the scans.
 
     Raises:
         InputError: no frame has a scan, or what was found is far from the rig's shape.
     """
     settings = ScanOffsetSettings()
-    targets = _spread_targets(solver, scans, units, rows, settings.frames)
+    targets = _spread_targets(solver, scans, units, rows, settings.frames, landmarks)
     show_lines([], [f"the actor's neutral is solved for with {len(targets)} scans spread over the clip"])
     found = ScanOffset(solver, settings).solve(targets)
     rig = solver.rig
@@ -66,13 +75,21 @@ def solve_actor(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows:
     return Actor(neutral, neutral - rig.rest_vertices, scale, SOLVE, tuple(notes), facts)
 
 
-def _spread_targets(solver: ScanSolver, scans: ScanSequence, units: ClipUnits, rows: Sequence[int], count: int) -> list[Target]:
+def _spread_targets(
+    solver: ScanSolver,
+    scans: ScanSequence,
+    units: ClipUnits,
+    rows: Sequence[int],
+    count: int,
+    landmarks: LandmarkTake | None,
+) -> list[Target]:
     """The scans among `count` frames that are spread over a clip."""
     targets, axes = [], units.axes.double().numpy()
     for index in evenly(count, len(rows)).tolist():
         cleaned = scans.cleaned(rows[index])
         if cleaned is not None:
-            targets.append(solver.target(cleaned.surface(units.mm, axes)))
+            known = None if landmarks is None else landmarks.at(rows[index])
+            targets.append(solver.target(cleaned.surface(units.mm, axes), known))
     if not targets:
         raise InputError(f"{scans.path}: none of {count} frames spread over it holds a scan of 50 points or more")
     return targets

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import yaml
 
@@ -16,7 +17,7 @@ from riginv.runs.files import read_text, read_yaml, write_text
 from riginv.tracking.markers.objective import FEWEST
 from riginv.tracking.markers.placement import Placement, at_vertices
 
-KEYS = ("vertex", "triangle", "barycentric", "offset_mm")
+KEYS = ("vertex", "triangle", "barycentric", "offset_mm", "point")
 
 
 def read_map(path: Path, rig: RigBackend) -> Placement:
@@ -36,6 +37,20 @@ def read_map(path: Path, rig: RigBackend) -> Placement:
     names = tuple(str(name) for name in markers)
     corners, barycentric, offsets, calibrated = zip(*places)
     return Placement(names, torch.stack(corners), torch.stack(barycentric), torch.tensor(offsets), torch.tensor(calibrated))
+
+
+def read_points(path: Path, names: Sequence[str]) -> np.ndarray:
+    """The positions `point: [x, y, z]` of the markers of a map that `read_map` accepts, `(marker, 3)`.
+
+    Raises:
+        InputError: one has none.
+    """
+    markers = {str(name): place for name, place in read_yaml(path)["markers"].items()}
+    for name in names:
+        point = markers[name].get("point")
+        if not (isinstance(point, list) and len(point) == 3 and all(_is_number(each) and abs(each) < 1e12 for each in point)):
+            raise InputError(f"{path}: marker {name!r} has point {point!r:.60}, expected its position in the scan: [x, y, z]")
+    return np.array([markers[name]["point"] for name in names], np.float64)
 
 
 def _check_names(path: Path) -> None:
@@ -99,7 +114,7 @@ def write_map(path: Path, placement: Placement, rig: RigBackend, comments: Mappi
 
 
 def matched(
-    clip: MarkerClip, placement: Placement, path: str, reading: ReadingOptions
+    clip: MarkerClip, placement: Placement, path: str, reading: ReadingOptions, fewest: int = FEWEST
 ) -> tuple[MarkerClip, Placement, list[str]]:
     """The markers that both a clip and a map have, in the map's order, and notes.
 
@@ -108,9 +123,10 @@ def matched(
     Args:
         path: of the map, for messages.
         reading: `unknown`, the policy for names that only one of them has.
+        fewest: markers that are needed.
 
     Raises:
-        InputError: names do not match and the policy does not ignore that, or fewer than 4 do.
+        InputError: names do not match and the policy does not ignore that, or too few do.
     """
     names, notes = list(clip.names), []
     if not set(names) & set(placement.names):
@@ -132,8 +148,8 @@ def matched(
     if missing:
         notes.append(f"markers of the map that the clip lacks: {listed(map(repr, missing))}")
     rows = [row for row, name in enumerate(placement.names) if name in names]
-    if len(rows) < FEWEST:
-        raise InputError(f"{clip.path}: {len(rows)} of its markers are in the map {path}, expected {FEWEST} at least")
+    if len(rows) < fewest:
+        raise InputError(f"{clip.path}: {len(rows)} of its markers are in the map {path}, expected {fewest} at least")
     shared = placement.subset(rows)
     columns = [names.index(name) for name in shared.names]
     return clip.select(shared.names, clip.points[:, columns], clip.frame_numbers), shared, notes

@@ -10,6 +10,7 @@ from riginv.animation.table import write_rows
 from riginv.errors import listed
 from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import RigBackend
+from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.tracking import MarkerTrack
 from riginv.tracking.options import FlagOptions
 
@@ -46,14 +47,20 @@ def marker_errors(track: MarkerTrack, true_rig: RigBackend, numbers: Tensor, lim
 
 def _each_marker(track: MarkerTrack, distance: Tensor) -> tuple[MarkerErrors, ...]:
     seen = torch.isfinite(track.points).all(dim=2).double().mean(dim=0).tolist()
+    counts = zip(track.swapped.sum(dim=0).tolist(), track.stray.sum(dim=0).tolist())
+    whole = zip(each_marker(track.placement, distance), seen, counts)
+    return tuple(errors._replace(seen=there, swapped=swapped, stray=stray) for errors, there, (swapped, stray) in whole)
+
+
+def each_marker(placement: Placement, distance: Tensor) -> tuple[MarkerErrors, ...]:
+    """The residuals of each marker from distances `(frame, marker)`, mm, NaN where it was not observed."""
+    seen = distance.isfinite().double().mean(dim=0).tolist()
     columns = [column[torch.isfinite(column)] for column in distance.T]
     figures = [
         (float(one.mean()), float(one.quantile(0.95)), float(one.max())) if len(one) else (float("nan"),) * 3 for one in columns
     ]
-    counts = zip(track.swapped.sum(dim=0).tolist(), track.stray.sum(dim=0).tolist())
-    offsets = track.placement.offset_mm.tolist()
-    every = zip(track.placement.names, seen, figures, offsets, counts)
-    return tuple(MarkerErrors(name, there, *three, offset, *both) for name, there, three, offset, both in every)
+    every = zip(placement.names, seen, figures, placement.offset_mm.tolist())
+    return tuple(MarkerErrors(name, there, *three, offset, 0, 0) for name, there, three, offset in every)
 
 
 def marker_remarks(errors: FrameErrors) -> list[str]:

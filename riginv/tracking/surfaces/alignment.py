@@ -52,16 +52,23 @@ class Aligner:
         self.points, self.normals, self.weights = mesh.points[some], mesh.normals[some], stability[some]
         self.vertices, self.vertex_normals = mesh.points[outer], mesh.normals[outer]
         self.vertex_weights = stability[outer] * ~mesh.border_points[outer]  # a scan may extend beyond the border
-        self.tree = scipy.spatial.cKDTree(self.vertices)
+        self.tree, self.all_vertices = scipy.spatial.cKDTree(self.vertices), mesh.points
 
     def align(self, target: Target, thorough: bool = False) -> Alignment:
         """Align from the scan's centre; if that fails, from starts beside it, and from all rotations by right angles.
+
+        Where landmarks determine an alignment that is good, it is taken, and where it is not, it is one of the starts.
 
         Args:
             thorough: try starts beside the centre in any case.
         """
         scan = _Scan(target)
+        by_landmarks = self._by_landmarks(scan, target)
+        if by_landmarks is not None and by_landmarks.distance_mm <= GOOD_MM:
+            return by_landmarks
         best = self._refine(scan, self._centred(scan, np.eye(3)), False)
+        if by_landmarks is not None and by_landmarks.distance_mm < best.distance_mm:
+            best = by_landmarks
         tries = ((rotation, shift) for rotation in right_angles() for shift in self._shifts())
         for number, (rotation, shift) in enumerate(tries):
             turned = number >= len(self._shifts())
@@ -71,6 +78,13 @@ class Aligner:
             if found.distance_mm < (BETTER if turned else 1.0) * best.distance_mm:
                 best = found
         return best
+
+    def _by_landmarks(self, scan: "_Scan", target: Target) -> Alignment | None:
+        """The alignment of the landmarks, or that after refinement, if it is better."""
+        motion = None if target.landmarks is None else target.landmarks.motion(self.all_vertices)
+        if motion is None:
+            return None
+        return min(Alignment(motion, self._distance(scan, motion), False), self._refine(scan, motion, False), key=_distance_mm)
 
     def _shifts(self) -> list[np.ndarray]:
         """Offsets of the rig's centre from the scan's, mm, for scans that show more or less of it."""
@@ -115,6 +129,10 @@ class Aligner:
         distance, nearest = scan.tree.query(motion.apply(self.points))
         agree = ((self.normals @ motion.rotation.T) * scan.all_normals[nearest]).sum(axis=1) > 0
         return float(min(of_scan, np.minimum(np.where(agree, distance, MAX_MM), MAX_MM).mean()))
+
+
+def _distance_mm(alignment: Alignment) -> float:
+    return alignment.distance_mm
 
 
 class _Scan:

@@ -18,6 +18,7 @@ from riginv.tracking.options import ControlOptions, TrackingOptions
 from riginv.tracking.priors.files import prior_or_default
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.clip import ScanSmoothness
+from riginv.tracking.surfaces.landmark_files import LandmarkTake, read_landmarks
 from riginv.tracking.surfaces.scan_files import open_scans
 from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSettings, ScanSolver
@@ -36,6 +37,7 @@ class ScanParts:
         frame_numbers: `(frame,)`, as in the source.
         smoothness: of the curves; None: each frame on its own.
         actor: whose neutral takes the place of the rig's; None: the actor's face at rest is the rig's.
+        landmarks: of the scans; None: none.
         notes: what was guessed.
     """
 
@@ -46,6 +48,7 @@ class ScanParts:
     frame_numbers: torch.Tensor
     smoothness: ScanSmoothness | None
     actor: Actor | None
+    landmarks: LandmarkTake | None
     notes: list[str]
 
     def describe(self) -> ClipDescription:
@@ -73,6 +76,7 @@ def build_scan_parts(
     _check(options)
     scans = open_scans(path, rig, reading)
     units = resolve_scan_units(scans, rig, reading)
+    landmarks, landmark_notes = read_landmarks(options.landmarks, rig, reading, scans, units)
     prior, note = prior_or_default(options.prior, rig)
     numbers = scans.frame_numbers
     inside = frames_between(scans.path, numbers, frames.first, frames.last)
@@ -84,14 +88,14 @@ def build_scan_parts(
     how = prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy()
     if options.actor.neutral == SOLVE:
         none = Actor(rig.rest_vertices, torch.zeros_like(rig.rest_vertices), options.actor.scale, "")
-        actor = solve_actor(ScanSolver(ActorRig(rig, none), *how), scans, units, rows, options.actor.scale)
+        actor = solve_actor(ScanSolver(ActorRig(rig, none), *how), scans, units, rows, options.actor.scale, landmarks)
     fitted = rig if actor is None else ActorRig(rig, actor)
-    notes = [*scans.facts.notes, *units.notes, note]
+    notes = [*scans.facts.notes, *units.notes, *landmark_notes, note]
     if actor is not None:
         notes += [*actor.notes, f"the actor is {actor.sentence}"]
     solver = ScanSolver(fitted, *how)
     smoothness = ScanSmoothness() if options.method in (None, "clip") else None
-    return ScanParts(scans, units, solver, rows, kept, smoothness, actor, notes)
+    return ScanParts(scans, units, solver, rows, kept, smoothness, actor, landmarks, notes)
 
 
 def _check(options: TrackingOptions) -> None:

@@ -125,7 +125,8 @@ class _Window:
         scale = max(schedule.last_scale_mm, SCALE * float(np.nan_to_num(found.quality.scan_mm)))
         posed = fit.surface.posed(fit.coefficients(found.state.units))
         pairs = match(fit.surface, posed, target, found.state.motion, scale, schedule.degrees)
-        return eliminate_motion(fit, Linearised(fit, found.state, pairs))
+        landmarks = target.landmark_term(fit.surface, posed, found.state.motion, scale)
+        return eliminate_motion(fit, Linearised(fit, found.state, pairs, landmarks))
 
     def _prior_alone(self, found: SolvedScan) -> Reduced:
         fit = self.solver.fit_of(1.0)

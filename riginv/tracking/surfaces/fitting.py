@@ -9,6 +9,7 @@ from torch import Tensor
 
 from riginv.solvers.box_step import box_step, damping_diagonal
 from riginv.solvers.objective import GaussianPrior
+from riginv.tracking.surfaces.landmarks import LandmarkTerm
 from riginv.tracking.surfaces.matching import Pairs, Target, as_tensor, match
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.rig_surface import RigSurface
@@ -125,7 +126,7 @@ class SurfaceFit:
         """One step: the new state, the largest change of a control, the next damping, and the typical distance."""
         posed = self.surface.posed(self.coefficients(state.units))
         pairs = match(self.surface, posed, target, state.motion, scale_mm, schedule.degrees)
-        near = Linearised(self, state, pairs)
+        near = Linearised(self, state, pairs, target.landmark_term(self.surface, posed, state.motion, scale_mm))
         before = near.normal.cost + float(self.prior.cost(state.units[None]))
         for _ in range(TRIES):
             change = near.step(damping, schedule.max_step)
@@ -143,10 +144,12 @@ class SurfaceFit:
         kinks = (self.neutral > 0) & (self.neutral < 1) & ((state.units - self.neutral).abs() < KINK_OFFSET)
         if not bool(kinks.any()):
             return state
-        posed = self.surface.posed(self.coefficients(state.units))
-        pairs = match(self.surface, posed, target, state.motion, max(SIDES_MM, schedule.last_scale_mm), schedule.degrees)
+        posed, scale_mm = self.surface.posed(self.coefficients(state.units)), max(SIDES_MM, schedule.last_scale_mm)
+        pairs = match(self.surface, posed, target, state.motion, scale_mm, schedule.degrees)
+        landmarks = target.landmark_term(self.surface, posed, state.motion, scale_mm)
         sides = [torch.where(kinks, self.neutral + offset, state.units) for offset in (KINK_OFFSET, -KINK_OFFSET)]
-        rise, fall = (Linearised(self, State(units, state.motion), pairs).normal.gradient[: len(kinks)] for units in sides)
+        both = (Linearised(self, State(units, state.motion), pairs, landmarks) for units in sides)
+        rise, fall = (near.normal.gradient[: len(kinks)] for near in both)
         up, down = -rise, fall
         units = torch.where(kinks & (up > 0) & (up >= down), sides[0], state.units)
         return State(torch.where(kinks & (down > 0) & (down > up), sides[1], units), state.motion)
@@ -160,21 +163,30 @@ class SurfaceFit:
 class Linearised:
     """Residuals of pairs near a state, linear in the rig's coefficients and in rigid motion.
 
+    Those of landmarks, if there are any, follow those of the pairs.
+
     Attributes:
         residual, weights: of the pairs, `(pair,)`.
         columns: derivatives of the residuals by controls and rigid motion, `(pair, control + motion)`.
         normal: the normal equations.
     """
 
-    def __init__(self, fit: SurfaceFit, state: State, pairs: Pairs) -> None:
+    def __init__(self, fit: SurfaceFit, state: State, pairs: Pairs, landmarks: LandmarkTerm | None = None) -> None:
         self.fit, self.state = fit, state
         self.rows = pairs.rows(fit.surface)
         self.residual, self.weights = as_tensor(pairs.residual), as_tensor(pairs.weights)
+        if landmarks is not None:
+            self.rows = torch.cat([self.rows, landmarks.rows])
+            self.residual = torch.cat([self.residual, as_tensor(landmarks.residual)])
+            self.weights = torch.cat([self.weights, as_tensor(landmarks.weights)])
         self.coefficients, jacobian = fit.surface.linearise(fit.controls(state.units))
         columns = jacobian.times(self.rows) * fit.span.float()
         if fit.moves:
             box = np.array([ROTATION] * 3 + [SHIFT_MM] * 3)
-            self.motion_rows = as_tensor(pairs.motion_rows(fit.surface.centre) * box)
+            by_motion = pairs.motion_rows(fit.surface.centre)
+            if landmarks is not None:
+                by_motion = np.concatenate([by_motion, landmarks.motion_rows])
+            self.motion_rows = as_tensor(by_motion * box)
             columns = torch.cat([columns, self.motion_rows], dim=1)
         self.columns = columns
         weighted = self.weights[:, None] * columns

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from riginv.tracking.surfaces.landmarks import Landmarks, LandmarkTerm
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.rig_surface import Posed, RigSurface
 from riginv.tracking.surfaces.triangles import Hits, Surface
@@ -60,15 +61,21 @@ class Target:
     Attributes:
         surface: the scan.
         points, normals: of the samples, `(sample, 3)`.
+        landmarks: that were observed in it; None: none.
     """
 
     surface: Surface
     points: np.ndarray
     normals: np.ndarray
+    landmarks: Landmarks | None = None
 
     @classmethod
-    def of(cls, surface: Surface, samples: int, seed: int = 0) -> "Target":
-        return cls(surface, *surface.samples(samples, seed))
+    def of(cls, surface: Surface, samples: int, seed: int = 0, landmarks: Landmarks | None = None) -> "Target":
+        return cls(surface, *surface.samples(samples, seed), landmarks)
+
+    def landmark_term(self, rig: RigSurface, posed: Posed, motion: Motion, scale_mm: float) -> LandmarkTerm | None:
+        """The squared distances of the landmarks near a pose, as `Landmarks.term`; None where there are none."""
+        return None if self.landmarks is None else self.landmarks.term(rig, posed.mesh.points, motion, scale_mm)
 
 
 def match(rig: RigSurface, posed: Posed, target: Target, motion: Motion, scale_mm: float, degrees: float) -> Pairs:

@@ -96,9 +96,18 @@ class RigSurface:
             corners, barycentric: of the points, `(point, corner)`.
             normals: `(point, 3)`.
         """
+        return self.point_rows(corners, barycentric[:, :, None] * normals[:, None])
+
+    def point_rows(self, corners: np.ndarray, by_corners: np.ndarray) -> Tensor:
+        """Derivatives of values of the mesh by the coefficients, `(value, coefficient)`.
+
+        Args:
+            corners: indices of the vertices that each value depends on, `(value, corner)`.
+            by_corners: its derivatives by these, `(value, corner, 3)`.
+        """
         count, each = len(corners), corners.shape[1] * 3
         columns = (3 * corners[:, :, None] + np.arange(3)).reshape(-1)
-        values = (barycentric[:, :, None] * normals[:, None]).astype(np.float32).reshape(-1)
+        values = by_corners.astype(np.float32).reshape(-1)
         starts = torch.arange(0, count * each + 1, each)
         matrix = torch.sparse_csr_tensor(
             starts, torch.from_numpy(columns), torch.from_numpy(values), (count, len(self._rows)), check_invariants=False

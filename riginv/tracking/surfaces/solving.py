@@ -11,6 +11,7 @@ from riginv.tracking.priors.performances import STRONG, PoseLibrary
 from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.surfaces.alignment import Aligner
 from riginv.tracking.surfaces.fitting import FINISH, FROM_NEAR, FROM_SCRATCH, Schedule, State, SurfaceFit
+from riginv.tracking.surfaces.landmarks import Landmarks
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.quality import Quality, quality
@@ -99,13 +100,13 @@ class ScanSolver:
         self.library = PoseLibrary.of(self.rig)
         self.hidden, self.fit_neutral = hidden_controls(first), first.neutral
 
-    def target(self, surface: Surface) -> Target:
+    def target(self, surface: Surface, landmarks: Landmarks | None = None) -> Target:
         """The target of a scan."""
-        return Target.of(surface, self.settings.samples)
+        return Target.of(surface, self.settings.samples, landmarks=landmarks)
 
     def finer(self, target: Target) -> Target:
         """The same scan with the samples of the last steps."""
-        return Target.of(target.surface, self.settings.fine_samples)
+        return Target.of(target.surface, self.settings.fine_samples, landmarks=target.landmarks)
 
     def fit(self, target: Target, found: SolvedScan | None = None) -> SurfaceFit:
         """The fit of a scan, with the prior weighted for its measurements.

@@ -9,13 +9,16 @@ from torch import Tensor
 
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
+from riginv.tracking.markers.placement import Placement
 from riginv.tracking.surfaces.clip import ScanSmoothness, cached_scans, nearest_known, smooth_scans
+from riginv.tracking.surfaces.landmark_files import LandmarkTake
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver, SolvedScan
 from riginv.tracking.surfaces.uncertainty import Uncertainty, open_controls, uncertainty
 
-AMBIGUOUS, NO_SCAN = "ambiguous", "no_scan"
+AMBIGUOUS, NO_SCAN, FAR_LANDMARKS = "ambiguous", "no_scan", "far_landmarks"
+FAR_MM = 10.0  # distance of a landmark from the rig's above which a frame is flagged
 SAMPLED_FRAMES = 24  # at which the undetermined controls are searched
 
 
@@ -30,9 +33,11 @@ class ScanTrack:
             `(frame,)`; NaN where there is no scan.
         seen: the fraction of the rig's skin that each scan covers, `(frame,)`.
         explained: the fraction of each scan's points that the rig explains, `(frame,)`.
-        flags: of each frame: `lost`, `unexplained`, `little_seen`, `ambiguous`, `no_scan`.
+        flags: of each frame: `lost`, `unexplained`, `little_seen`, `far_landmarks`, `ambiguous`, `no_scan`.
         open_controls: the names of controls that the scans do not determine: they stay where the prior has them.
         notes: sentences for the user.
+        landmarks: of the scans; None: none.
+        landmark_mm: their distances from the rig's, `(frame, landmark)`, NaN where unknown.
     """
 
     controls: Tensor
@@ -44,6 +49,8 @@ class ScanTrack:
     flags: list[list[str]]
     open_controls: list[str]
     notes: list[str]
+    landmarks: Placement | None
+    landmark_mm: Tensor
 
 
 def track_scans(
@@ -53,6 +60,7 @@ def track_scans(
     frames: Sequence[int],
     smoothness: ScanSmoothness | None = None,
     advance: Callable[[str, int], None] = lambda what, frames: None,
+    landmarks: LandmarkTake | None = None,
 ) -> ScanTrack:
     """Controls and rigid motion of some frames of a clip.
 
@@ -61,6 +69,7 @@ def track_scans(
         frames: indices of the frames to solve, in order; -1 for an excluded one.
         smoothness: of the curves; None: each frame on its own.
         advance: reports progress.
+        landmarks: of the scans; None: none.
 
     Raises:
         InputError: no frame has a scan, or none can be brought onto the rig.
@@ -68,7 +77,10 @@ def track_scans(
 
     def read(row: int) -> Target | None:
         cleaned = scans.cleaned(frames[row])
-        return None if cleaned is None else solver.target(cleaned.surface(units.mm, units.axes.double().numpy()))
+        if cleaned is None:
+            return None
+        known = None if landmarks is None else landmarks.at(frames[row])
+        return solver.target(cleaned.surface(units.mm, units.axes.double().numpy()), known)
 
     load, is_smooth = cached_scans(read), smoothness is not None and len(frames) > 2
     solutions: list[SolvedScan | None] = []
@@ -87,7 +99,25 @@ def track_scans(
     for row in np.unique(np.linspace(0, len(solved) - 1, SAMPLED_FRAMES).astype(int)).tolist():
         if (target := load(row)) is not None:
             uncertainties[row] = uncertainty(solver, target, solved[row])
-    return _result(solver, solved, has_scan, uncertainties, units)
+    landmark_mm = torch.zeros(len(frames), 0)
+    if landmarks is not None:
+        landmark_mm = landmark_distances(
+            landmarks, solver, solved, [row if seen else -1 for row, seen in zip(frames, has_scan)]
+        )
+    placement = None if landmarks is None else landmarks.placement
+    return _result(solver, solved, has_scan, uncertainties, units, placement, landmark_mm)
+
+
+def landmark_distances(
+    landmarks: LandmarkTake, solver: ScanSolver, solved: Sequence[SolvedScan], frames: Sequence[int]
+) -> Tensor:
+    """Distances of the landmarks of some frames from the rig's, `(frame, landmark)`, mm; NaN where unknown, or of frame -1."""
+    fit, found = solver.fit_of(1.0), []
+    for index, each in zip(frames, solved):
+        vertices = solver.surface.vertices(fit.coefficients(each.state.units))
+        distance = torch.from_numpy(landmarks.distances(index, vertices, each.state.motion)).float()
+        found.append(distance if index >= 0 else torch.full_like(distance, torch.nan))
+    return torch.stack(found)
 
 
 def _check(scans: ScanSequence, solutions: list[SolvedScan], solver: ScanSolver, units: ClipUnits) -> None:
@@ -124,14 +154,17 @@ def _result(
     has_scan: list[bool],
     uncertainties: dict[int, Uncertainty],
     units: ClipUnits,
+    landmarks: Placement | None,
+    landmark_mm: Tensor,
 ) -> ScanTrack:
     fit, settings = solver.fit_of(1.0), solver.settings
     rows = np.array(sorted(uncertainties))
     flags: list[list[str]] = []
     for row, (solution, scanned) in enumerate(zip(solutions, has_scan)):
         near = uncertainties[int(rows[np.abs(rows - row).argmin()])]
+        far = [FAR_LANDMARKS] if bool((landmark_mm[row] > FAR_MM).any()) else []
         ambiguous = [AMBIGUOUS] if near.skin_mm > settings.ambiguous_mm else []
-        flags.append([*solver.flags(solution), *ambiguous] if scanned else [NO_SCAN])
+        flags.append([*solver.flags(solution), *far, *ambiguous] if scanned else [NO_SCAN])
     ups = [solution.state.motion.rotation[:, 1] for solution, scanned in zip(solutions, has_scan) if scanned]
     notes = _notes_on_rotation(
         np.array(ups) @ units.axes.double().numpy(), units.up, sum(solution.turned for solution in solutions)
@@ -148,4 +181,6 @@ def _result(
         flags,
         open_controls(solver, list(uncertainties.values())),
         notes,
+        landmarks,
+        landmark_mm,
     )

@@ -12,6 +12,7 @@ import scipy
 
 from riginv.errors import InputError
 from riginv.tracking.surfaces.alignment import Aligner
+from riginv.tracking.surfaces.landmarks import Landmarks
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion, fit_motion
 from riginv.tracking.surfaces.rig_surface import EXPOSED, exposure, farthest_points
@@ -62,13 +63,20 @@ class Wrapped(NamedTuple):
     usable: float
 
 
-def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSettings | None = None) -> Wrapped:
+def wrap(
+    rest: np.ndarray,
+    faces: np.ndarray,
+    scan: Surface,
+    settings: WrapSettings | None = None,
+    landmarks: Landmarks | None = None,
+) -> Wrapped:
     """Register a mesh to a scan.
 
     Args:
         rest: vertices of the mesh `(vertex, 3)`, mm.
         faces: its triangles `(face, 3)`.
         scan: in mm, in any pose and size.
+        landmarks: of the scan; None: none.
 
     Raises:
         InputError: the scan cannot be brought onto the mesh.
@@ -76,7 +84,7 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
     settings, rest = settings or WrapSettings(), rest.astype(np.float64)
     outer = np.flatnonzero(exposure(rest, faces) > EXPOSED)
     border = border_edges(faces)
-    scale, motion = _similarity(rest, faces, outer, scan, settings)
+    scale, motion = _similarity(rest, faces, outer, scan, settings, landmarks)
     skin = skin_component(rest, faces, outer)
     moving, displacement = np.flatnonzero(skin), np.zeros_like(rest)
     attracted = np.zeros(len(rest), bool)
@@ -91,9 +99,15 @@ def wrap(rest: np.ndarray, faces: np.ndarray, scan: Surface, settings: WrapSetti
         normals = motion.undo_direction(hits.normals)
         along = (towards * normals).sum(axis=1, keepdims=True) * normals
         aim = displacement[moving] + along + (1 - settings.normal_fraction) * (towards - along)
-        matrix = scipy.sparse.diags_array(weights) + stiffness * smoothness
+        matrix, right = scipy.sparse.diags_array(weights) + stiffness * smoothness, weights[:, None] * aim
+        if landmarks is not None:
+            weight = landmarks.weight * stiffness**2 / settings.stiffness[0]
+            carriers = _carriers(landmarks, skin)
+            away = motion.undo(landmarks.points) / scale - landmarks.on(mesh.points)
+            matrix = matrix + weight * carriers.T @ carriers
+            right = right + weight * carriers.T @ (carriers @ displacement[moving] + away)
         factor = scipy.sparse.linalg.splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        displacement[moving] = factor.solve(weights[:, None] * aim)
+        displacement[moving] = factor.solve(right)
         displacement = with_loose_parts(rest, faces, skin, displacement)
     local = rest + displacement
     hits, weights = _attract(TriangleMesh(local, faces, border), np.arange(len(rest)), scan, motion, scale, settings)
@@ -119,19 +133,35 @@ def _attract(
     return hits, np.where(good, 1 / (1 + (hits.distance / typical) ** 2) ** 2, 0.0)
 
 
+def _carriers(landmarks: Landmarks, skin: np.ndarray) -> "scipy.sparse.csr_array":
+    """The weights `(landmark, skin vertex)` that make landmarks of vertices; those that are not on the skin have none."""
+    corners, weights = landmarks.placement.corners.numpy(), landmarks.placement.barycentric.double().numpy()
+    rows = np.repeat(np.arange(len(corners)), 3)
+    every = scipy.sparse.csr_array((weights.reshape(-1), (rows, corners.reshape(-1))), shape=(len(corners), len(skin)))
+    on_skin = scipy.sparse.diags_array(skin[corners].all(axis=1).astype(float))
+    return (on_skin @ every).tocsr()[:, skin]
+
+
 def _similarity(
-    rest: np.ndarray, faces: np.ndarray, outer: np.ndarray, scan: Surface, settings: WrapSettings
+    rest: np.ndarray,
+    faces: np.ndarray,
+    outer: np.ndarray,
+    scan: Surface,
+    settings: WrapSettings,
+    landmarks: Landmarks | None,
 ) -> tuple[float, Motion]:
     mesh = TriangleMesh(rest, faces)
     sampled = outer[farthest_points(rest[outer], SAMPLES)]
-    start = Aligner(mesh, outer, sampled, np.ones(len(rest))).align(Target.of(scan, SAMPLES), thorough=True)
+    start = Aligner(mesh, outer, sampled, np.ones(len(rest))).align(
+        Target.of(scan, SAMPLES, landmarks=landmarks), thorough=True
+    )
     if start.distance_mm > TOO_FAR_MM:
         raise InputError(
             f"the scan cannot be brought onto the mesh: its points stay {start.distance_mm:.1f} mm away and more: is it the "
             f"same part of a person, in the unit that was read, with normals that point outwards?"
         )
     scale, motion, target = 1.0, start.motion, Target.of(scan, SAMPLES)
-    for _ in range(settings.similarity_rounds):
+    for number in range(settings.similarity_rounds):
         hits, weights = _attract(mesh, sampled, scan, motion, scale, settings)
         mesh_points, scan_points, normals = motion.apply(scale * rest[sampled]), hits.points, hits.normals
         back = mesh.closest(motion.undo(target.points) / scale)
@@ -142,8 +172,23 @@ def _similarity(
         further = np.where(good, 1 / (1 + (distance / SCALE_MM) ** 2) ** 2, 0.0)
         pairs = ((mesh_points, back_points), (scan_points, target.points), (normals, target.normals), (weights, further))
         joined = [np.concatenate(parts) for parts in pairs]
+        if landmarks is not None:
+            fraction = 1 - number / settings.similarity_rounds
+            joined = _with_landmarks(joined, landmarks, motion.apply(scale * landmarks.on(rest)), fraction)
         scale, motion = _similarity_step(joined[0], joined[1], joined[2], joined[3], scale, motion)
     return scale, motion
+
+
+def _with_landmarks(joined: list[np.ndarray], landmarks: Landmarks, ours: np.ndarray, fraction: float) -> list[np.ndarray]:
+    """Points of mesh and scan, normals and weights of pairs, with those of landmarks `ours` `(landmark, 3)` along each axis.
+
+    Args:
+        fraction: of the schedule that remains: the weight of the landmarks falls with it.
+    """
+    count = len(ours)
+    weights = np.full(3 * count, landmarks.weight_at(WIDE_MM * fraction) * joined[3].sum() / count)
+    more = (np.repeat(ours, 3, axis=0), np.repeat(landmarks.points, 3, axis=0), np.tile(np.eye(3), (count, 1)), weights)
+    return [np.concatenate(parts) for parts in zip(joined, more)]
 
 
 def _similarity_step(
