@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from riginv.clips.csv_table import DELIMITERS, decoded, number_in
+from riginv.clips.csv_table import DELIMITERS, decoded
 from riginv.clips.markers import (
     MAX_CELLS,
     MarkerClip,
     is_unnamed,
+    number_or_gap,
     positive_rate,
     unit_in_mm,
+    unnamed_note,
     whole_numbers,
     without_gaps_at_zero,
 )
@@ -103,14 +105,10 @@ def _clip(path: Path, source: str, rows: Rows, first: int, named: list[tuple[str
     values = np.full((len(frames), len(columns)), np.nan)
     for index, (line, row) in enumerate(frames):
         for place, column in enumerate(columns):
-            cell = row[column] if column < len(row) else ""
-            values[index, place] = number_in(cell)[0]
-            if np.isnan(values[index, place]) and cell.lower() not in ("", "nan"):
-                raise InputError(f"{path}, line {line}: found {printable(cell)[:40]!r}, expected a number, or nothing in a gap")
+            values[index, place] = number_or_gap(path, line, row[column] if column < len(row) else "")
     points, notes = without_gaps_at_zero(values[:, 1:].reshape(len(frames), len(chosen), 3))
     unit_mm, unit_notes = unit_in_mm(path, unit)
-    if len(chosen) < len(named):
-        notes = (*notes, f"{len(named) - len(chosen)} of {len(named)} points have no name and were left out.")
-    facts = SourceFacts(f"CSV markers ({source})", rate_source="its header", notes=(*notes, *unit_notes))
+    notes = (*notes, *unnamed_note(len(chosen), len(named)), *unit_notes)
+    facts = SourceFacts(f"CSV markers ({source})", rate_source="its header", notes=notes)
     numbers = whole_numbers(path, values[:, 0])
     return MarkerClip(str(path), tuple(name for name, _ in chosen), points, numbers, facts, positive_rate(rate), unit_mm)

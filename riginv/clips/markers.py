@@ -109,6 +109,11 @@ def is_unnamed(name: str) -> bool:
     return not name or name.lower().startswith(UNNAMED)
 
 
+def unnamed_note(named: int, points: int) -> tuple[str, ...]:
+    """A note on the points without a name, if there are any."""
+    return (f"{points - named} of {points} points have no name and were left out.",) if named < points else ()
+
+
 def without_gaps_at_zero(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Points `(frame, marker, 3)` with NaN where one is exactly at the origin or not finite, and a note on the former."""
     at_zero = (points == 0).all(axis=2)
@@ -161,7 +166,7 @@ def read_trc(path: Path) -> MarkerClip:
                 f"{path}, line {line}: {len(cells)} fields, expected {width}: 3 for each of {len(columns)} markers"
             )
         for column, cell in enumerate(cells[:width]):
-            values[row, column] = _number(path, line, cell)
+            values[row, column] = number_or_gap(path, line, cell)
     counted = header.get("NumFrames", "")
     if counted not in ("", str(len(rows))):
         notes.append(f"its header promises {counted[:12]} frames, it has {len(rows)}.")
@@ -222,8 +227,12 @@ def _text(path: Path) -> str:
         return data.decode("latin-1")  # a name in its first line
 
 
-def _number(path: Path, line: int, cell: str) -> float:
-    """The number in a cell; NaN in a gap."""
+def number_or_gap(path: Path, line: int, cell: str) -> float:
+    """The number in a cell of a table of markers; NaN in a gap.
+
+    Raises:
+        InputError: it holds something else.
+    """
     value = number_in(cell)[0]
     if np.isnan(value) and cell.strip().lower() not in ("", "nan"):
         raise InputError(f"{path}, line {line}: found {printable(cell.strip())[:40]!r}, expected a number, or nothing in a gap")

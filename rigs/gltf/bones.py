@@ -14,13 +14,11 @@ from rigs.gltf.animation import ROTATION, Channel
 from rigs.gltf.channels import animation_names, read_channels
 from rigs.gltf.choice import numbers_of
 from rigs.gltf.clip_meshes import clip_meshes
-from rigs.gltf.container import GltfFile, open_gltf
+from rigs.gltf.container import UNIT_MM, GltfFile, open_gltf
 from rigs.gltf.posing import LOCAL, posed_scene, poses_at
 from rigs.gltf.scene import Scene, read_scene
 from rigs.gltf.selection import mesh_nodes
 from rigs.gltf.timing import Timing, timing_of
-
-METRE = 1000.0  # mm, the unit of glTF
 
 
 def bones_clip(path: str, options: ReadingOptions, rig: RigBackend) -> BonesClip | None:
@@ -79,4 +77,4 @@ def _motion(file: GltfFile, scene: Scene, channels: list[Channel], timing: Timin
             parent = scene.parents[parent]
         parents.append(number_of.get(parent, -1))
     motion = motion_of_worlds([scene.names[node] for node in joints], parents, rest, worlds, timing.rate.fps)
-    return motion._replace(frame_numbers=timing.first + np.arange(timing.count), unit_mm=METRE)
+    return motion._replace(frame_numbers=timing.first + np.arange(timing.count), unit_mm=UNIT_MM)

@@ -11,11 +11,11 @@ from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
 from riginv.meshes.mesh_file import MeshFile
 from riginv.rig.interface import RigBackend
-from rigs.gltf.bones import METRE, bones_clip
+from rigs.gltf.bones import bones_clip
 from rigs.gltf.channels import animation_names
 from rigs.gltf.choice import Chosen, choice_notes, choose_animation, no_motion
 from rigs.gltf.clip_meshes import ClipMeshes, clip_meshes, welded_faces
-from rigs.gltf.container import GltfFile, open_gltf
+from rigs.gltf.container import UNIT_MM, GltfFile, open_gltf
 from rigs.gltf.posing import PosedMeshes, poses_at
 from rigs.gltf.rig import GltfRig
 from rigs.gltf.scene import Scene, read_scene
@@ -55,7 +55,7 @@ class GltfClip(MeshSequence):
             faces = welded_faces(faces, selection.welded)
             self.kept = np.unique(selection.welded, return_index=True)[1]
             count = len(self.kept)
-        unit = rig.unit_mm if isinstance(rig, GltfRig) and _same_file(path, rig.file) else METRE
+        unit = rig.unit_mm if isinstance(rig, GltfRig) and _same_file(path, rig.file) else UNIT_MM
         numbers = timing.first + np.arange(timing.count)
         facts = _facts(file, scene, selection, self.meshes, chosen, timing)
         super().__init__(path, numbers, count, Polygons.triangles(faces), timing.rate.fps, unit, "y", facts)

@@ -12,6 +12,7 @@ from riginv.errors import InputError, printable
 from rigs.gltf.schema import Document, checked_document
 from rigs.gltf.sources import DATA_URI, MAGIC, VERSION, beside, bytes_of, chunks, from_data_uri
 
+UNIT_MM = 1000.0  # glTF is in metres
 COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
 SUPPORTED = ("KHR_mesh_quantization", "KHR_animation_pointer")
 # Extensions that affect appearance or behaviour, not vertices.

@@ -6,7 +6,7 @@ import numpy as np
 
 from riginv.meshes.mesh_file import MeshFile
 from riginv.meshes.polygons import Polygons
-from rigs.gltf.container import open_gltf
+from rigs.gltf.container import UNIT_MM, open_gltf
 from rigs.gltf.posing import PosedMeshes
 from rigs.gltf.scene import read_scene
 from rigs.gltf.selection import mesh_nodes
@@ -19,7 +19,7 @@ class GltfMesh(MeshFile):
         InputError: the file cannot be read, or holds no triangles.
     """
 
-    unit_mm, up = 1000.0, "y"
+    unit_mm, up = UNIT_MM, "y"
 
     def __init__(self, path: Path) -> None:
         file = open_gltf(str(path))

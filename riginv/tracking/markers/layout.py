@@ -33,7 +33,8 @@ def suggest_layout(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: fl
     rest, faces = rig.rest_vertices.cpu().double().numpy(), rig.faces.cpu().numpy()
     outer = marker_skin(rest, faces)
     some = torch.from_numpy(outer[:: -(-len(outer) // CANDIDATES)])
-    models = [_Linear(rig, units, prior, some, noise_mm) for units in _poses(prior)]
+    root = torch.linalg.cholesky(prior.covariance)
+    models = [_Linear(rig, units, root, some, noise_mm) for units in _poses(prior.mean, root)]
     places, spacing_mm = rig.rest_vertices[some], SPACING * float(np.ptp(rest, axis=0).max())
     chosen, too_near = list[int](), torch.zeros(len(some), dtype=torch.bool)
     while len(chosen) < count and not too_near.all():
@@ -47,11 +48,10 @@ def suggest_layout(rig: LinearRig, prior: ControlPrior, count: int, noise_mm: fl
     return at_vertices(rig, _names(rig, vertices), vertices, offset_mm)
 
 
-def _poses(prior: ControlPrior) -> Tensor:
-    """The prior's mean and random poses of it `(pose, control)`, as fractions of the ranges."""
-    draws = torch.randn(POSES - 1, len(prior.mean), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    root = torch.linalg.cholesky(prior.covariance)
-    return torch.cat([prior.mean.double()[None], (prior.mean.double() + draws @ root.T).clamp(0, 1)])
+def _poses(mean: Tensor, root: Tensor) -> Tensor:
+    """A prior's mean and random poses of it `(pose, control)`, from a Cholesky factor of its covariance."""
+    draws = torch.randn(POSES - 1, len(mean), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    return torch.cat([mean[None], (mean + draws @ root.T).clamp(0, 1)])
 
 
 class _Linear:
@@ -59,15 +59,15 @@ class _Linear:
 
     Args:
         units: the pose, `(control,)`, as fractions of the ranges.
+        root: a Cholesky factor of the prior's covariance.
         some: vertices that may carry a marker.
         noise_mm: of a marker.
     """
 
-    def __init__(self, rig: LinearRig, units: Tensor, prior: ControlPrior, some: Tensor, noise_mm: float) -> None:
+    def __init__(self, rig: LinearRig, units: Tensor, root: Tensor, some: Tensor, noise_mm: float) -> None:
         span = rig.upper - rig.lower
         _, jacobian = rig.coefficient_jacobian((rig.lower + span * units.to(span))[None])
-        roots = span[:, None].double() * torch.linalg.cholesky(prior.covariance)
-        columns = rig.basis.flatten(1).T.double() @ (jacobian.dense()[0].double() @ roots)
+        columns = rig.basis.flatten(1).T.double() @ (jacobian.dense()[0].double() @ (span[:, None].double() * root))
         self.here = columns.unflatten(0, (-1, 3))[some]
         self.half = self.here.clone()  # times the variance of the controls given the markers so far: at first 1
         self.reach = self.half @ (columns.T @ columns)  # their covariances with the whole mesh, times its own displacements

@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from riginv.rig.interface import LinearRig
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
@@ -20,6 +18,7 @@ from riginv.tracking.surfaces.alignment import right_angles
 from riginv.tracking.surfaces.motion import Motion, fit_motion
 from riginv.tracking.surfaces.rig_surface import farthest_points
 from riginv.tracking.surfaces.triangles import Hits, TriangleMesh
+from riginv.tracking.surfaces.wrap import connected_parts
 
 ROUNDS, MORE_ROUNDS = (4, 4), (4, 20)  # of closest points, for each start and for the best ones
 RIDGE = 0.01  # on the common height, relative to one marker's distance
@@ -88,9 +87,7 @@ def at_common_height(mesh: TriangleMesh, local: np.ndarray, hits: Hits) -> Hits:
     for marker in np.flatnonzero((height > 0) & (height < (1 - TOO_LOW) * common)):
         near = np.linalg.norm(mesh.points - local[marker], axis=1) < AROUND * common
         faces = mesh.faces[near[mesh.faces].any(axis=1)]
-        edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
-        graph = coo_array((np.ones(edges.shape[1]), edges), shape=(len(near), len(near)))
-        part = connected_components(graph, directed=False)[1]
+        part = connected_parts(faces, len(near))
         for other in np.setdiff1d(part[faces[:, 0]], part[hits.corners[marker]]):
             found = TriangleMesh(mesh.points, faces[part[faces[:, 0]] == other]).closest(local[marker : marker + 1])
             above = float(((local[marker] - found.points[0]) * found.normals[0]).sum())

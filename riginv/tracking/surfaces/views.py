@@ -24,9 +24,8 @@ class ScanViews:
     def __init__(self, parts: ScanParts, track: ScanTrack) -> None:
         self.parts, self.track = parts, track
         self.outer = np.flatnonzero(parts.solver.surface.outer)
-        self.matched = LimitedCache(
-            self._match, lambda matched: matched.size, MAX_NUMBERS
-        )  # asked for by page and contact sheet
+        # asked for by the page and by the contact sheet
+        self.matched = LimitedCache(self._match, lambda matched: matched.size, MAX_NUMBERS)
 
     def surface(self, row: int) -> Surface | None:
         """The scan of a row; None where there is none."""

@@ -208,8 +208,13 @@ def _similarity_step(
 
 def skin_component(rest: np.ndarray, faces: np.ndarray, outer: np.ndarray) -> np.ndarray:
     """Whether each vertex is in the connected component with most outer vertices, `(vertex,)`."""
-    _, part = scipy.sparse.csgraph.connected_components(_adjacency(faces, len(rest)), directed=False)
+    part = connected_parts(faces, len(rest))
     return part == np.bincount(part[outer]).argmax()
+
+
+def connected_parts(faces: np.ndarray, count: int) -> np.ndarray:
+    """The connected component that each of `count` vertices is in, as a number from 0, `(vertex,)`."""
+    return scipy.sparse.csgraph.connected_components(_adjacency(faces, count), directed=False)[1]
 
 
 def smoothness_matrix(faces: np.ndarray, skin: np.ndarray) -> "scipy.sparse.csc_array":
@@ -234,10 +239,10 @@ def with_loose_parts(rest: np.ndarray, faces: np.ndarray, skin: np.ndarray, disp
     if skin.all():
         return displacement
     result = displacement.copy()
-    count, part = scipy.sparse.csgraph.connected_components(_adjacency(faces, len(rest)), directed=False)
+    part = connected_parts(faces, len(rest))
     on_skin = np.flatnonzero(skin)
     tree = scipy.spatial.cKDTree(rest[on_skin])
-    for number in range(count):
+    for number in range(part.max() + 1):
         members = np.flatnonzero(part == number)
         if skin[members[0]]:
             continue
