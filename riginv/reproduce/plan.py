@@ -153,8 +153,8 @@ class Plan:
 
     def _solvers(self) -> None:
         first = self.seeds[0]
-        names = ["levenberg_marquardt", "neutral", "direct", "clip", *self.budget.others]
-        specs = method_specs(names, levenberg_marquardt=self.budget.optimum)
+        solvers = ["levenberg_marquardt", "neutral", "direct", "clip", *self.budget.others]
+        specs = method_specs(solvers, levenberg_marquardt=self.budget.optimum)
         alone: dict[str, tuple[str, ClassSpec[Method], str, tuple[str, ...]]] = {
             "optimum": ("optimum", specs["levenberg_marquardt"], "optimum", ALL),
             "neutral": ("neutral", specs["neutral"], "network", ALL),

@@ -1,7 +1,5 @@
 """Poses that regressions are fitted to."""
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
@@ -36,13 +34,3 @@ def as_controls(rig: RigInMeshSpace, away: Tensor) -> Tensor:
     """Distances from neutral `(mesh, control)`, in ranges, as controls within the limits."""
     own = rig.source.neutral_controls.double() + away * (rig.source.upper - rig.source.lower).double()
     return own.to(rig.source.dtype).clamp(rig.source.lower, rig.source.upper)
-
-
-def in_batches(coordinates: Tensor, size: int, solve: Callable[[Tensor], Tensor], controls: int) -> Tensor:
-    """The answers `(mesh, control)` of `solve` for meshes `(mesh, coordinate)`, `size` of them at a time.
-
-    A mesh with NaN or infinite values is replaced by the rest mesh.
-    """
-    whole = torch.isfinite(coordinates).all(dim=1, keepdim=True)
-    answers = [solve(piece) for piece in torch.where(whole, coordinates, 0.0).split(size) if len(piece)]
-    return torch.cat(answers) if answers else coordinates.new_zeros(0, controls)
