@@ -51,7 +51,7 @@ def contact_sheet(config: DictConfig) -> None:
     poses = {"neutral": rig.neutral_controls, **shown, **random_poses(rig, settings.random_poses, settings.seed)}
     sheet = draw(rig, poses, settings.columns, settings.turn_degrees)
     with atomic_write(out) as beside:
-        sheet.save(beside, format="PNG", optimize=True)
+        sheet.save(beside, format="PNG")
     more = len(named) - len(shown)
     left_out = f"; {more} more of its expressions are not drawn (expressions=null draws all)" if more else ""
     show_result(f"{out}: {len(poses)} poses of rig '{rig.name}'{left_out}")

@@ -116,4 +116,4 @@ def _draw(at: Workspace, rig: LinearRig, named: ClassSpec[RigBackend] | None, ta
 
 def _save(at: Workspace, picture: Image.Image) -> None:
     with atomic_write(at.folder / PICTURE) as partial:
-        picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=200).save(partial, format="PNG", optimize=True)
+        picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=200).save(partial, format="PNG")
