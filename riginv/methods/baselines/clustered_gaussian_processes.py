@@ -7,8 +7,7 @@ from riginv.config.values import PositiveFloat, PositiveInt
 from riginv.geometry.neighbours import spread_points
 from riginv.methods.base import BatchedMethod
 from riginv.methods.baselines.clusters import Cluster, control_reach, find_clusters
-from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents
-from riginv.methods.baselines.training_poses import as_controls, training_poses
+from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents, as_controls, training_poses
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.sampling.meshes import MeshSampler
 
