@@ -10,7 +10,6 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 from PIL import Image
-from rich.console import Console
 from torch import Tensor
 
 from riginv.config.building import ClassSpec
@@ -22,6 +21,7 @@ from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
 from riginv.rig.size import show_rig
+from riginv.runs.console import show_result
 from riginv.runs.files import atomic_write
 
 
@@ -51,10 +51,10 @@ def contact_sheet(config: DictConfig) -> None:
     poses = {"neutral": rig.neutral_controls, **shown, **random_poses(rig, settings.random_poses, settings.seed)}
     sheet = draw(rig, poses, settings.columns, settings.turn_degrees)
     with atomic_write(out) as beside:
-        sheet.save(beside, format="PNG", optimize=True)
+        sheet.save(beside, format="PNG")
     more = len(named) - len(shown)
     left_out = f"; {more} more of its expressions are not drawn (expressions=null draws all)" if more else ""
-    Console().print(f"{out}: {len(poses)} poses of rig '{rig.name}'{left_out}", highlight=False, markup=False, soft_wrap=True)
+    show_result(f"{out}: {len(poses)} poses of rig '{rig.name}'{left_out}")
 
 
 def named_poses(rig: RigBackend) -> dict[str, Tensor]:

@@ -76,7 +76,7 @@ def run(config: DictConfig) -> None:
     write_map(out, placement, rig, comments)
     picture = out.with_suffix(".png")
     with atomic_write(picture) as file:
-        draw(rig, placement).save(file, format="PNG", optimize=True)
+        draw(rig, placement).save(file, format="PNG")
     todo = "check in the picture that each marker is where it is on the actor, then"
     if settings.clip is None:
         todo = "put markers of these names there on the actor, record a take, then"

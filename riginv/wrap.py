@@ -61,7 +61,7 @@ def run(config: DictConfig) -> None:
     write_text(out, obj_text(found.vertices, rig.faces.cpu().numpy()))
     picture = out.with_suffix(".png")
     with atomic_write(picture) as file:
-        distance_map(rig, found, surface).save(file, format="PNG", optimize=True)
+        distance_map(rig, found, surface).save(file, format="PNG")
     mean = float(np.nanmean(found.distance_mm))
     lines: list[str] = []
     if landmarks is not None:

@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -87,7 +88,8 @@ def test_the_format_is_written(written, monkeypatch):
 
 
 def test_the_method_is_compared_on_the_rig(written, run, few_optima):
-    done = run("compare", f"--config-dir={written / 'my_methods/conf'}", "methods=[nearest,neutral]", "rig=face", "poses=6")
+    shutil.copytree(written / "my_rigs/conf/rig", written / "my_methods/conf/rig")
+    done = run("compare", f"--config-dir={written / 'my_methods/conf'}", "methods=[nearest,neutral]", "rig=ripple", "poses=6")
     assert done.code == 0, done.text
     table = (done.folder / "compare.md").read_text()
     assert "nearest" in table and "neutral" in table

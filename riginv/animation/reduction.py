@@ -1,7 +1,6 @@
 """Key reduction: as few keys as possible with the rig's mesh within a tolerance."""
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +37,7 @@ class Reduction:
     worst_mm: float
 
 
-def reduced(animation: Animation, tolerance_mm: float, advance: Callable[[str], None] | None = None) -> Reduction:
+def reduced(animation: Animation, tolerance_mm: float) -> Reduction:
     """Remove as many keys as possible with every vertex of every frame within a tolerance; curves are linear between keys.
 
     The tolerance of a control follows from how far it moves the mesh. Each line of a curve extends as far as it is within the
@@ -47,7 +46,6 @@ def reduced(animation: Animation, tolerance_mm: float, advance: Callable[[str], 
 
     Args:
         tolerance_mm: of any vertex.
-        advance: reports each pass.
 
     Raises:
         InputError: the tolerance is not a number above 0.
@@ -64,8 +62,6 @@ def reduced(animation: Animation, tolerance_mm: float, advance: Callable[[str], 
         made = torch.tensor(curves).to(animation.controls)
         distance = distances_mm(animation.rig, animation.controls, made)
         too_far = distance > tolerance_mm
-        if advance:
-            advance(f"pass {number + 1}: {sum(map(len, keys))} keys, {int(too_far.sum())} frames beyond {tolerance_mm:g} mm")
         if not too_far.any():
             break
         if number + 1 >= MAX_PASSES:

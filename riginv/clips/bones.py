@@ -19,7 +19,6 @@ from riginv.rig.interface import RigBackend
 
 FEWEST = 0.5  # of the joints of the rig or of the file, whichever are fewer, must be found by name
 STRAIGHT = 0.9999  # cosine of an angle between bones at rest that counts as none
-SAME_SIZE = 1e-3  # relative difference of sizes that counts as none
 
 
 class JointNamesError(InputError):

@@ -112,26 +112,10 @@ def describe(clip: Clip) -> ClipDescription:
     """
     sample(clip)
     sequence, units, numbers = clip.sequence, clip.units, clip.frame_numbers.numpy()
-    missing, missing_first = missing_frames(numbers)
-    return ClipDescription(
-        file=Path(sequence.path).name or sequence.path,
-        facts=sequence.facts,
-        vertices=sequence.vertex_count,
-        faces=len(sequence.faces) if sequence.faces else 0,
-        frames=span_of(numbers),
-        all_frames=span_of(sequence.frame_numbers),
-        missing=missing,
-        missing_first=missing_first,
-        excluded=int(clip.excluded.sum()),
-        fps=units.fps,
-        rate_source=units.rate_source,
-        unit_mm=units.mm if units.unit_source else None,
-        unit_source=units.unit_source,
-        up=units.up,
-        up_source=units.up_source,
-        motion=clip.motion_check.motion,
-        notes=(*sequence.facts.notes, *units.notes),
-    )
+    spans = span_of(numbers), span_of(sequence.frame_numbers), missing_frames(numbers), int(clip.excluded.sum())
+    notes, faces = [*sequence.facts.notes, *units.notes], len(sequence.faces) if sequence.faces else 0
+    motion = clip.motion_check.motion
+    return describe_points(sequence.path, sequence.facts, sequence.vertex_count, *spans, units, motion, notes, faces)
 
 
 def describe_points(
@@ -145,8 +129,9 @@ def describe_points(
     units: ClipUnits,
     motion: ClipMotion,
     notes: Sequence[str],
+    faces: int = 0,
 ) -> ClipDescription:
-    """The description of a clip that is no mesh of the rig, such as scans or markers; arguments as in `ClipDescription`.
+    """The description of a clip of meshes, scans or markers; arguments as in `ClipDescription`.
 
     Args:
         missing: as `missing_frames`.
@@ -155,7 +140,7 @@ def describe_points(
         file=Path(path).name or path,
         facts=facts,
         vertices=points,
-        faces=0,
+        faces=faces,
         frames=frames,
         all_frames=all_frames,
         missing=missing[0],
@@ -163,7 +148,7 @@ def describe_points(
         excluded=excluded,
         fps=units.fps,
         rate_source=units.rate_source,
-        unit_mm=units.mm,
+        unit_mm=units.mm if units.unit_source else None,
         unit_source=units.unit_source,
         up=units.up,
         up_source=units.up_source,

@@ -61,6 +61,27 @@ class Method(ABC):
         return encoded(meshes, self.rig.space)
 
 
+class BatchedMethod(Method):
+    """A method that solves for each mesh on its own.
+
+    Attributes:
+        batch_size: how many at a time.
+    """
+
+    batch_size = 64
+
+    def invert(self, meshes: MeshSet) -> Tensor:
+        """As `Method.invert`; a mesh with NaN or infinite values is replaced by the rest mesh."""
+        coordinates = self.coordinates(meshes)
+        whole = torch.isfinite(coordinates).all(dim=1, keepdim=True)
+        answers = [self.solve(batch) for batch in torch.where(whole, coordinates, 0.0).split(self.batch_size) if len(batch)]
+        return torch.cat(answers) if answers else coordinates.new_zeros(0, len(self.rig.source.controls))
+
+    @abstractmethod
+    def solve(self, coordinates: Tensor) -> Tensor:
+        """Controls `(mesh, control)` of meshes `(mesh, coordinate)`."""
+
+
 def encoded(meshes: MeshSet, space: MeshSpace) -> Tensor:
     """All meshes of a set in the coordinates of a mesh space, `(mesh, coordinate)`, read in batches."""
     pieces = [space.encode(vertices) for _, vertices in meshes.batches()]

@@ -18,7 +18,7 @@ from riginv.reproduce.rigs import rig_in_space, true_rig
 from riginv.reproduce.sets import COMBINATIONS, mesh_sets
 from riginv.reproduce.steps import Figures, Task, Workspace
 from riginv.reproduce.training import bundle_of
-from riginv.rig.interface import RigBackend
+from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.files import atomic_write
 
 PICTURE = "picture.png"
@@ -40,12 +40,10 @@ class DrawDenoising(Task):
 
     def run(self, at: Workspace) -> Figures:
         rig = rig_in_space(self.rig).source
-        reference = true_rig(self.true_rig, rig, 1)
         sets = mesh_sets(self.sets, at.context.capture, rig)
         meshes = sets.get(COMBINATIONS) or next(iter(sets.values()))
-        inverse = load_inverse(bundle_of(at.inputs["network"]), rig)
         targets = torch.cat([meshes.vertices(row, row + 1) for row in evenly(DENOISED + 2, len(meshes)).tolist()[1:-1]])
-        return _draw(at, reference, targets, reference(inverse(targets)), "a random combination")
+        return _draw(at, rig, self.true_rig, targets, "a random combination")
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,6 @@ class DrawBody(Task):
             InputError: the rig's motion does not fit it.
         """
         rig = rig_in_space(self.rig).source
-        reference = true_rig(self.true_rig, rig, 1)
         motion = rig.motion()
         if motion is None:
             meshes = next(iter(mesh_sets(self.sets, at.context.capture, rig).values()))
@@ -76,8 +73,7 @@ class DrawBody(Task):
         if frames.shape[1:] != rig.rest_vertices.shape:
             raise InputError(f"rig '{rig.name}': its motion has meshes of {frames.shape[1]} vertices")
         targets = frames[evenly(BODIES + 1, len(frames))[1:]]
-        inverse = load_inverse(bundle_of(at.inputs["network"]), rig)
-        return _draw(at, reference, targets, reference(inverse(targets)), "the animation")
+        return _draw(at, rig, self.true_rig, targets, "the animation")
 
 
 @dataclass(frozen=True)
@@ -109,12 +105,15 @@ class DrawErrorMaps(Task):
         return {"sets": names}
 
 
-def _draw(at: Workspace, rig: RigBackend, targets: Tensor, results: Tensor, label: str) -> Figures:
+def _draw(at: Workspace, rig: LinearRig, named: ClassSpec[RigBackend] | None, targets: Tensor, label: str) -> Figures:
+    """Draw meshes beside the true rig at the controls that the network finds for them."""
+    reference = true_rig(named, rig, 1)
+    results = reference(load_inverse(bundle_of(at.inputs["network"]), rig)(targets))
     pairs = [Pair(label, target, result) for target, result in zip(targets, results)]
-    _save(at, comparison(rig, pairs))
-    return {"mean_vertex_error_mm": float((results - targets).norm(dim=2).mean()), "true_rig": rig.name}
+    _save(at, comparison(reference, pairs))
+    return {"mean_vertex_error_mm": float((results - targets).norm(dim=2).mean()), "true_rig": reference.name}
 
 
 def _save(at: Workspace, picture: Image.Image) -> None:
     with atomic_write(at.folder / PICTURE) as partial:
-        picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=200).save(partial, format="PNG", optimize=True)
+        picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=200).save(partial, format="PNG")

@@ -10,7 +10,7 @@ from riginv.reproduce.inversion import InvertSets
 from riginv.reproduce.measures import MeasureControls, MeasureLipschitz
 from riginv.reproduce.pictures import DrawBody, DrawDenoising, DrawErrorMaps
 from riginv.reproduce.plots import PlotControls, PlotRoughness, PlotTraining, Uses
-from riginv.reproduce.recipes import method_spec, network_settings, through_surrogate, training_config
+from riginv.reproduce.recipes import method_specs, network_settings, through_surrogate, training_config
 from riginv.reproduce.sets import CAPTURED, CLIP, COMBINATIONS, POSES, CaptureSource, SetSizes
 from riginv.reproduce.settings import Budget, ReproduceConfig, Variant
 from riginv.reproduce.steps import Context, Step, Task
@@ -153,24 +153,25 @@ class Plan:
 
     def _solvers(self) -> None:
         first = self.seeds[0]
-        optimum = method_spec("levenberg_marquardt", **self.budget.optimum)
+        solvers = ["levenberg_marquardt", "neutral", "direct", "clip", *self.budget.others]
+        specs = method_specs(solvers, levenberg_marquardt=self.budget.optimum)
         alone: dict[str, tuple[str, ClassSpec[Method], str, tuple[str, ...]]] = {
-            "optimum": ("optimum", optimum, "optimum", ALL),
-            "neutral": ("neutral", method_spec("neutral"), "network", ALL),
-            "direct": ("direct, programmatic rig", method_spec("direct"), "direct", (CLIP,)),
-            "clip": ("whole-clip solver", method_spec("clip"), "clip", (CLIP,)),
+            "optimum": ("optimum", specs["levenberg_marquardt"], "optimum", ALL),
+            "neutral": ("neutral", specs["neutral"], "network", ALL),
+            "direct": ("direct, programmatic rig", specs["direct"], "direct", (CLIP,)),
+            "clip": ("whole-clip solver", specs["clip"], "clip", (CLIP,)),
         }
         for name, (label, method, pace, names) in alone.items():
             self.rows[name] = Row(label)
             self._invert(name, name, method, pace, names, {}, first)
         for name in self.budget.others:
             self.rows[name] = Row(name.replace("_", " "))
-            self._invert(name, name, method_spec(name), "clip", (CLIP,), {}, first)
+            self._invert(name, name, specs[name], "clip", (CLIP,), {}, first)
         self.rows["direct_trained"] = Row("direct, trained rig", seeds=self.seeds)
         for seed in self.seeds:
             surrogate = {"surrogate": f"surrogate-seed{seed}"}
             step = f"direct-trained-seed{seed}"
-            self._invert("direct_trained", step, method_spec("direct"), "direct", (CLIP,), surrogate, seed)
+            self._invert("direct_trained", step, specs["direct"], "direct", (CLIP,), surrogate, seed)
 
     def _variants(self) -> None:
         first = self.seeds[0]

@@ -2,7 +2,7 @@
 
 import copy
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -28,15 +28,15 @@ def training_config(settings: Sequence[str], rig: ClassSpec[RigBackend], seed: i
     """
     last = {setting.partition("=")[0]: setting for setting in settings}
     own = {"rig": dict(rig.config), "true_rig": None, "seed": seed, "capture": None}
-    training = to_typed(copy.deepcopy(_composed(*last.values())) | own, TrainConfig)
+    training = to_typed(copy.deepcopy(_composed("train", *last.values())) | own, TrainConfig)
     if (devices := training.trainer.processes) > 1:
         raise InputError(f"a budget has {devices} devices: riginv.reproduce trains on one (trainer.devices=1)")
     return training
 
 
 @functools.lru_cache(maxsize=64)
-def _composed(*settings: str) -> dict[str, Any]:
-    return plain_config(compose("train", list(settings)))
+def _composed(command: str, *settings: str) -> dict[str, Any]:
+    return plain_config(compose(command, list(settings)))
 
 
 def through_surrogate(training: TrainConfig, bundle: str = "") -> TrainConfig:
@@ -44,15 +44,14 @@ def through_surrogate(training: TrainConfig, bundle: str = "") -> TrainConfig:
     return replace(training, rig=ClassSpec.read(surrogate_config(bundle), RigBackend, "rig"))
 
 
-def method_spec(name: str, **arguments: Any) -> ClassSpec[Method]:
-    """A method of `riginv.compare`, with further arguments."""
-    found = _composed_methods(name)[name]
-    return ClassSpec.read({**found, **arguments}, Method, f"methods.{name}")
+def method_specs(names: Sequence[str], **arguments: Mapping[str, Any]) -> dict[str, ClassSpec[Method]]:
+    """Methods of `riginv.compare`, by name, some with further arguments.
 
-
-@functools.lru_cache(maxsize=64)
-def _composed_methods(name: str) -> dict[str, Any]:
-    return plain_config(compose("compare", [f"methods=[{name}]"]))["methods"]
+    Raises:
+        HydraException: there is no such method.
+    """
+    found = _composed("compare", f"methods=[{','.join(dict.fromkeys(names))}]")["methods"]
+    return {name: ClassSpec.read({**found[name], **arguments.get(name, {})}, Method, f"methods.{name}") for name in names}
 
 
 def network_settings(budget: Budget, name: str) -> list[str]:

@@ -111,9 +111,12 @@ def _gradients(rig: RigBackend, controls: Tensor) -> None:
     precise = copy.deepcopy(rig).double()
     generator = generator_at(0, "probes")
     probes = torch.randn(PROBES, rig.rest_vertices.numel(), generator=generator, dtype=torch.float64).to(rig.device)
+    probes = probes.T / rig.rest_vertices.numel() ** 0.5
+    linear = precise if isinstance(precise, LinearRig) and type(precise).forward is LinearRig.forward else None
+    of_basis = probes if linear is None else linear.basis.flatten(1) @ probes
 
-    def probed(values: Tensor) -> Tensor:
-        return precise(values).flatten(1) @ probes.T / rig.rest_vertices.numel() ** 0.5
+    def probed(values: Tensor) -> Tensor:  # vertices that are linear in the coefficients need not be computed
+        return (precise(values).flatten(1) if linear is None else linear.coefficients(values)) @ of_basis
 
     inputs = controls[:2].double().requires_grad_()
     try:

@@ -60,16 +60,8 @@ class WeightedShapes(MeshSet):
         weights: `(mesh, shape)`.
     """
 
-    def __init__(
-        self,
-        name: str,
-        rest_vertices: Tensor,
-        deltas: Tensor,
-        weights: Tensor,
-        fps: float | None = None,
-        frame_numbers: Tensor | None = None,
-    ) -> None:
-        super().__init__(name, fps, frame_numbers=frame_numbers)
+    def __init__(self, name: str, rest_vertices: Tensor, deltas: Tensor, weights: Tensor, fps: float | None = None) -> None:
+        super().__init__(name, fps)
         self.rest_vertices, self.deltas, self.weights = rest_vertices, deltas, weights.to(deltas.dtype)
 
     def __len__(self) -> int:

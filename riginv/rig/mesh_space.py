@@ -8,6 +8,8 @@ orthonormal, and the mesh coordinates z = Q^T (x - rest) of a mesh x,
 and the last term does not depend on r. For a black box, Q comes from samples instead, truncated at a given residual.
 """
 
+import weakref
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -44,10 +46,17 @@ class MeshSpace(nn.Module):
         self.residual_mm = residual_mm
         self._by_axis = AxisBasisCache()
         self._mapped: tuple[Tensor, Tensor, Tensor] | None = None  # basis and directions, and the linear map between them
+        self._of_basis: weakref.ref[Tensor] | None = None  # the basis that it is the span of
 
     @classmethod
     def from_rig(cls, rig: LinearRig) -> "MeshSpace":
-        """The exact mesh space of a rig that ends in a linear map: the span of its basis."""
+        """The exact mesh space of a rig that ends in a linear map: the span of its basis.
+
+        It takes seconds, and a command needs it in several places: one that is still in use is returned again.
+        """
+        for space in _EXACT:
+            if space._of_basis is not None and space._of_basis() is rig.basis and space.rest_vertices is rig.rest_vertices:
+                return space
         axes = axis_by_axis(rig.basis)
         if axes is None:
             directions, values = _orthonormal(rig.basis.flatten(1))
@@ -55,7 +64,10 @@ class MeshSpace(nn.Module):
         else:
             directions, values = _orthonormal_by_axis(rig.basis, axes)
         kept = values > RANK_TOLERANCE * values.amax()
-        return cls(rig.rest_vertices, directions[kept].to(rig.dtype))
+        found = cls(rig.rest_vertices, directions[kept].to(rig.dtype))
+        found._of_basis = weakref.ref(rig.basis)
+        _EXACT.add(found)
+        return found
 
     @classmethod
     def from_samples(cls, rest_vertices: Tensor, samples: Tensor, residual_mm: float) -> "MeshSpace":
@@ -122,6 +134,9 @@ class MeshSpace(nn.Module):
         if (by_axis := self._by_axis.get(self.directions, coordinates)) is not None:
             return self.rest_vertices + by_axis.displacements(coordinates)
         return self.rest_vertices + (coordinates @ self.directions.flatten(1)).unflatten(1, self.rest_vertices.shape)
+
+
+_EXACT: "weakref.WeakSet[MeshSpace]" = weakref.WeakSet()  # those of rigs, as long as they are used
 
 
 def _principal_directions(flat: Tensor, residual_mm: float) -> Tensor:
@@ -201,10 +216,10 @@ def _orthonormal_by_axis(basis: Tensor, axes: Tensor) -> tuple[Tensor, Tensor]:
 
     The spans of coefficients of different axes are orthogonal.
     """
-    frames, sizes = [], []
-    for axis in range(3):
-        rows, values = _orthonormal(basis[axes == axis, :, axis])
-        frames.append(torch.stack([rows if other == axis else torch.zeros_like(rows) for other in range(3)], dim=2))
-        sizes.append(values)
-    values, order = torch.cat(sizes).sort(descending=True, stable=True)
-    return torch.cat(frames)[order], values
+    parts = [_orthonormal(basis[axes == axis, :, axis]) for axis in range(3)]
+    values, order = torch.cat([sizes for _, sizes in parts]).sort(descending=True, stable=True)
+    owners = torch.cat([torch.full((len(sizes),), axis) for axis, (_, sizes) in enumerate(parts)])[order]
+    directions = basis.new_zeros(len(order), *basis.shape[1:])
+    for axis, (rows, _) in enumerate(parts):
+        directions[:, :, axis][owners == axis] = rows.to(basis.dtype)
+    return directions, values

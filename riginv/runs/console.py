@@ -42,6 +42,11 @@ def show_lines(
             console.print(Text.assemble((start, style), text), highlight=False, soft_wrap=True)
 
 
+def show_result(text: str) -> None:
+    """Print what a command has made, as one line of standard output."""
+    show_lines([text], console=Console())
+
+
 def duration(seconds: float) -> str:
     """Seconds in words: `48 s`, `12 min`, `31 h`, `12 days`."""
     for limit, unit, one in ((90, "s", 1), (5400, "min", 60), (48 * 3600, "h", 3600)):

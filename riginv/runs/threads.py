@@ -81,16 +81,26 @@ class Workers:
         self._pool: ThreadPoolExecutor | None = None
         self._working = threading.local()
 
+    @property
+    def bound(self) -> int:
+        """The largest number of threads that free cores may make it."""
+        return min(self.cores.count, self.most, _limit())
+
+    @property
+    def counts_cores(self) -> bool:
+        """Whether the number of threads follows the free cores; counting takes time, so not where it can only be 1."""
+        return self.chosen is None and self.bound > 1
+
     def update_count(self) -> int:
         """Count the free cores, every few seconds at most; returns the number of threads to use."""
         now = time.monotonic()
-        if self.chosen is None and not 0 <= now - self._looked < SECONDS:
+        if self.counts_cores and not 0 <= now - self._looked < SECONDS:
             free = self.cores.free()
             if free is None and self._looked < 0:
                 time.sleep(SHORTEST)
                 free = self.cores.free()
             if free is not None:
-                self.count = max(1, min(int(free + BUSY_FRACTION), self.cores.count, self.most, _limit()))
+                self.count = max(1, min(int(free + BUSY_FRACTION), self.bound))
                 self._looked = now
         return self.count
 
@@ -138,7 +148,8 @@ class Workers:
         if self.chosen is not None:
             return f"{threads}, as configured"
         cores = f"{self.cores.count} core{'s' if self.cores.count > 1 else ''}"
-        return f"{threads} of {cores} (free cores are counted every {SECONDS:g} s)"
+        counted = f" (free cores are counted every {SECONDS:g} s)" if self.counts_cores else ""
+        return f"{threads} of {cores}{counted}"
 
     def _threads(self) -> ThreadPoolExecutor:
         if self._pool is None:

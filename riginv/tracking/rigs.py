@@ -9,7 +9,6 @@ from riginv.evaluation.results import check_same_controls, make_true_rig
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet, StoredMeshes
-from riginv.tracking.capture import open_capture
 
 
 def build_rig(spec: ClassSpec[RigBackend], mesh_space: MeshSpaceConfig, store: str | None = None) -> LinearRig:
@@ -53,6 +52,8 @@ def build_clip(
         InputError: the clip cannot be read or is none of the rig, or the rig's motion holds what is no number.
     """
     if capture:
+        from riginv.tracking.capture import open_capture  # with all readers, which most trainings need none of
+
         return open_capture(capture, true_rig if true_rig.held_out is None else rig, rig, reading, frames)
     motion = true_rig.motion()
     if motion is None:

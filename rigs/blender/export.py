@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig
-from rich.console import Console
 
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
+from riginv.runs.console import show_result
 from rigs.blender.interpreter import find_interpreter
 from rigs.blender.twin import blueprint_of, write_blend
 
@@ -37,12 +37,9 @@ def export(config: DictConfig) -> None:
     rig = settings.rig.build()
     blueprint = blueprint_of(rig)
     write_blend(blueprint, out, interpreter)
-    Console().print(
+    show_result(
         f"{out}: rig '{rig.name}', {len(blueprint.controls)} controls on the object '{rig.name} controls', "
-        f"{len(blueprint.shapes)} shape keys on '{rig.name}', {out.stat().st_size / 1e6:.1f} MB",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
+        f"{len(blueprint.shapes)} shape keys on '{rig.name}', {out.stat().st_size / 1e6:.1f} MB"
     )
 
 

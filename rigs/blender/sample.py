@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import torch
 from omegaconf import DictConfig
-from rich.console import Console
 from rich.progress import track
 
 from riginv.config.building import ClassSpec
@@ -26,6 +25,7 @@ from riginv.errors import InputError
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
+from riginv.runs.console import show_result
 from riginv.runs.files import atomic_write, discard
 from riginv.runs.locks import exclusive_lock
 
@@ -58,9 +58,7 @@ def sample(config: DictConfig) -> None:
     generator = generator_at(settings.seed, "pairs")
     controls = sparse_controls(rig.lower, rig.upper, rig.neutral_controls, most, settings.poses, generator)
     write_pairs(rig, controls, out)
-    Console().print(
-        f"{out}: {len(controls)} poses of rig '{rig.name}', up to {most} controls at a time", highlight=False, markup=False
-    )
+    show_result(f"{out}: {len(controls)} poses of rig '{rig.name}', up to {most} controls at a time")
 
 
 @torch.no_grad()

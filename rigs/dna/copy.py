@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig
-from rich.console import Console
 
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
+from riginv.runs.console import show_result
 from rigs.dna.format import read_dna, write_dna
 
 
@@ -36,12 +36,7 @@ def copy(config: DictConfig) -> None:
     comparison = (
         "equal to" if equal else f"not equal to ({file.unused_bytes:,} bytes of it belong to no layer, or its layers lie apart)"
     )
-    Console().print(
-        f"{out}: DNA 2.{file.version}, {out.stat().st_size:,} bytes, {comparison} {source}; layers {layers}",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
-    )
+    show_result(f"{out}: DNA 2.{file.version}, {out.stat().st_size:,} bytes, {comparison} {source}; layers {layers}")
 
 
 if __name__ == "__main__":

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import torch
 from omegaconf import DictConfig
-from rich.console import Console
 from torch import Tensor
 
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError, in_short
 from riginv.runs.array_files import check_npz
+from riginv.runs.console import show_lines, show_result
 from riginv.runs.files import atomic_write
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
@@ -59,7 +59,7 @@ def evaluate(config: DictConfig) -> None:
     with atomic_write(out) as partial, partial.open("wb") as target:
         np.savez_compressed(target, **found)
     rows = ", ".join(f"{len(given[name])} rows of {name}" for name in ("gui", "raw") if name in given)
-    Console().print(f"{out}: {rows}; {len(found)} arrays", highlight=False, markup=False, soft_wrap=True)
+    show_result(f"{out}: {rows}; {len(found)} arrays")
 
 
 def read_inputs(path: Path, file: DnaFile) -> Arrays:
@@ -112,7 +112,7 @@ def all_stages(file: DnaFile, given: Arrays, settings: EvaluateConfig) -> Arrays
             try:
                 stages |= _vertices(file, lod, key, rows, given, settings.vertex_rows[lod])
             except InputError as error:
-                Console(stderr=True).print(f"no vertices at level of detail {lod}: {error}", highlight=False, markup=False)
+                show_lines([f"no vertices at level of detail {lod}: {error}"])
     return {
         name: value.astype(np.float32) if value.dtype.kind == "f" else value for name, value in stages.items() if value.size
     }

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import torch
 from omegaconf import DictConfig
-from rich.console import Console
 
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.errors import InputError
 from riginv.rig.contract import random_controls
 from riginv.rig.interface import RigBackend
+from riginv.runs.console import show_result
 from rigs.dna.draft import Draft
 from rigs.dna.exports import draft_of
 from rigs.dna.format import write_dna
@@ -44,13 +44,10 @@ def export(config: DictConfig) -> None:
     rig = settings.rig.build()
     draft = draft_of(rig)
     difference = write_rig(rig, draft, out)
-    Console().print(
+    show_result(
         f"{out}: rig '{rig.name}', {len(draft.gui)} GUI controls, {len(draft.raw)} raw controls, {len(draft.psds)} PSDs, "
         f"{len(draft.channels)} blendshape channels, {len(draft.joints)} joints, {out.stat().st_size / 1e6:.1f} MB; read back, "
-        f"its meshes differ by {difference:.2g} mm at most",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
+        f"its meshes differ by {difference:.2g} mm at most"
     )
 
 

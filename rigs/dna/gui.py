@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import torch
 from omegaconf import DictConfig
-from rich.console import Console
 
 from riginv.animation.table import write_rows
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
+from riginv.runs.console import show_result
 from riginv.runs.files import read_text
 from rigs.dna.format import read_dna
 from rigs.dna.format.layers import Definition
@@ -64,12 +64,9 @@ def gui(config: DictConfig) -> None:
     body = [[*(row[number] for number in kept), *values] for row, values in zip(rows, answer.gui.round(DIGITS).tolist())]
     write_rows(out, [*(columns[number] for number in kept), *definition.gui_controls], body)
     mean, worst = _distances(rig, raw, answer.residual)
-    Console().print(
+    show_result(
         f"{out}: {len(rows)} frames of {len(definition.gui_controls)} GUI controls; raw controls are met to "
-        f"{np.abs(answer.residual).max(initial=0.0):.2g} at most, vertices to {mean:.2g} mm on average, {worst:.2g} mm at most",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
+        f"{np.abs(answer.residual).max(initial=0.0):.2g} at most, vertices to {mean:.2g} mm on average, {worst:.2g} mm at most"
     )
 
 

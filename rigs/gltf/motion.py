@@ -137,7 +137,7 @@ class JointMotion(nn.Module):
         rest = self.rest.to(world)
         parents = torch.tensor(self.parents, device=world.device)
         above = torch.where((parents >= 0)[:, None, None], world[:, parents.clamp_min(0)], torch.eye(4)[:3].to(world))
-        axes, inverse = (above[..., :3] @ rest[..., :3]), None
+        axes = above[..., :3] @ rest[..., :3]
         inverse = torch.linalg.inv(axes)
         origin = compose(above, rest)[..., 3] + (axes @ local.translations[..., None])[..., 0]
         first, middle, _ = local.rotations
@@ -154,7 +154,7 @@ class JointMotion(nn.Module):
         found = [Generators(everyone, _about(axes[:, :, None] @ cross @ inverse[:, :, None], origin[:, :, None]))]
         if len(self.moved):
             ways = (axes[:, self.moved] @ self.move_axes.to(world)).mT[..., None]
-            found.append(Generators(self.moved, torch.cat([ways.new_zeros(*ways.shape[:3], 3, 3), ways], dim=4)[:, :, :, :, :]))
+            found.append(Generators(self.moved, torch.cat([ways.new_zeros(*ways.shape[:3], 3, 3), ways], dim=4)))
         if len(self.scaled):
             whole = local.rotation[:, self.scaled]
             growth = self.scaled_axes.to(world) / local.scales[:, self.scaled]

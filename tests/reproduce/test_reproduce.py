@@ -1,5 +1,7 @@
 """python -m riginv.reproduce: the whole graph on a toy, and how it goes on after whatever happens to it."""
 
+import contextlib
+import io
 import json
 import os
 import re
@@ -21,6 +23,8 @@ from safetensors.torch import load_file
 
 from riginv.config.messages import CONFIGS
 from riginv.config.typed import to_plain, to_typed
+from riginv.launch.command import command
+from riginv.reproduce.__main__ import reproduce
 from riginv.reproduce.plan import Plan, expected_steps, is_open_ended
 from riginv.reproduce.sets import CaptureSource, Subset, middle_clip
 from riginv.reproduce.settings import ReproduceConfig
@@ -48,14 +52,15 @@ TINY = [
     "budget.optimum={starts: 2, key_starts: 1, steps: 6, descent_steps: 10}",
 ]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+pytestmark = pytest.mark.filterwarnings("ignore:.*in eval mode at the start")  # the rig, which steps in one process share
 FEW = ["budget.seeds=[0]", "budget.variants=null", "rig@body=same", "true_rig=blender_if_here"]
 
 
 def start(folder: Path, *more: str) -> subprocess.Popen:
-    command = [sys.executable, "-m", "riginv.reproduce", *TINY, f"hydra.run.dir={folder}", *more]
+    arguments = [sys.executable, "-m", "riginv.reproduce", *TINY, f"hydra.run.dir={folder}", *more]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        command, cwd=folder.parent, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        arguments, cwd=folder.parent, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
 
 
@@ -74,11 +79,22 @@ def step(folder: Path, name: str) -> Path:
     return next(path for path in (folder / "steps").iterdir() if path.name.rpartition("-")[0] == name)
 
 
+def reproduced_here(folder: Path, *more: str) -> str:
+    """What the command says, run within this process, which saves its imports."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patched, contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        patched.setattr(sys, "argv", ["riginv.reproduce", *TINY, f"hydra.run.dir={folder}", *more])
+        patched.chdir(folder.parent)
+        GlobalHydra.instance().clear()
+        command("reproduce")(reproduce)()
+    return said.getvalue()
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
     """A folder in which the whole graph has been run, and what the command said there."""
     folder = tmp_path_factory.mktemp("reproduced") / "run"
-    text = finished(start(folder))
+    text = reproduced_here(folder)
     (folder / "said.txt").write_text(text)
     return folder
 
@@ -119,7 +135,7 @@ def test_figures_are_what_the_rig_makes_of_the_controls_that_were_found(made):
 
 
 def test_a_step_that_is_deleted_comes_out_the_same(made, tmp_path):
-    """One of each kind; and one whose mark is damaged, and one of another version."""
+    """One of each kind, by another process; and one whose mark is damaged, and one of another version."""
     folder = tmp_path / "run"
     shutil.copytree(made, folder)
     gone = ["sample", "surrogate-seed1", "trained-seed1", "holden-seed0", "best-seed2", "invert-direct", "evaluate-optimum"]
@@ -190,7 +206,7 @@ def test_a_killed_run_loses_the_step_in_progress_alone(tmp_path):
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=60)
     done = {path.parent.name: path.stat().st_mtime_ns for path in folder.glob(f"steps/*/{DONE}")}
-    text = finished(start(folder, *FEW))
+    text = reproduced_here(folder, *FEW)
     assert f"{len(done)} of " in text and "kept from before" in text
     assert all((folder / "steps" / name / DONE).stat().st_mtime_ns == when for name, when in done.items())
     assert not list(folder.rglob(".*.part"))

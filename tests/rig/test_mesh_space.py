@@ -19,6 +19,16 @@ def test_the_frame_is_orthonormal_and_spans_the_basis(face_in_space):
     assert (rebuilt - rig.basis.flatten(1)).abs().max() < 1e-3
 
 
+def test_the_space_of_a_rig_is_computed_once_while_it_is_used():
+    rig = ToyRig()
+    space = MeshSpace.from_rig(rig)
+    assert MeshSpace.from_rig(rig) is space and MeshSpace.from_rig(ToyRig()) is not space
+    rig.basis = 2 * rig.basis
+    assert MeshSpace.from_rig(rig) is not space
+    rig = rig.double()
+    assert MeshSpace.from_rig(rig).directions.dtype == torch.float64
+
+
 def test_meshes_of_the_rig_are_kept_whole(face_in_space):
     controls = random_controls(face_in_space.source, 6, seed=0)
     vertices = face_in_space.source(controls)

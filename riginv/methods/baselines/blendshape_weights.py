@@ -4,18 +4,14 @@ import torch
 from torch import Tensor
 
 from riginv.errors import InputError
-from riginv.methods.base import Method
+from riginv.methods.base import BatchedMethod
 from riginv.methods.baselines.control_lookup import ControlLookup
-from riginv.methods.baselines.training_poses import in_batches
 from riginv.rig.interface import LinearRig
-from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.bounded import bounded_least_squares
 
-BATCH_SIZE = 256  # meshes at a time
 
-
-class BlendshapeWeights(Method):
+class BlendshapeWeights(BatchedMethod):
     """Solve for the weights of the primary shapes alone, and look the controls up.
 
     Args:
@@ -26,6 +22,7 @@ class BlendshapeWeights(Method):
         InputError: the rig has no blendshapes, or the ridge is not above 0.
     """
 
+    batch_size = 256
     source = (
         "What capture tools do that have the shapes but not the rig (linear blendshape solvers with non-negative least "
         "squares or a ridge). No paper: the correctives are ignored, as such tools must; both bounds hold, not only the "
@@ -50,9 +47,6 @@ class BlendshapeWeights(Method):
         self.gram = self.shapes @ self.shapes.T
         self.gram.diagonal().add_(self.ridge)
 
-    def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
-
     def weights(self, coordinates: Tensor) -> Tensor:
         """The weights `(mesh, shape)` of the primary shapes for meshes `(mesh, coordinate)`."""
         right = coordinates.double() @ self.shapes.T
@@ -60,5 +54,5 @@ class BlendshapeWeights(Method):
             return bounded_least_squares(self.gram, right)
         return torch.cholesky_solve(right.T, torch.linalg.cholesky(self.gram)).T.clamp(0, 1)
 
-    def _solve(self, coordinates: Tensor) -> Tensor:
+    def solve(self, coordinates: Tensor) -> Tensor:
         return self.lookup(self.weights(coordinates))

@@ -5,18 +5,14 @@ from torch import Tensor
 
 from riginv.config.values import PositiveFloat, PositiveInt
 from riginv.geometry.neighbours import spread_points
-from riginv.methods.base import Method
+from riginv.methods.base import BatchedMethod
 from riginv.methods.baselines.clusters import Cluster, control_reach, find_clusters
-from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents
-from riginv.methods.baselines.training_poses import as_controls, in_batches, training_poses
-from riginv.rig.mesh_sets import MeshSet
+from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents, as_controls, training_poses
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.sampling.meshes import MeshSampler
 
-BATCH_SIZE = 1024  # meshes at a time
 
-
-class ClusteredGaussianProcesses(Method):
+class ClusteredGaussianProcesses(BatchedMethod):
     """Cluster the vertices, give each cluster its controls, and regress these on the cluster's vertices alone.
 
     Args:
@@ -27,6 +23,7 @@ class ClusteredGaussianProcesses(Method):
         variance: the fraction of the variance of a cluster's vertices that its components keep.
     """
 
+    batch_size = 1024
     source = (
         "Rackovic, Soares, Jakovetic, Desnica, Ljubobratovic: Clustering of the blendshape facial model (EUSIPCO 2021, "
         "arXiv 2110.15313): two-fold clustering, then one Gaussian process for each cluster. Changed: clusters come from "
@@ -58,16 +55,13 @@ class ClusteredGaussianProcesses(Method):
             process = GaussianProcess(inputs[kept], away[kept][:, cluster.controls])
             self.parts.append((cluster, components, process))
 
-    def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
-
     def _view(self, cluster: Cluster) -> Tensor:
         """A map `(coordinate, coordinate)` after which distances are those of the cluster's vertices."""
         frame = self.rig.space.directions[:, cluster.vertices].flatten(1).double()
         squares, directions = torch.linalg.eigh(frame @ frame.T)
         return directions * squares.clamp_min(0).sqrt()
 
-    def _solve(self, coordinates: Tensor) -> Tensor:
+    def solve(self, coordinates: Tensor) -> Tensor:
         away = coordinates.new_zeros(len(coordinates), len(self.rig.source.controls), dtype=torch.float64)
         total = torch.zeros(away.shape[1], dtype=torch.float64)
         for cluster, components, process in self.parts:

@@ -4,14 +4,10 @@ import torch
 from torch import Tensor
 
 from riginv.config.values import NonNegativeFloat, NonNegativeInt, PositiveInt
-from riginv.methods.base import Method
+from riginv.methods.base import BatchedMethod
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.product_model import ProductModel
-from riginv.methods.baselines.training_poses import in_batches
-from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
-
-BATCH_SIZE = 256  # meshes at a time
 
 
 class GramDescent:
@@ -97,7 +93,7 @@ class GramDescent:
         return padded[:, self.members[side]].prod(dim=2)
 
 
-class CoordinateDescent(Method):
+class CoordinateDescent(BatchedMethod):
     """Coordinate descent from neutral.
 
     Args:
@@ -106,6 +102,7 @@ class CoordinateDescent(Method):
         sparsity: penalty on the sum of the weights, mm^2 of mean squared error for a weight of 1.
     """
 
+    batch_size = 256
     source = (
         "Rackovic, Soares, Jakovetic, Desnica: High-fidelity interpretable inverse rig: an accurate and sparse solution "
         "optimizing the quartic blendshape model (arXiv 2302.04820). Changed: Gram form, equal to the published steps and "
@@ -131,10 +128,7 @@ class CoordinateDescent(Method):
         super().prepare(seed)
         self.descent = GramDescent(with_products(self.rig, ramps(self.rig, squares=False), self.products), self.sparsity)
 
-    def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
-
-    def _solve(self, coordinates: Tensor) -> Tensor:
+    def solve(self, coordinates: Tensor) -> Tensor:
         sides = self.descent.model.sides
         start = torch.zeros(len(coordinates), len(sides), dtype=torch.float64)
         return sides.controls(self.descent(start, coordinates.double(), self.iterations))

@@ -4,17 +4,13 @@ from torch import Tensor
 
 from riginv.config.values import PositiveFloat, PositiveInt
 from riginv.geometry.neighbours import spread_points
-from riginv.methods.base import Method
-from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents
-from riginv.methods.baselines.training_poses import as_controls, in_batches, training_poses
-from riginv.rig.mesh_sets import MeshSet
+from riginv.methods.base import BatchedMethod
+from riginv.methods.baselines.gaussian_process import GaussianProcess, PrincipalComponents, as_controls, training_poses
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.sampling.meshes import MeshSampler
 
-BATCH_SIZE = 1024  # meshes at a time
 
-
-class HoldenGaussianProcess(Method):
+class HoldenGaussianProcess(BatchedMethod):
     """One Gaussian process from the principal components of the mesh to all controls.
 
     Args:
@@ -24,6 +20,7 @@ class HoldenGaussianProcess(Method):
         variance: the fraction of the drawn poses' variance that the components keep.
     """
 
+    batch_size = 1024
     source = (
         "Holden, Saito, Komura: Learning an inverse rig mapping for character animation (SCA 2015): Gaussian-process "
         "regression with a multiquadric kernel on a subsample of far-apart poses. Changed: the input is the principal "
@@ -51,8 +48,5 @@ class HoldenGaussianProcess(Method):
         kept = spread_points(inputs, self.poses)
         self.process = GaussianProcess(inputs[kept], away[kept])
 
-    def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
-
-    def _solve(self, coordinates: Tensor) -> Tensor:
+    def solve(self, coordinates: Tensor) -> Tensor:
         return as_controls(self.rig, self.process(self.components(coordinates)))

@@ -8,8 +8,7 @@ from torch import Tensor, nn
 
 from riginv.config.values import PositiveFloat, PositiveInt, Widths
 from riginv.errors import InputError
-from riginv.methods.base import Method
-from riginv.methods.baselines.training_poses import in_batches
+from riginv.methods.base import BatchedMethod
 from riginv.methods.network import Network
 from riginv.networks.inverse import DirectInverse
 from riginv.rig.batches import generator_at
@@ -19,12 +18,11 @@ from riginv.sampling.meshes import MeshSampler
 from riginv.training.data import PoseDataModule, bare_trainer
 from riginv.training.holden import HoldenModule
 
-BATCH_SIZE = 1024  # meshes at a time
 LEAST_LR = 1e-6  # at the end of training
 CALIBRATION_MESHES = 1024
 
 
-class HoldenNetwork(Method):
+class HoldenNetwork(BatchedMethod):
     """The regression of `model=holden` among the methods: trained here, or loaded.
 
     Args:
@@ -37,6 +35,7 @@ class HoldenNetwork(Method):
         InputError: a number is below 1, or the bundle cannot be used.
     """
 
+    batch_size = 1024
     source = (
         "Holden, Saito, Komura: Learning an inverse rig mapping for character animation (SCA 2015) and Learning inverse "
         "rig mappings by nonlinear regression (TVCG 2016), as the paper compares with: its own network, trained on pairs "
@@ -86,10 +85,10 @@ class HoldenNetwork(Method):
     def invert(self, meshes: MeshSet) -> Tensor:
         if self.loaded:
             return self.loaded.invert(meshes)
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
+        return super().invert(meshes)
 
     @torch.no_grad()
-    def _solve(self, coordinates: Tensor) -> Tensor:
+    def solve(self, coordinates: Tensor) -> Tensor:
         return self.network(coordinates).clamp(self.rig.source.lower, self.rig.source.upper)
 
     def _optimizer(self, weights: Iterable[nn.Parameter]) -> torch.optim.Optimizer:

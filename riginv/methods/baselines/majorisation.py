@@ -4,14 +4,11 @@ import torch
 from torch import Tensor
 
 from riginv.config.values import NonNegativeFloat, NonNegativeInt, PositiveInt
-from riginv.methods.base import Method
+from riginv.methods.base import BatchedMethod
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.product_model import NONE, ProductModel
-from riginv.methods.baselines.training_poses import in_batches
-from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 
-BATCH_SIZE = 64  # meshes at a time
 STRIDES = (2.0, 5.0, 10.0, 20.0, 50.0)  # multiples of a step that are tried, as the published scripts do
 
 
@@ -90,7 +87,7 @@ def _least(first: Tensor, second: Tensor, fourth: Tensor) -> Tensor:
     return torch.where((fourth > tiny) & (second > tiny), cubic, straight)
 
 
-class MajorisationMinimisation(Method):
+class MajorisationMinimisation(BatchedMethod):
     """Majorisation-minimisation from neutral.
 
     Args:
@@ -125,10 +122,7 @@ class MajorisationMinimisation(Method):
         super().prepare(seed)
         self.majoriser = Majoriser(with_products(self.rig, ramps(self.rig, squares=True), [self.pairs]), self.sparsity)
 
-    def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
-
-    def _solve(self, coordinates: Tensor) -> Tensor:
+    def solve(self, coordinates: Tensor) -> Tensor:
         sides = self.majoriser.model.sides
         start = torch.zeros(len(coordinates), len(sides), dtype=torch.float64)
         return sides.controls(self.majoriser(start, coordinates.double(), self.iterations, self.tolerance))

@@ -6,19 +6,15 @@ import torch
 from torch import Tensor
 
 from riginv.config.values import NonNegativeFloat, NonNegativeInt, PositiveInt
-from riginv.methods.base import Method
+from riginv.methods.base import BatchedMethod
 from riginv.methods.baselines.measured import ramps, with_products
 from riginv.methods.baselines.model_objective import ModelObjective
-from riginv.methods.baselines.training_poses import in_batches
-from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.levenberg_marquardt import levenberg_marquardt
 from riginv.solvers.objective import PRIOR
 
-BATCH_SIZE = 64  # meshes at a time
 
-
-class QuadraticLevenbergMarquardt(Method):
+class QuadraticLevenbergMarquardt(BatchedMethod):
     """Levenberg-Marquardt on a polynomial of second order in the controls, from neutral.
 
     Args:
@@ -48,12 +44,8 @@ class QuadraticLevenbergMarquardt(Method):
         model = with_products(self.rig, ramps(self.rig, squares=True), [self.pairs])
         self.objective = ModelObjective(model, self.rig.space.vertex_count, PRIOR, self.sparsity)
 
-    def invert(self, meshes: MeshSet) -> Tensor:
-        coordinates = self.coordinates(meshes)
-        return in_batches(coordinates, BATCH_SIZE, self._solve, len(self.rig.source.controls))
-
     @torch.no_grad()
-    def _solve(self, coordinates: Tensor) -> Tensor:
+    def solve(self, coordinates: Tensor) -> Tensor:
         objective: Any = self.objective  # it has what the solver uses of an Objective
         start = self.objective.neutral.expand(len(coordinates), -1)
         found = levenberg_marquardt(objective, coordinates.double(), start, self.steps)

@@ -4,21 +4,18 @@ import torch
 from torch import Tensor
 
 from riginv.config.values import AtLeast2, NonNegativeFloat, NonNegativeInt, PositiveInt
-from riginv.methods.base import Method
+from riginv.methods.base import BatchedMethod
 from riginv.methods.baselines.measured import tables, with_products
 from riginv.methods.baselines.model_objective import ModelObjective
-from riginv.methods.baselines.training_poses import in_batches
-from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.solvers.box_step import box_step, damping_diagonal
 from riginv.solvers.objective import PRIOR
 
-BATCH_SIZE = 64  # meshes at a time
 DAMPING = 1e-3  # of the diagonal: Gauss-Newton all the same, but a rank-deficient rig still has a step
 HALVINGS = 4  # of a step that does not help
 
 
-class TabulatedGaussNewton(Method):
+class TabulatedGaussNewton(BatchedMethod):
     """A fixed number of Gauss-Newton steps on a rig compiled to tables.
 
     Each control's path is a table of its poses, each pair of controls that do something together a product of two tabulated
@@ -58,11 +55,8 @@ class TabulatedGaussNewton(Method):
         model = with_products(self.rig, tables(self.rig, self.knots), self.products)
         self.objective = ModelObjective(model, self.rig.space.vertex_count, self.prior)
 
-    def invert(self, meshes: MeshSet) -> Tensor:
-        return in_batches(self.coordinates(meshes), BATCH_SIZE, self._solve, len(self.rig.source.controls))
-
     @torch.no_grad()
-    def _solve(self, coordinates: Tensor) -> Tensor:
+    def solve(self, coordinates: Tensor) -> Tensor:
         coordinates = coordinates.double()
         at = self.objective.neutral.expand(len(coordinates), -1).clone()
         for _ in range(self.steps):

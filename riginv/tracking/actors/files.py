@@ -35,5 +35,5 @@ def write_actor(folder: Path, actor: Actor, faces: Tensor, picture: bool) -> lis
     ]
     labels = ["rig at rest", "actor at rest", f"offset: mean {in_mm(float(distance.mean()))} mm, red is {top:.2g} mm"]
     with atomic_write(folder / PICTURE) as beside:
-        grid(pictures, labels, columns=3).save(beside, format="PNG", optimize=True)
+        grid(pictures, labels, columns=3).save(beside, format="PNG")
     return [MESH, FIELD, PICTURE]

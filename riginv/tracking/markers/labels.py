@@ -50,13 +50,13 @@ def mend_labels(objective: MarkerObjective, points: Tensor, units: Tensor, noise
     """
     points, units = points.clone(), units.clone()
     swapped, stray = (torch.zeros(points.shape[:2], dtype=torch.bool) for _ in range(2))
-    distance = _distance(objective, units, pack(points, torch.ones(points.shape[:2])))
+    distance = _distance(objective, units, pack(points))
     limit, typical = _limit(distance, noise_mm)
     rows = ((distance > limit).sum(dim=1) > 0).nonzero()[:, 0]
     if not len(rows):
         return Labelled(points, swapped, stray, units)
     units[rows] = _robust(objective, points, units, rows, typical, numbers)
-    labels = objective.residuals(units[rows], _packed(points[rows]))
+    labels = objective.residuals(units[rows], pack(points[rows]).nan_to_num(0.0))
     rotation, translation = labels.motion
     expected = labels.points @ rotation.mT + translation[:, None]
     for row, aims in zip(rows.tolist(), expected):
@@ -66,11 +66,6 @@ def mend_labels(objective: MarkerObjective, points: Tensor, units: Tensor, noise
     start = refine_meshes(objective, pack(points[rows], mended.weights[rows]), units[rows], STEPS)
     units[rows] = torch.where(start.skipped[:, None], units[rows], start.units)
     return mended
-
-
-def _packed(points: Tensor) -> Tensor:
-    """As `pack`, with weight 1 for known markers, also in frames of few."""
-    return pack(points, torch.ones(points.shape[:2])).nan_to_num(0.0)
 
 
 @torch.no_grad()
@@ -97,11 +92,11 @@ def _robust(objective: MarkerObjective, points: Tensor, units: Tensor, rows: Ten
     for start in starts:
         at = start
         for scale in np.geomspace(12.0, 3.0, ROUNDS) * typical:
-            distance = _distance(objective, at, pack(points[rows], torch.ones(points[rows].shape[:2])))
+            distance = _distance(objective, at, pack(points[rows]))
             weights = (1 / (1 + (distance / scale) ** 2) ** 2).nan_to_num(0.0)
             solution = refine_meshes(objective, pack(points[rows], weights.clamp_min(1e-6)), at, STEPS)
             at = torch.where(solution.skipped[:, None], at, solution.units)
-        distance = _distance(objective, at, pack(points[rows], torch.ones(points[rows].shape[:2])))
+        distance = _distance(objective, at, pack(points[rows]))
         robust = (distance.square() / (1 + (distance / (3 * typical)) ** 2)).nansum(dim=1)
         found = Solution(at, robust, torch.ones_like(robust, dtype=torch.bool), torch.zeros_like(robust).long(), robust < 0)
         if best is None:

@@ -50,12 +50,12 @@ class MarkerRig(FixedControlsRig):
         return None
 
 
-def pack(points: Tensor, weights: Tensor) -> Tensor:
-    """Observed markers `(frame, marker, 3)`, NaN where unknown, with weights `(frame, marker)`, as `(frame, 4 marker)`.
+def pack(points: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Observed markers `(frame, marker, 3)`, NaN where unknown, with weights `(frame, marker)` or 1, as `(frame, 4 marker)`.
 
     Frames with fewer than `FEWEST` known markers become NaN, which solvers skip.
     """
-    weights = torch.where(torch.isfinite(points).all(dim=2), weights, 0.0)
+    weights = torch.where(torch.isfinite(points).all(dim=2), 1.0 if weights is None else weights, 0.0)
     packed = torch.cat([torch.where(weights[..., None] > 0, points, 0.0).flatten(1), weights], dim=1)
     packed[(weights > 0).sum(dim=1) < FEWEST] = torch.nan
     return packed

@@ -165,7 +165,7 @@ def _pose(
 ) -> tuple[Hits, Motion, TriangleMesh]:
     """Controls and closest points, solved alternately: the closest points, the rigid motion, and the posed skin."""
     constraints, options = resolve_constraints(rig, ControlOptions()), TrackingOptions(noise_mm=POSE_NOISE_MM)
-    prior, seen = default_prior(rig), pack(torch.from_numpy(points).to(rig.dtype)[None], torch.ones(1, len(points)))
+    prior, seen = default_prior(rig), pack(torch.from_numpy(points).to(rig.dtype)[None])
     units, motion, mesh = prior.mean.to(rig.dtype)[None], Motion.identity(), TriangleMesh(rig.rest_vertices.numpy(), skin)
     none = torch.zeros(len(names))
     for _ in range(POSE_ROUNDS):

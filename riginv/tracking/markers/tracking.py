@@ -68,7 +68,7 @@ def track_markers(
     Raises:
         InputError: no frame has enough markers.
     """
-    packed = pack(points, torch.ones(points.shape[:2]))
+    packed = pack(points)
     known = torch.isfinite(packed).all(dim=1)
     if not bool(known.any()):
         raise InputError(
@@ -95,7 +95,7 @@ def track_markers(
         units = solve_clip(
             objective, packed, units, options.smoothness, steps, tolerance=tolerance, numbers=numbers, changes=objective.changes
         )
-    seen = objective.residuals(units, pack(labelled.points, torch.ones(points.shape[:2])).nan_to_num(0.0))
+    seen = objective.residuals(units, pack(labelled.points).nan_to_num(0.0))
     used = objective.residuals(units, packed.nan_to_num(0.0))
     return MarkerTrack(
         objective.all_controls(units),

@@ -84,7 +84,7 @@ def write_missing(folder: Path, missing: Missing, rows: list[dict[str, Any]]) ->
         with open(file, "wb") as stream:
             np.savez_compressed(stream, **deltas)
     with atomic_write(folder / PICTURE) as file:
-        grid(pictures, labels, columns=min(6, len(pictures))).save(file, format="PNG", optimize=True)
+        grid(pictures, labels, columns=min(6, len(pictures))).save(file, format="PNG")
     before, after = float(missing.before_mm.mean()), float(missing.after_mm.mean())
     facts = {"sentence": sentence(missing), "mean_error_mm": before, "mean_error_mm_with_shapes": after, "shapes": rows}
     write_json(folder / TABLE, {"rig": source.name, "unit_mm": source.unit_mm, **facts})
