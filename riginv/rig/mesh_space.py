@@ -182,7 +182,7 @@ def inner_products(
     """Inner products of shapes, as three of a ninth of the cost where each moves vertices along one axis."""
     axes, others_axes = axis_by_axis(shapes), axis_by_axis(others)
     if axes is None or others_axes is None:
-        return shapes.flatten(1) @ others.flatten(1).T
+        return linear(shapes.flatten(1), others.flatten(1))
     products = shapes.new_zeros(len(shapes), len(others))
     for axis in range(3):
         rows, columns = (axes == axis).nonzero(), (others_axes == axis).nonzero()[:, 0]
