@@ -1,7 +1,7 @@
 """Matrix products by the faster of PyTorch's two libraries on a CPU, MKL and oneDNN, with gradients.
 
-PyTorch multiplies float32 by MKL, which leaves half of AVX-512 unused on processors of other makers than Intel. oneDNN, which
-PyTorch uses for convolutions and compiled code, does not: a product of a batch takes half the time there.
+PyTorch multiplies float32 by MKL, which leaves half of AVX-512 unused on AMD's processors. oneDNN, which PyTorch uses for
+convolutions and compiled code, does not: a product of a batch takes half the time there (docs/experiments.md).
 """
 
 import functools
@@ -19,7 +19,13 @@ CPU_FACTS = Path("/proc/cpuinfo")
 
 
 def linear(inputs: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
-    """As `torch.nn.functional.linear`: `inputs @ weight.T + bias`."""
+    """The product `inputs @ weight.T + bias`, as `torch.nn.functional.linear`.
+
+    Args:
+        inputs: `(row, input)`.
+        weight: `(output, input)`.
+        bias: `(output,)`.
+    """
     if torch.compiler.is_compiling() or len(inputs) < MIN_ROWS or not _by_onednn(inputs, weight):
         return torch.nn.functional.linear(inputs, weight, bias)
     if torch.is_grad_enabled() and any(each is not None and each.requires_grad for each in (inputs, weight, bias)):
@@ -28,7 +34,7 @@ def linear(inputs: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor
 
 
 def matmul(left: Tensor, right: Tensor) -> Tensor:
-    """As `left @ right`, for matrices."""
+    """The product of two matrices, as `left @ right`."""
     return linear(left, right.T)
 
 
@@ -61,7 +67,7 @@ def _by_onednn(left: Tensor, right: Tensor) -> bool:
 
 @functools.cache
 def prefers_onednn() -> bool:
-    """Whether this processor multiplies by AVX-512 and is of another maker than Intel, and PyTorch has oneDNN's product."""
+    """Whether this is a processor of AMD's with AVX-512, and PyTorch has oneDNN's product."""
     if torch.backends.cpu.get_cpu_capability() != "AVX512" or not torch.backends.mkldnn.is_available():
         return False
     maker = CPU_FACTS.read_text() if CPU_FACTS.is_file() else platform.processor()

@@ -97,7 +97,7 @@ def test_layers_use_it_and_keep_the_names_of_their_weights(counted):
     [("AuthenticAMD", "AVX512", True), ("GenuineIntel", "AVX512", False), ("AuthenticAMD", "AVX2", False)],
 )
 @needs_onednn
-def test_onednn_is_for_avx512_of_other_makers_than_intel(monkeypatch, tmp_path, maker, capability, preferred):
+def test_onednn_is_for_avx512_of_amd(monkeypatch, tmp_path, maker, capability, preferred):
     facts = tmp_path / "cpuinfo"
     facts.write_text(f"processor : 0\nvendor_id : {maker}\n")
     monkeypatch.setattr(products, "CPU_FACTS", facts)
