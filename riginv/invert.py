@@ -4,6 +4,7 @@ from riginv.launch.command import answer_help, command
 
 answer_help(__name__, "invert")  # before the imports that take seconds
 
+import functools
 import importlib.metadata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from typing import Annotated, Any
 import torch
 from omegaconf import DictConfig
 
-from riginv.animation.animation import Animation
+from riginv.animation.animation import Animation, FrameErrors
 from riginv.animation.formats import check_formats
 from riginv.clips.clip import Clip
 from riginv.clips.description import describe
@@ -89,7 +90,8 @@ def invert(config: DictConfig) -> None:
     """Invert `config.clip` into a folder `config.out` of curves, errors of each frame, and views of the result."""
     settings = to_typed(config, InvertConfig)
     out = free_folder(settings.out)
-    inverse, rig, true_rig = build_rigs(settings)
+    with single_threaded():  # operations are small: threads would wait for each other
+        inverse, rig, true_rig = build_rigs(settings)
     check_formats(true_rig, settings.formats)
     if settings.correspondence == "markers":
         invert_markers(settings, rig, true_rig, out)
@@ -152,22 +154,28 @@ def invert_vertices(
     """Invert a clip of the rig's own mesh, and write the folder `out`."""
     described = show_clip(clip)
     show_rig(true_rig, settings.rig.config if settings.rig else None)
-    actor = find_actor(settings, settings.reading, clip, rig, true_rig)
-    parts = build_parts(settings, clip, rig, true_rig, inverse, actor)
+    with single_threaded():
+        actor = find_actor(settings, settings.reading, clip, rig, true_rig)
+        parts = build_parts(settings, clip, rig, true_rig, inverse, actor)
     notes = [*notes, *([*actor.notes, f"the actor is {actor.sentence}"] if actor else []), *parts.notes]
     with exclusive_lock(out), single_threaded(), InversionProgress(len(clip), notes) as progress:
         free_folder(settings.out)
         arguments = (clip, parts.inverter, parts.evaluator, settings.window, progress.advance)
         inversion = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)
-        progress.advance("the optimum", 0)
-        errors = with_optimum(inversion.errors, clip, inversion, parts.evaluator)
-        errors = with_accuracy(errors, clip, inversion, true_rig)
+
+        @functools.cache
+        def find_errors() -> FrameErrors:
+            errors = with_optimum(inversion.errors, clip, inversion, parts.evaluator)
+            return with_accuracy(errors, clip, inversion, true_rig)
+
         facts, source = made_by(settings, parts.method, actor), Path(settings.clip).name
         animation = Animation(true_rig, inversion.controls, clip.fps, clip.frame_numbers, inversion.motion, source, facts)
         with atomic_write(out) as folder:
             folder.mkdir()
             curves = (describe(clip), settings.formats, settings.after, progress.advance)
-            files, remarks = write_curves(folder, animation, errors, *curves)
+            progress.advance("the optimum", 0)
+            files, remarks = write_curves(folder, animation, find_errors, *curves)
+            errors = find_errors()
             shown = replace(animation, rig=posed_actor(true_rig, actor))
             views, view_notes = write_views(folder, clip, shown, errors, settings.look, progress.advance, actor)
     warnings = describe(clip).new_warnings(described) if described else []

@@ -8,7 +8,8 @@ from riginv.animation import blender_script, bvh, glb, live_link, maya, usd
 from riginv.animation.animation import Animation, FrameErrors
 from riginv.animation.table import CURVES, FRAMES, SIDECAR, write_curves, write_frames, write_sidecar
 from riginv.errors import InputError
-from riginv.rig.interface import RigBackend
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.runs.threads import workers
 
 
 class Format(NamedTuple):
@@ -52,7 +53,7 @@ def check_formats(rig: RigBackend, names: Sequence[str]) -> None:
 def write_formats(
     folder: Path,
     animation: Animation,
-    errors: FrameErrors,
+    errors: FrameErrors | Callable[[], FrameErrors],
     names: Sequence[str],
     swap_mouth: bool = False,
     clip: Mapping[str, Any] | None = None,
@@ -60,6 +61,7 @@ def write_formats(
     """Write curves.csv, its sidecar curves.json, frames.csv, and a file for each further format.
 
     Args:
+        errors: of the frames; a function finds them while another thread writes curves, where the rig is a `LinearRig`.
         names: of formats; csv is always written.
         swap_mouth: exchange MouthLeft and MouthRight in Live Link Face's CSV.
         clip: description of the clip, for curves.json.
@@ -71,12 +73,18 @@ def write_formats(
         InputError: as `check_formats`; nothing is written then.
     """
     check_formats(animation.rig, names)
-    write_curves(folder / CURVES, animation)
-    write_sidecar(folder / SIDECAR, animation, errors, clip)
-    write_frames(folder / FRAMES, animation, errors)
-    paths = [folder / CURVES, folder / SIDECAR, folder / FRAMES]
-    for name in dict.fromkeys(name for name in names if name != "csv"):
-        options = {"swap_mouth": swap_mouth} if name == "livelink" else {}
-        FORMATS[name].write(folder / FORMATS[name].file, animation, **options)
-        paths.append(folder / FORMATS[name].file)
-    return paths
+    formats = {name: FORMATS[name] for name in names if name != "csv"}
+
+    def write() -> None:
+        write_curves(folder / CURVES, animation)
+        for name, each in formats.items():
+            each.write(folder / each.file, animation, **({"swap_mouth": swap_mouth} if name == "livelink" else {}))
+
+    find = errors if callable(errors) else lambda: errors
+    is_safe = isinstance(animation.rig, LinearRig)  # others are posed by one thread at a time
+    tasks: list[Callable[[], FrameErrors | None]] = [find, write]
+    found = (workers().run(tasks) if is_safe else [task() for task in tasks])[0]
+    assert found is not None
+    write_sidecar(folder / SIDECAR, animation, found, clip)
+    write_frames(folder / FRAMES, animation, found)
+    return [folder / file for file in (CURVES, SIDECAR, FRAMES, *(each.file for each in formats.values()))]

@@ -17,7 +17,7 @@ from riginv.solvers.bounded import bounded_least_squares
 FILE = "live_link.csv"
 ANGLES = [f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll")]
 TIMECODE_FPS = 60  # the app counts 60 frames per second in timecodes, at any recording rate
-BATCH_SIZE = 256  # frames
+BATCH_SIZE = 4096  # frames: most rounds are for a few of them
 RIDGE = 1e-5  # relative to a shape's squared size: distributes weights between equal shapes
 
 

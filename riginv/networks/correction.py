@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from riginv.networks.mlp import Linear
+
 START_GAIN = 0.05  # of the last layer: steps start small
 SMALLEST = 1e-5  # of a typical gradient: the lower bound of its size under the logarithm
 LOG_SCALE = 0.2
@@ -42,9 +44,9 @@ class Correction(nn.Module):
 
     def __init__(self, residual: int, controls: int, width: int, gate: int) -> None:
         super().__init__()
-        self.features = nn.Linear(residual + controls, width, bias=False)
-        self.gate = nn.Sequential(nn.Linear(2 * controls + 1, gate), nn.GELU(), nn.Linear(gate, width))
-        self.mix = nn.Linear(width, controls, bias=False)
+        self.features = Linear(residual + controls, width, bias=False)
+        self.gate = nn.Sequential(Linear(2 * controls + 1, gate), nn.GELU(), Linear(gate, width))
+        self.mix = Linear(width, controls, bias=False)
         with torch.no_grad():
             self.mix.weight.mul_(START_GAIN)
 

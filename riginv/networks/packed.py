@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.geometry.kernels.library import Kernels, kernels, kernels_for
+from riginv.geometry.products import linear, matmul
 from riginv.networks.control_maps import NeutralStart
 from riginv.networks.correction import LOG_SCALE, SMALLEST, Correction
 from riginv.networks.inverse import StagedInverse
@@ -39,15 +40,15 @@ class PackedInverse:
         first = network.stages[0]
         assert isinstance(first, ZeroPreserving) and isinstance(first.network, nn.Sequential)
         self.layers = list(first.network)
-        linear = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
+        layers = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
         steps = [self._step(correction, network.coordinate_scale) for correction in network.corrections]
         packed = in_huge_pages(
-            [each for layer in linear for each in (layer.weight, layer.bias)]
+            [each for layer in layers for each in (layer.weight, layer.bias)]
             + [each for step in steps for each in step]
             + [network.rig.linear_map]
         )
-        of_layers, of_steps = packed[: 2 * len(linear)], packed[2 * len(linear) : -1]
-        self.weights = dict(zip(map(id, linear), zip(of_layers[::2], of_layers[1::2])))
+        of_layers, of_steps = packed[: 2 * len(layers)], packed[2 * len(layers) : -1]
+        self.weights = dict(zip(map(id, layers), zip(of_layers[::2], of_layers[1::2])))
         self.steps = [_Step(*of_steps[start : start + 6]) for start in range(0, len(of_steps), 6)]
         self.linear_map = packed[-1]
         self.coordinate_scale = network.coordinate_scale
@@ -95,7 +96,7 @@ class PackedInverse:
     def _mlp(self, values: Tensor) -> Tensor:
         for layer in self.layers:
             if isinstance(layer, nn.Linear):
-                values = nn.functional.linear(values, *self.weights[id(layer)])
+                values = linear(values, *self.weights[id(layer)])
             elif isinstance(layer, nn.GELU) and (compiled := kernels()) is not None:
                 compiled.call("gelu", values.dtype, values, values.numel())
             else:
@@ -113,13 +114,13 @@ class PackedInverse:
         batch, count = raw.shape
         controls, derivatives = self._controls(compiled, raw)
         coefficients, vjp = self.rig.source.coefficients_and_vjp(controls)
-        linear, gate = raw.new_empty(batch, self.size + count), raw.new_empty(batch, 2 * count + 1)
-        residual = linear[:, : self.size]
-        torch.addmm(target, coefficients - self.rig.neutral_coefficients, self.linear_map, beta=-1, out=residual)
-        gradients = vjp(residual @ self.linear_map.T).contiguous()
-        given = (raw, gradients, derivatives, self.scales, count, linear, self.size, gate, batch)
+        inputs, gate = raw.new_empty(batch, self.size + count), raw.new_empty(batch, 2 * count + 1)
+        residual = inputs[:, : self.size]
+        torch.sub(matmul(coefficients - self.rig.neutral_coefficients, self.linear_map), target, out=residual)
+        gradients = vjp(linear(residual, self.linear_map)).contiguous()
+        given = (raw, gradients, derivatives, self.scales, count, inputs, self.size, gate, batch)
         compiled.call("refinement_inputs", raw.dtype, *given)
-        hidden = nn.functional.linear(gate, step.hidden, step.hidden_bias)
+        hidden = linear(gate, step.hidden, step.hidden_bias)
         compiled.call("gelu", hidden.dtype, hidden, hidden.numel())
-        gates = nn.functional.linear(hidden, step.gates, step.gates_bias)
-        return torch.addmm(raw, gates.mul_(nn.functional.linear(linear, step.features)), step.mix.T)
+        gates = linear(hidden, step.gates, step.gates_bias)
+        return linear(gates.mul_(linear(inputs, step.features)), step.mix).add_(raw)

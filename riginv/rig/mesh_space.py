@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from riginv.errors import InputError
 from riginv.geometry.axis_basis import AxisBasisCache, axis_by_axis
+from riginv.geometry.products import linear, matmul
 from riginv.rig.interface import LinearRig, Vjp
 
 SEARCH_VERTICES = 3000  # vertices used in the search for the number of components
@@ -183,11 +184,11 @@ class RigInMeshSpace(nn.Module):
     def coordinates_and_vjp(self, controls: Float[Tensor, "batch control"]) -> tuple[Float[Tensor, "batch coordinate"], Vjp]:
         """As `forward`, without a graph, and its vector-Jacobian product (`LinearRig.coefficients_and_vjp`)."""
         coefficients, vjp = self.source.coefficients_and_vjp(controls)
-        return self.coordinates_of(coefficients), lambda gradient: vjp(gradient @ self.linear_map.T)
+        return self.coordinates_of(coefficients), lambda gradient: vjp(linear(gradient, self.linear_map))
 
     def coordinates_of(self, coefficients: Float[Tensor, "batch coefficient"]) -> Float[Tensor, "batch coordinate"]:
         """Coefficients `(batch, coefficient)` to mesh coordinates `(batch, coordinate)`."""
-        return (coefficients - self.neutral_coefficients) @ self.linear_map
+        return matmul(coefficients - self.neutral_coefficients, self.linear_map)
 
 
 def inner_products(
@@ -196,7 +197,7 @@ def inner_products(
     """Inner products of shapes, as three of a ninth of the cost where each moves vertices along one axis."""
     axes, others_axes = axis_by_axis(shapes), axis_by_axis(others)
     if axes is None or others_axes is None:
-        return shapes.flatten(1) @ others.flatten(1).T
+        return linear(shapes.flatten(1), others.flatten(1))
     products = shapes.new_zeros(len(shapes), len(others))
     for axis in range(3):
         rows, columns = (axes == axis).nonzero(), (others_axes == axis).nonzero()[:, 0]

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from riginv.config.building import class_of
 from riginv.config.values import Fraction, PositiveInt
 from riginv.errors import InputError
+from riginv.geometry.products import matmul
 from riginv.rig.batches import PoseBatch, known_controls, map_batches
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
@@ -98,7 +99,7 @@ class RandomCombinations(BlendshapeSampler):
 
     @torch.no_grad()
     def sample(self, count: int, generator: torch.Generator) -> PoseBatch:
-        return PoseBatch(coordinates=random_weights(len(self.rig.linear_map), count, generator) @ self.rig.linear_map)
+        return PoseBatch(coordinates=matmul(random_weights(len(self.rig.linear_map), count, generator), self.rig.linear_map))
 
 
 def random_weights(shapes: int, count: int, generator: torch.Generator) -> Float[Tensor, "count shape"]:
@@ -130,7 +131,7 @@ class PlausibleCombinations(BlendshapeSampler):
         active = choose(log_uniform_counts(count, self.max_active, generator), self.shapes, generator)
         values = torch.rand(count, self.shapes, generator=generator, device=generator.device)
         weights = torch.where(active, values, 0.0) * random_strength(count, self.weak_fraction, generator)
-        return PoseBatch(coordinates=weights @ self.rig.linear_map[: self.shapes])
+        return PoseBatch(coordinates=matmul(weights, self.rig.linear_map[: self.shapes]))
 
 
 class Mixture(MeshSampler):

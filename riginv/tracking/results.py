@@ -35,7 +35,7 @@ PAGE, SHEET = "look.html", "frames.png"
 def write_curves(
     folder: Path,
     animation: Animation,
-    errors: FrameErrors,
+    errors: FrameErrors | Callable[[], FrameErrors],
     clip: ClipDescription,
     formats: Sequence[str],
     after: AfterOptions,
@@ -44,6 +44,7 @@ def write_curves(
     """Write the curves into a folder.
 
     Args:
+        errors: as for `write_formats`.
         clip: what was read of the clip.
         formats: names of formats beside csv.
         after: resampling and key reduction.

@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 import torch
 from torch import Tensor, nn
 
+from riginv.geometry.products import matmul
 from riginv.rig.batches import generator_at
 
 EPSILON_MM = 0.01  # keeps the root's gradient finite where the error vanishes
@@ -82,7 +83,7 @@ class MeanDistanceLoss(nn.Module):
 
     def forward(self, coordinates: Tensor, target: Tensor) -> Tensor:
         """The loss, a scalar, of mesh coordinates against their target, both `(batch, coordinate)`."""
-        displacement = ((coordinates - target) @ self.frame).unflatten(1, (-1, 3))
+        displacement = matmul(coordinates - target, self.frame).unflatten(1, (-1, 3))
         return (displacement.square().sum(dim=2) + EPSILON_MM**2).sqrt().mean()
 
 

@@ -41,6 +41,17 @@ def test_tables(toy_written):
     assert float(frames[-1]["max_error_mm"]) == pytest.approx(1.2)
 
 
+def test_errors_may_be_found_while_curves_are_written(tmp_path, face):
+    animation = moving(face, numbers=torch.arange(5))
+    errors = errors_of(animation)
+    for name, given in (("given", errors), ("found", lambda: errors)):
+        (tmp_path / name).mkdir()
+        paths = write_formats(tmp_path / name, animation, given, ["livelink", "anim"])
+        assert [path.name for path in paths] == ["curves.csv", "curves.json", "frames.csv", "live_link.csv", "curves.anim"]
+    for path in (tmp_path / "given").iterdir():
+        assert path.read_bytes() == (tmp_path / "found" / path.name).read_bytes()
+
+
 def test_live_link(tmp_path, face):
     animation = moving(face, numbers=torch.arange(30, 42))
     write_formats(tmp_path / "a", animation, errors_of(animation), ["livelink"])

@@ -7,6 +7,7 @@ from torch import nn
 from riginv.errors import InputError
 from riginv.networks.ablations import NormalisedInverse, UnboundedInverse, UnboundedSurrogate
 from riginv.networks.inverse import DirectInverse
+from riginv.networks.mlp import Linear
 from riginv.networks.surrogate import ControlMLP
 
 HIDDEN = (32, 16)
@@ -18,7 +19,7 @@ def test_layers_of_normalisation_stand_before_each_activation(toy, name, kind, c
     network = NormalisedInverse(toy, name, HIDDEN, control_map=control_map)
     plain = DirectInverse(toy, HIDDEN, control_map=control_map)
     layers = [module for module in network.modules() if isinstance(module, nn.Linear | nn.LeakyReLU | kind)]
-    assert [type(layer) for layer in layers] == [nn.Linear, kind, nn.LeakyReLU] * 2 + [nn.Linear]
+    assert [type(layer) for layer in layers] == [Linear, kind, nn.LeakyReLU] * 2 + [Linear]
     assert [layer.num_features if name == "batch" else layer.normalized_shape[0] for layer in layers[1::3]] == list(HIDDEN)
     assert len(network.own_weights()) > len(plain.own_weights())
     if control_map == "neutral_start":
