@@ -25,6 +25,12 @@ def remove_motion(motion: Tensor, vertices: Tensor) -> Tensor:
     return (vertices - motion[:, None, :3, 3]) @ motion[:, :3, :3]
 
 
+def with_last_row(transforms: Float[Tensor, "*batch 3 4"]) -> Float[Tensor, "*batch 4 4"]:
+    """The same transforms with the row 0 0 0 1."""
+    row = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(transforms).expand(*transforms.shape[:-2], 1, 4)
+    return torch.cat([transforms, row], dim=-2)
+
+
 def tree_levels(parents: Sequence[int], names: Sequence[str] | None = None) -> list[Tensor]:
     """The joints of each depth of a tree, roots first; joints may be in any order, and there may be several roots.
 

@@ -1,8 +1,8 @@
 """The Jacobian of linear blend skinning by joint controls, in products over the subtrees of the skeleton.
 
-A control of a joint moves everything below it as one piece: the derivative of the skinning matrix M of each of these joints is
-X M, with one affine generator X for the control. So J^T G J needs sums of 4x4 blocks over subtrees, and never the dense
-Jacobian: for a hundred joints a hundredth of the work.
+A motion of a joint moves everything below it as one piece: the derivative of the skinning matrix M of each of these joints is
+X M, with one affine generator X for the motion. So J^T G J needs sums of 4x4 blocks over subtrees, and never the dense
+Jacobian: for a hundred joints a hundredth of the work. A control is one motion, or a sum of motions of several joints.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from riginv.geometry.kernels.library import Kernels, kernels_for
@@ -21,15 +21,49 @@ NEGLIGIBLE = 1e-5  # of the largest entry of a metric: differences between its t
 
 
 class Generators(NamedTuple):
-    """Generators of the controls of some joints, equally many for each.
+    """Generators of the motions of some joints, equally many for each.
 
     Attributes:
         joints: `(owner,)`.
-        values: `(batch, owner, control of the owner, 3, 4)`, per unit of each control.
+        values: `(batch, owner, motion of the owner, 3, 4)`, per unit of each motion.
     """
 
     joints: Tensor
     values: Tensor
+
+
+def rotation_generators(
+    above: Float[Tensor, "batch joint 3 3"],
+    rotations: tuple[Tensor, ...],
+    orders: Int[Tensor, "joint 3"],
+    centres: Float[Tensor, "batch joint 3"],
+) -> Float[Tensor, "batch joint 3 3 4"]:
+    """Generators of the three angles of each joint, by axis, per radian.
+
+    Args:
+        above: from the axes of each joint to the world, without its own motion.
+        rotations: about the first, middle and last axis of each joint (`axis_rotations`).
+        orders: the axes of these rotations, the outermost first.
+        centres: of the rotations, in the world.
+    """
+    first, middle, _ = rotations
+    unit = torch.eye(3).to(above)[orders]  # (joint, position, 3)
+    by_position = torch.stack(
+        [
+            unit[:, 0].expand(len(above), -1, -1),
+            (first @ unit[:, 1, :, None])[..., 0],
+            (first @ middle @ unit[:, 2, :, None])[..., 0],
+        ],
+        dim=2,
+    )
+    spins = torch.empty_like(by_position).scatter_(2, orders[None, :, :, None].expand(by_position.shape), by_position)
+    cross = torch.linalg.cross(spins[..., None, :].expand(*spins.shape, 3), torch.eye(3).to(above).expand(*spins.shape, 3)).mT
+    return about(above[:, :, None] @ cross @ torch.linalg.inv(above)[:, :, None], centres[:, :, None])
+
+
+def about(linear: Float[Tensor, "*batch 3 3"], centres: Float[Tensor, "*other 3"]) -> Float[Tensor, "*batch 3 4"]:
+    """Affine generators from linear ones about points."""
+    return torch.cat([linear, -linear @ centres[..., None]], dim=-1)
 
 
 class SubtreeSums:
@@ -38,10 +72,12 @@ class SubtreeSums:
     Args:
         parents: of each joint, -1 for a root.
         levels: `tree_levels` of the parents.
+        skinned: the joints whose skinning matrices are coefficients; None: all.
     """
 
-    def __init__(self, parents: Sequence[int], levels: Sequence[Tensor]) -> None:
+    def __init__(self, parents: Sequence[int], levels: Sequence[Tensor], skinned: Tensor | None = None) -> None:
         self.parents, self.levels = torch.tensor(parents), levels
+        self.skinned = torch.arange(len(parents)) if skinned is None else skinned
         self.deepest_first = torch.cat(list(levels)).flip(0).contiguous()
         self.below = torch.eye(len(parents), dtype=torch.bool)  # (ancestor, joint)
         for level in levels[1:]:
@@ -59,7 +95,12 @@ class SubtreeSums:
         """A metric of 3x4 matrices as `(joint, 4, 4 joint)`, where it treats their three rows alike and apart; else None."""
         seen, blocks = self._blocks
         if seen is not metric:
-            blocks = _blocks(metric, len(self.parents))
+            blocks = _blocks(metric, len(self.skinned))
+            if blocks is not None and len(self.skinned) < (count := len(self.parents)):
+                to = self.skinned.to(metric.device)
+                wide = blocks.new_zeros(count, 4, count, 4)
+                wide[to[:, None], :, to] = blocks.unflatten(2, (-1, 4)).transpose(1, 2)
+                blocks = wide.flatten(2)
             self._blocks = metric, blocks
         return blocks
 
@@ -80,7 +121,8 @@ class SubtreeJacobian(Jacobian):
     Attributes:
         tree: the skeleton.
         matrices: skinning matrices `(batch, joint, 4, 4)`, with the row 0 0 0 1.
-        generators: in the order of the controls.
+        generators: of motions, which are the controls in their order where there is no `mix`.
+        mix: of each control, `(motion, control)`: its motions.
         columns: indices of the controls that are kept; None: all.
         scale: of each kept control.
     """
@@ -88,32 +130,37 @@ class SubtreeJacobian(Jacobian):
     tree: SubtreeSums
     matrices: Tensor
     generators: tuple[Generators, ...]
+    mix: Tensor | None = None
     columns: Tensor | None = None
     scale: Tensor | None = None
 
     def dense(self) -> Float[Tensor, "batch coefficient control"]:
-        below = self.tree.below.to(self.matrices)
+        below, skinned = self.tree.below.to(self.matrices)[:, self.tree.skinned], self.matrices[:, self.tree.skinned]
         parts = []
         for joints, values in self.generators:
-            moved = torch.einsum("bonrc,bjcd->bonjrd", values, self.matrices) * below[joints][None, :, None, :, None, None]
+            moved = torch.einsum("bonrc,bjcd->bonjrd", values, skinned) * below[joints][None, :, None, :, None, None]
             parts.append(moved.flatten(1, 2).flatten(2))
         return self._chosen(torch.cat(parts, dim=1)).transpose(1, 2)
 
     def times(self, rows: Float[Tensor, "row coefficient"]) -> Float[Tensor, "row control"]:
-        return rows @ self.dense()[0]
+        return self.times_each(rows[None])[0]
+
+    def times_each(self, rows: Float[Tensor, "batch row coefficient"]) -> Float[Tensor, "batch row control"]:
+        pulls = rows.new_zeros(*rows.shape[:2], len(self.tree.parents), 3, 4)
+        pulls[:, :, self.tree.skinned] = rows.unflatten(2, (-1, 3, 4)) @ self.matrices[:, None, self.tree.skinned].mT
+        pulls = self.tree.add_up(pulls.transpose(1, 2).contiguous()).flatten(3)  # (batch, joint, row, 12)
+        parts = [(values.flatten(3) @ pulls[:, joints].mT).flatten(1, 2) for joints, values in self.generators]
+        return self._chosen(torch.cat(parts, dim=1)).transpose(1, 2)
 
     def vjp(self, gradient: Float[Tensor, "batch coefficient"]) -> Float[Tensor, "batch control"]:
-        pulls = self.tree.add_up(gradient.unflatten(1, (-1, 3, 4)) @ self.matrices.mT)
-        parts = [(values * pulls[:, joints, None]).sum(dim=(3, 4)).flatten(1) for joints, values in self.generators]
-        return self._chosen(torch.cat(parts, dim=1))
+        return self.times_each(gradient[:, None])[:, 0]
 
-    def of_controls(self, controls: Tensor) -> "SubtreeJacobian":
+    def of_controls(self, controls: Int[Tensor, " control"]) -> "SubtreeJacobian":
         columns = controls if self.columns is None else self.columns[controls]
-        scale = None if self.scale is None else self.scale[controls]
-        return self._with(columns, scale)
+        return replace(self, columns=columns, scale=None if self.scale is None else self.scale[controls])
 
     def scaled(self, scale: Float[Tensor, " control"]) -> "SubtreeJacobian":
-        return self._with(self.columns, scale if self.scale is None else self.scale * scale)
+        return replace(self, scale=scale if self.scale is None else self.scale * scale)
 
     def gram(self, metric: Tensor) -> Tensor:
         blocks = self.tree.blocks(metric)
@@ -149,9 +196,9 @@ class SubtreeJacobian(Jacobian):
         return torch.cat([part.transpose(1, 2).flatten(2) for part in parts], dim=2)
 
     def _chosen(self, values: Tensor) -> Tensor:
-        """The kept controls of values `(batch, control, ...)`, scaled."""
+        """Of values `(batch, motion, other)` those of the kept controls, scaled."""
+        if self.mix is not None:
+            mix = self.mix if self.columns is None else self.mix[:, self.columns]
+            return (mix if self.scale is None else mix * self.scale).to(values).T @ values
         values = values if self.columns is None else values.index_select(1, self.columns)
-        return values if self.scale is None else values * self.scale.view(-1, *[1] * (values.ndim - 2))
-
-    def _with(self, columns: Tensor | None, scale: Tensor | None) -> "SubtreeJacobian":
-        return replace(self, columns=columns, scale=scale)
+        return values if self.scale is None else values * self.scale[:, None]

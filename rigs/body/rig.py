@@ -5,12 +5,13 @@ import torch
 from torch import Tensor
 
 from riginv.geometry.blendshapes import apply_deltas
-from riginv.geometry.joint_jacobian import JointJacobian
-from riginv.geometry.kinematics import Skeleton, forward_kinematics, transform_from, tree_levels
+from riginv.geometry.euler import axis_rotations
+from riginv.geometry.kinematics import Skeleton, forward_kinematics, transform_from, tree_levels, with_last_row
 from riginv.geometry.skinning import check_weights, skinning_basis
 from riginv.rig.interface import LinearRig, Motion, Vjp
 from riginv.rig.jacobian import Jacobian
 from riginv.rig.joint_features import JointFeatures, JointFreedom, SkinFeatures
+from riginv.rig.subtree_jacobian import Generators, SubtreeJacobian, SubtreeSums, rotation_generators
 from rigs.body.build import FPS, body_geometry, walk
 from rigs.body.controls import MOVES, build_controls
 from rigs.body.looks import EXPRESSIONS
@@ -41,6 +42,8 @@ class BodyRig(LinearRig):
     parent_rows: Tensor
     feature_order: Tensor
     at_rest: Tensor
+    driven: Tensor
+    mix: Tensor
 
     def __init__(self) -> None:
         geometry = body_geometry()
@@ -89,7 +92,11 @@ class BodyRig(LinearRig):
         self.joint_noise = torch.deg2rad(loose).flatten().to(self.dtype)
         self.levels = tree_levels(self.parents, self.joint_names)
         self.register_buffer("at_rest", self.neutral_coefficients(), persistent=False)
-        self.derivatives = JointJacobian(self.parents, self.angles, skinned)
+        self.tree = SubtreeSums(self.parents, self.levels, skinned)
+        by_axis = self.angles.unflatten(1, (-1, 3))[:, :, AXES].flatten(1)
+        driven = by_axis.any(dim=0).nonzero()[:, 0]
+        self.register_buffer("driven", driven, persistent=False)
+        self.register_buffer("mix", torch.cat([by_axis[:, driven].T, torch.eye(len(controls))[self.moves]]), persistent=False)
 
     def expressions(self) -> dict[str, dict[str, float]]:
         return EXPRESSIONS
@@ -116,13 +123,18 @@ class BodyRig(LinearRig):
 
     @torch.no_grad()
     def coefficient_jacobian(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
-        """As `coefficients`, with the Jacobian of the skinning matrices (`riginv.geometry.joint_jacobian`)."""
+        """As `coefficients`, with the Jacobian of kinematics and skinning, angles mixed by the controls."""
         frames, angles = self.frames.to(controls), (controls @ self.angles.to(controls)).unflatten(1, (-1, 3))
-        rotations = roma.euler_to_rotmat(ORDER, angles)
-        worlds = self._worlds(frames @ rotations @ frames.mT, controls[:, self.moves])
-        derivatives = self.derivatives(worlds, frames @ euler_axes(angles, rotations))
-        derivatives[:, self.moves, :, :, 3] = torch.eye(3).to(controls)[:, None]
-        return worlds[:, self.skinned].flatten(1), Jacobian(inner=derivatives.flatten(2).transpose(1, 2))
+        orders = AXES.to(controls.device).expand(len(KEPT), -1)
+        rotations = axis_rotations(angles[..., AXES], orders)
+        worlds = self._worlds(frames @ rotations[0] @ rotations[1] @ rotations[2] @ frames.mT, controls[:, self.moves])
+        above = worlds[:, self.parent_rows.clamp_min(0), :, :3]
+        above = torch.where((self.parent_rows < 0)[:, None, None], torch.eye(3).to(worlds), above) @ frames
+        turns = rotation_generators(above, rotations, orders, worlds[..., 3]).flatten(1, 2)[:, self.driven]
+        moves = transform_from(worlds.new_zeros(3, 3, 3), torch.eye(3).to(worlds)).expand(len(worlds), 1, -1, -1, -1)
+        generators = Generators(self.driven // 3, turns[:, :, None]), Generators(torch.zeros_like(self.driven[:1]), moves)
+        jacobian = SubtreeJacobian(tree=self.tree, matrices=with_last_row(worlds), generators=generators, mix=self.mix)
+        return worlds[:, self.skinned].flatten(1), jacobian
 
     def joint_transforms(self, controls: Tensor) -> Tensor:
         """Controls `(batch, control)` to the world transforms `(batch, joint, 3, 4)` of all joints, mm."""
@@ -166,15 +178,3 @@ class BodyRig(LinearRig):
         offsets = self.offsets.to(rotations).expand(rotations.shape[0], -1, -1)
         offsets = torch.cat([offsets[:, :1] + move[:, None], offsets[:, 1:]], dim=1)  # the root is the first joint
         return forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
-
-
-def euler_axes(angles: Tensor, rotations: Tensor) -> Tensor:
-    """The axes, as columns `(..., 3, 3)`, about which a joint rotates when one of its angles `(..., 3)` changes.
-
-    Args:
-        rotations: rotation matrices of the angles, `(..., 3, 3)`. The first axis is fixed, the middle one is rotated by the
-            first angle, the last one by both.
-    """
-    first, zero = angles[..., 0], torch.zeros_like(angles[..., 0])
-    middle = torch.stack([zero, -torch.sin(first), torch.cos(first)], dim=-1)
-    return torch.stack([torch.eye(3).to(angles)[0].expand_as(middle), middle, rotations[..., 1]], dim=-1)

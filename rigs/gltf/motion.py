@@ -6,11 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from riginv.geometry.euler import axis_rotations
-from riginv.geometry.kinematics import compose, forward_kinematics, invert, transform_from, tree_levels
+from riginv.geometry.kinematics import compose, forward_kinematics, invert, transform_from, tree_levels, with_last_row
 from riginv.geometry.skinning import NUMBERS
 from riginv.rig.jacobian import Jacobian
 from riginv.rig.joint_features import JointFreedom
-from riginv.rig.subtree_jacobian import Generators, SubtreeJacobian, SubtreeSums
+from riginv.rig.subtree_jacobian import Generators, SubtreeJacobian, SubtreeSums, about, rotation_generators
 from rigs.gltf.frames import LINEAR, Frames
 from rigs.gltf.joint_controls import Drives
 
@@ -105,9 +105,8 @@ class JointMotion(nn.Module):
         local = self.local(joints)
         world = self.worlds(local)
         about_centre = torch.cat([world[..., :3], world[..., :3] @ self.rest[..., 3:].to(world) + world[..., 3:]], dim=-1)
-        last_row = torch.tensor([0.0, 0, 0, 1]).to(world).expand(*world.shape[:2], 1, 4)
-        matrices = torch.cat([about_centre, last_row], dim=2)
-        jacobian = SubtreeJacobian(tree=self.tree, matrices=matrices, generators=self._generators(local, world))
+        matrices, generators = with_last_row(about_centre), self._generators(local, world)
+        jacobian = SubtreeJacobian(tree=self.tree, matrices=matrices, generators=generators)
         found = self._coefficients(weights, world)
         return found, jacobian if not weights.shape[1] else Jacobian(inner=self._with_morphs(weights, world, jacobian.dense()))
 
@@ -138,34 +137,18 @@ class JointMotion(nn.Module):
         parents = torch.tensor(self.parents, device=world.device)
         above = torch.where((parents >= 0)[:, None, None], world[:, parents.clamp_min(0)], torch.eye(4)[:3].to(world))
         axes = above[..., :3] @ rest[..., :3]
-        inverse = torch.linalg.inv(axes)
         origin = compose(above, rest)[..., 3] + (axes @ local.translations[..., None])[..., 0]
-        first, middle, _ = local.rotations
-        unit = torch.eye(3).to(world)[self.orders]  # (frame, position, 3)
-        turns = [unit[:, 0].expand(len(world), -1, -1), (first @ unit[:, 1, :, None])[..., 0]]
-        turns.append((first @ middle @ unit[:, 2, :, None])[..., 0])
-        by_position = torch.deg2rad(torch.stack(turns, dim=2))
-        spins = torch.empty_like(by_position)
-        spins.scatter_(2, self.orders[None, :, :, None].expand(by_position.shape), by_position)
-        cross = torch.linalg.cross(
-            spins[..., None, :].expand(*spins.shape, 3), torch.eye(3).to(world).expand(*spins.shape, 3)
-        ).mT
-        everyone = torch.arange(self.count, device=world.device)
-        found = [Generators(everyone, _about(axes[:, :, None] @ cross @ inverse[:, :, None], origin[:, :, None]))]
+        turns = torch.deg2rad(rotation_generators(axes, local.rotations, self.orders, origin))
+        found = [Generators(torch.arange(self.count, device=world.device), turns)]
         if len(self.moved):
             ways = (axes[:, self.moved] @ self.move_axes.to(world)).mT[..., None]
             found.append(Generators(self.moved, torch.cat([ways.new_zeros(*ways.shape[:3], 3, 3), ways], dim=4)))
         if len(self.scaled):
             whole = local.rotation[:, self.scaled]
             growth = self.scaled_axes.to(world) / local.scales[:, self.scaled]
-            stretch = axes[:, self.scaled] @ ((whole * growth[:, :, None]) @ whole.mT) @ inverse[:, self.scaled]
-            found.append(Generators(self.scaled, _about(stretch, origin[:, self.scaled])[:, :, None]))
+            stretch = axes[:, self.scaled] @ ((whole * growth[:, :, None]) @ whole.mT) @ torch.linalg.inv(axes[:, self.scaled])
+            found.append(Generators(self.scaled, about(stretch, origin[:, self.scaled])[:, :, None]))
         return tuple(found)
-
-
-def _about(linear: Tensor, origin: Tensor) -> Tensor:
-    """Affine generators `(..., 3, 4)` from linear ones about points `(..., 3)`."""
-    return torch.cat([linear, -linear @ origin[..., None]], dim=-1)
 
 
 def coefficient_names(frames: Frames, pairs: Tensor, targets: list[str]) -> list[str]:

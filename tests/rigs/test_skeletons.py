@@ -34,10 +34,12 @@ def random_controls(rig: LinearRig, count: int) -> torch.Tensor:
     return rig.lower + draws * (rig.upper - rig.lower)
 
 
-def test_the_jacobian_is_the_one_of_automatic_differentiation(fox_rig):
-    controls = random_controls(fox_rig, 2)
-    found, jacobian = fox_rig.coefficient_jacobian(controls)
-    expected, by_autograd = LinearRig.coefficient_jacobian(fox_rig, controls)
+@pytest.mark.parametrize("name", ["fox_rig", "body"])
+def test_the_jacobian_is_the_one_of_automatic_differentiation(name, request):
+    rig = request.getfixturevalue(name)
+    controls = random_controls(rig, 2)
+    found, jacobian = rig.coefficient_jacobian(controls)
+    expected, by_autograd = LinearRig.coefficient_jacobian(rig, controls)
     assert isinstance(jacobian, SubtreeJacobian) and torch.allclose(found, expected)
     assert torch.allclose(jacobian.dense(), by_autograd.dense(), atol=1e-9 * float(by_autograd.dense().abs().max()))
 
@@ -51,21 +53,27 @@ def test_morph_targets_and_joints_have_it_too(tmp_path):
     assert torch.allclose(jacobian.dense(), by_autograd.dense(), atol=1e-9 * float(by_autograd.dense().abs().max()))
 
 
-def test_products_over_subtrees_are_those_of_the_dense_matrix(fox_rig):
-    controls, space = random_controls(fox_rig, 3), RigInMeshSpace(fox_rig, MeshSpace.from_rig(fox_rig))
+@pytest.mark.parametrize("name", ["fox_rig", "body"])
+def test_products_over_subtrees_are_those_of_the_dense_matrix(name, request):
+    rig = request.getfixturevalue(name)
+    controls, space = random_controls(rig, 3), RigInMeshSpace(rig, MeshSpace.from_rig(rig))
     metric = Objective(space, dtype=torch.float64).metric
-    _, jacobian = fox_rig.coefficient_jacobian(controls)
-    some = torch.arange(1, len(fox_rig.controls), 2)
+    _, jacobian = rig.coefficient_jacobian(controls)
+    some = torch.arange(1, len(rig.controls), 2)
     scale = torch.rand(len(some), dtype=torch.float64)
     chosen, dense = jacobian.of_controls(some).scaled(scale), jacobian.dense()[:, :, some] * scale
     expected = dense.mT @ metric.to_dense() @ dense
-    gradient = torch.rand(3, dense.shape[1], dtype=torch.float64)
+    rows = torch.rand(3, 2, dense.shape[1], dtype=torch.float64)
+    assert chosen.tree.blocks(metric) is not None
     with pure_torch():
         without_kernels = chosen.gram(metric)
     for found in (chosen.gram(metric), without_kernels):
         assert torch.allclose(found, expected, atol=1e-12 * float(expected.abs().max()))
     assert torch.allclose(chosen.dense(), dense)
-    assert torch.allclose(chosen.vjp(gradient), (gradient[:, None] @ dense)[:, 0])
+    assert torch.allclose(chosen.times_each(rows), rows @ dense)
+    assert torch.allclose(chosen.vjp(rows[:, 0]), (rows[:, :1] @ dense)[:, 0])
+    _, first = rig.coefficient_jacobian(controls[:1])
+    assert torch.allclose(first.times(rows[0]), rows[0] @ first.dense()[0])
     mixed = metric.to_dense() + 0.1 * metric.to_dense().max()  # no metric of skinning: its three axes are not apart
     assert torch.allclose(chosen.gram(mixed), dense.mT @ mixed @ dense)
 
