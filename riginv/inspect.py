@@ -18,7 +18,7 @@ from riginv.clips.description import describe
 from riginv.clips.description_text import NAMES, cell_of, rows
 from riginv.clips.live_link import Recording, read_live_link
 from riginv.clips.marker_exports import read_export
-from riginv.clips.markers import SUFFIXES, MarkerClip, open_markers
+from riginv.clips.markers import SUFFIXES, MarkerClip, holds_markers, open_markers, read_marker_csv
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.config.building import ClassSpec
@@ -73,7 +73,9 @@ def markers_of(path: Path) -> MarkerClip | None:
     """The markers of a file of a format that holds nothing else; None for other files."""
     suffix = path.suffix.lower()
     if suffix == TABLE:
-        return read_export(path) if is_file(path) else None
+        if not is_file(path):
+            return None
+        return read_export(path) or (read_marker_csv(path) if holds_markers(path) else None)
     return open_markers(str(path)) if suffix in SUFFIXES else None
 
 

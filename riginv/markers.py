@@ -20,7 +20,7 @@ from riginv.errors import InputError, listed
 from riginv.meshes.rendering import Camera, grid
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
-from riginv.runs.files import atomic_write
+from riginv.runs.files import atomic_write, free_file
 from riginv.tracking.markers.assembly import frame_units, in_millimetres
 from riginv.tracking.markers.layout import NOISE_MM, SPACING, suggest_layout
 from riginv.tracking.markers.map_file import read_map, write_map
@@ -60,9 +60,7 @@ class MarkersConfig:
 def run(config: DictConfig) -> None:
     """Write the map `config.out`, and a picture of it."""
     settings = to_typed(config, MarkersConfig)
-    out = Path(settings.out)
-    if out.exists():
-        raise InputError(f"out={out}: it is there already; give another name, or remove it")
+    out = free_file(settings.out)
     rig = build_rig(settings.rig, settings.mesh_space)
     comments: dict[str, str] = {}
     if settings.count is not None:

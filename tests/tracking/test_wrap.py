@@ -68,9 +68,11 @@ def test_landmarks_bring_a_mesh_onto_a_scan_that_was_turned_by_150_degrees(run, 
     ]
     (tmp_path / "map.yaml").write_text("\n".join(["rig: toy", "markers:", *lines]))
     given = ("rig=toy", "+rig.detail=3", f"--config-dir={ROOT / 'tests/conf'}", f"scan={tmp_path / 'neutral.ply'}")
-    given = (*given, f"out={tmp_path / 'wrapped.obj'}", f"landmarks={tmp_path / 'map.yaml'}")
-    done = run("wrap", *given)
+    given = (*given, f"landmarks={tmp_path / 'map.yaml'}")
+    done = run("wrap", *given, f"out={tmp_path / 'wrapped.obj'}")
     assert done.code == 0 and "the landmarks lie" in done.text, done.text
+    done, made = run("wrap", *given, f"out={tmp_path / 'wrapped.obj'}"), (tmp_path / "wrapped.obj").read_bytes()
+    assert done.code == 1 and "it is there already" in done.text and (tmp_path / "wrapped.obj").read_bytes() == made
     for old, new, words in [
         ("point", "offset_mm: 0, pint", "expected vertex: NUMBER"),
         ("point: [", "point: [.nan, ", "expected its position in the scan"),
@@ -79,10 +81,10 @@ def test_landmarks_bring_a_mesh_onto_a_scan_that_was_turned_by_150_degrees(run, 
         ("point: [", "point: [9.0, 0.0, 0.0]} # [", "mm from the scan, expected near it"),
     ]:
         (tmp_path / "map.yaml").write_text("\n".join(["rig: toy", "markers:", *lines]).replace(old, new))
-        done = run("wrap", *given)
+        done = run("wrap", *given, f"out={tmp_path / 'again.obj'}")
         assert done.code == 1 and words in done.text and "Traceback" not in done.text, done.text
     (tmp_path / "map.yaml").write_text("\n".join(["markers:", *lines[:2]]))
-    done = run("wrap", *given)
+    done = run("wrap", *given, f"out={tmp_path / 'again.obj'}")
     assert done.code == 1 and "2 landmarks, expected 3 at least" in done.text
 
 

@@ -6,7 +6,7 @@ from riginv.clips.options import ReadingOptions
 from riginv.clips.units import ClipUnits, SizeLimits, units_from_size
 from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
-from riginv.tracking.surfaces.scans import ScanSequence
+from riginv.tracking.surfaces.scans import Scan, ScanSequence
 
 LIMITS = SizeLimits(("mm", "cm", "m"), 3.0, 3.0)  # wide enough for half a face and for a whole head
 SAMPLED_FRAMES = 20  # at most, to find one with enough points
@@ -19,7 +19,7 @@ def resolve_scan_units(scans: ScanSequence, rig: RigBackend, reading: ReadingOpt
         InputError: no frame has enough points, or the scans would be absurdly small or large beside the rig.
     """
     rig_mm = robust_size(rig.rest_vertices.cpu().numpy())
-    return units_from_size(scans, _size_of_scans(scans), rig_mm, rig.name, reading, LIMITS)
+    return units_from_size(scans, robust_size(first_scan(scans).points), rig_mm, rig.name, reading, LIMITS)
 
 
 def robust_size(points: np.ndarray) -> float:
@@ -28,9 +28,14 @@ def robust_size(points: np.ndarray) -> float:
     return 2 * float(np.sqrt(np.median(((points - middle) ** 2).sum(axis=1))))
 
 
-def _size_of_scans(scans: ScanSequence) -> float:
+def first_scan(scans: ScanSequence) -> Scan:
+    """The first scan of a clip, cleaned, among some frames spread over it.
+
+    Raises:
+        InputError: none has enough points.
+    """
     for index in np.unique(np.linspace(0, len(scans) - 1, min(len(scans), SAMPLED_FRAMES)).astype(int)).tolist():
         cleaned = scans.cleaned(index)
         if cleaned is not None:
-            return robust_size(cleaned.points)
+            return cleaned
     raise InputError(f"{scans.path}: no frame holds a scan of 50 points or more: there is nothing to fit")
