@@ -16,7 +16,7 @@ from riginv.clips.options import ReadingOptions
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
-from riginv.errors import InputError, listed
+from riginv.errors import InputError, counted, listed
 from riginv.meshes.rendering import Camera, grid
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
@@ -98,13 +98,13 @@ def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.nd
     proposal = propose(rig, names, points, anchors, settings.pose, settings.calibrate)
     far = proposal.distance_mm > FAR * np.median(proposal.distance_mm) + 1
     lines = [
-        f"  {len(names)} markers of frame {frame.frame_numbers[0]}, {proposal.distance_mm.mean():.2g} mm from rig "
+        f"  {counted(len(names), 'marker')} of frame {frame.frame_numbers[0]}, {proposal.distance_mm.mean():.2g} mm from rig "
         f"'{rig.name}' on average, {proposal.distance_mm.max():.2g} mm at most"
     ]
     lines += [f"  note: {note}" for note in units.notes if "frames a second" not in note]
     if len(names) < len(clip.names):
         lines.append(
-            f"  note: {len(clip.names) - len(names)} markers are in a gap there: add them by hand, or take another frame=N"
+            f"  note: in a gap there: {counted(len(clip.names) - len(names), 'marker')}: add by hand, or take another frame=N"
         )
     if far.any():
         lines.append(f"  far from the rig, check their labels: {listed(np.array(names)[far])}")
@@ -137,7 +137,7 @@ def draw(rig: RigBackend, placement: Placement) -> Image.Image:
     shown = RigWithMarkers(rig, placement, detail=1)
     vertices, colors = shown.rest_vertices.cpu(), shown.vertex_colors().numpy()
     pictures = [Camera(rig.rest_vertices, turn).picture(vertices, shown.faces, colors) for turn in TURNS]
-    return grid(pictures, ["", f"{len(placement)} markers", ""], columns=len(pictures))
+    return grid(pictures, ["", counted(len(placement), "marker"), ""], columns=len(pictures))
 
 
 if __name__ == "__main__":

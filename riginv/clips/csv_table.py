@@ -141,7 +141,7 @@ def gap_note(gaps: Counter[str]) -> tuple[str, ...]:
     words = {word: count for word, count in gaps.items() if word.lower() not in GAPS[:2]}
     if not words:
         return ()
-    return (f"{counted(sum(words.values()), 'cell')} of {listed(map(repr, words))} were taken as gaps.",)
+    return (f"Taken as gaps: {counted(sum(words.values()), 'cell')} of {listed(map(repr, words))}.",)
 
 
 def number_in(cell: str) -> tuple[float, bool]:

@@ -13,7 +13,7 @@ from riginv.clips.csv_table import gap_note, header_of, is_gap, number_in, read_
 from riginv.clips.options import UNITS
 from riginv.clips.sequence import SourceFacts
 from riginv.clips.times import FrameTimes, frames_from_times
-from riginv.errors import InputError, listed, printable
+from riginv.errors import InputError, counted, listed, printable
 from riginv.runs.files import is_file, read_bytes
 
 MAX_MARKERS = 2000  # more are no markers but a scan
@@ -120,7 +120,7 @@ def without_gaps_at_zero(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...
     at_zero = (points == 0).all(axis=2)
     gap = at_zero | ~np.isfinite(points).all(axis=2)
     count = int(at_zero.sum())
-    notes = (f"{count:,} markers at exactly 0, 0, 0 were taken as gaps.",) if count else ()
+    notes = (f"Taken as gaps: {counted(count, 'marker')} at exactly 0, 0, 0.",) if count else ()
     return np.where(gap[..., None], np.nan, points).astype(np.float32), notes
 
 
@@ -224,9 +224,9 @@ def read_marker_csv(path: Path) -> MarkerClip:
     named = {title.lower(): column for column, title in enumerate(table.header)}
     frame = next((named[name] for name in FRAMES if name in named), None)
     time = next((named[name] for name in TIMES if name in named), None)
-    for counted in (column for column in (frame, time) if column is not None):
-        if np.isnan(table.column(counted)).any():
-            raise InputError(f"{path}: a gap in column {table.header[counted]!r}, expected a number in each row: fill it")
+    for column in (column for column in (frame, time) if column is not None):
+        if np.isnan(table.column(column)).any():
+            raise InputError(f"{path}: a gap in column {table.header[column]!r}, expected a number in each row: fill it")
     times = FrameTimes(np.arange(len(table)))
     if time is not None:
         times = frames_from_times(table.column(time), "times")

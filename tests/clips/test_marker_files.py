@@ -97,11 +97,11 @@ def test_words_for_nothing_are_gaps_and_said(tmp_path):
     (tmp_path / "a.csv").write_text("frame,nose.x,nose.y,nose.z,chin.x,chin.y,chin.z\n" + rows)
     clip = open_markers(str(tmp_path / "a.csv"))
     assert np.isnan(clip.points[:3, 1]).all() and clip.points[3, 1].tolist() == [4, 5, 6]
-    assert clip.facts.notes == ("8 cells of '-', '#N/A', 'NULL', 'n/a', '--', 'None' were taken as gaps.",)
+    assert clip.facts.notes == ("Taken as gaps: 8 cells of '-', '#N/A', 'NULL', 'n/a', '--', 'None'.",)
     head = "PathFileType\t4\nDataRate\tUnits\n30\tmm\nFrame#\tTime\tnose\t\t\n\n"
     (tmp_path / "a.trc").write_text(head + "1\t0\t-\t-\t-\n2\t0.1\t1\t2\t3\n")
     clip = open_markers(str(tmp_path / "a.trc"))
-    assert np.isnan(clip.points[0]).all() and "3 cells of '-' were taken as gaps." in clip.facts.notes
+    assert np.isnan(clip.points[0]).all() and "Taken as gaps: 3 cells of '-'." in clip.facts.notes
     (tmp_path / "b.csv").write_text("frame,nose.x,nose.y,nose.z\n0,1,2,3\n-,1,2,3\n")
     with pytest.raises(InputError, match="a gap in column 'frame'"):
         open_markers(str(tmp_path / "b.csv"))

@@ -14,6 +14,7 @@ from riginv.tracking.surfaces.scans import Scan
 from tests.conftest import ROOT
 from tests.support.blends import blender
 from tests.support.clips import reading_options
+from tests.support.scans import write_ragged
 from tests.support.toys import ToyRig
 from tests.tracking.test_scans import NO_LOOK, scans_of
 
@@ -184,3 +185,47 @@ def test_one_reader_serves_clips_and_neutrals(tmp_path, scans):
     np.savez(tmp_path / "two.npz", **several | {"faces": np.tile(faces, (2, 1)), "face_offsets": np.arange(3) * len(faces)})
     with pytest.raises(InputError, match="2 scans, expected one"):
         read_scan(str(tmp_path / "two.npz"), reading_options(), RIG)
+
+
+def test_inspect_says_what_scans_a_path_holds(run, tmp_path, scans):
+    write_ragged(tmp_path / "meshes.npz", scans)
+    clouds = [(points, None) for points, _ in scans]
+    write_ragged(tmp_path / "clouds.npz", clouds, normals=np.concatenate([points for points, _ in scans]), fps=25.0)
+    (tmp_path / "folder é (1)").mkdir()
+    for number, (points, faces) in enumerate(scans):
+        trimesh.Trimesh(points / 1000, faces, process=False).export(tmp_path / f"folder é (1)/scan.{number}.glb")
+    expected = {
+        "meshes.npz": ("kind     scans: meshes", "940 to 960 a frame", "of the faces", "unit     not known", "3 frames 0 to 2"),
+        "clouds.npz": ("kind     scans: point clouds", "482 in each frame", "in the file", "25 frames a second"),
+        "folder é (1)": ("scans (GLB)", "unit     m (as the file says)"),
+    }
+    for name, words in expected.items():
+        done = run("inspect", str(tmp_path / name))
+        assert done.code == 0 and all(word in done.text for word in words), done.text
+    done = run("inspect", str(tmp_path / "meshes.npz"), "rig=toy", CONF)
+    assert done.code == 0 and "unit     mm (guessed)" in done.text
+
+
+def test_inspect_reads_a_clip_of_another_mesh_in_each_frame_as_scans(run, tmp_path, scans):
+    stage = new_stage(tmp_path / "take.usdc")
+    for number, (points, faces) in enumerate(scans):
+        usd_mesh(stage, points, faces, number)
+    usd_mesh(stage, np.zeros((0, 3)), np.zeros((0, 3), int), 3)
+    stage.Save()
+    done = run("inspect", str(tmp_path / "take.usdc"))
+    assert done.code == 0 and "kind            scans: meshes" in done.text and "1 frame: 3" in done.text, done.text
+
+
+def test_wrap_reads_a_stage_and_inches(run, tmp_path, scans):
+    points, faces = scans[0]
+    stage = new_stage(tmp_path / "neutral.usda")
+    usd_mesh(stage, points, faces)
+    stage.Save()
+    done = run("wrap", "rig=toy", CONF, f"scan={tmp_path / 'neutral.usda'}", f"out={tmp_path / 'a.obj'}")
+    assert done.code == 0 and "warning" not in done.text, done.text
+    trimesh.Trimesh(points / 25.4, faces, process=False).export(tmp_path / "neutral.stl")
+    done = run("wrap", "rig=toy", CONF, f"scan={tmp_path / 'neutral.stl'}", f"out={tmp_path / 'b.obj'}")
+    assert done.code == 0 and "units of inches guessed" in done.text and "scale 0.99" in done.text, done.text
+    (tmp_path / "c.png").write_bytes(b"a picture of mine")
+    done = run("wrap", "rig=toy", CONF, f"scan={tmp_path / 'neutral.stl'}", f"out={tmp_path / 'c.obj'}", "unit=inch")
+    assert done.code == 1 and "c.png is there already" in done.text and not (tmp_path / "c.obj").exists()

@@ -17,7 +17,7 @@ from riginv.errors import InputError
 from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import RigBackend
 from riginv.tracking.rigid import fit_rigid
-from riginv.tracking.surfaces.scan_files import SUFFIXES, read_scan
+from riginv.tracking.surfaces.scan_files import holds_scans, may_be_scan, read_scan
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.wrap import wrap
 
@@ -48,13 +48,15 @@ def read_neutral(path: str, rig: RigBackend, reading: ReadingOptions) -> GivenNe
         InputError: it cannot be read, holds several meshes, has the rig's vertices in another order, or cannot be wrapped.
     """
     source = Path(path).name
+    if holds_scans(path):
+        return _wrapped(path, rig, reading)
     try:
         clip, notes = open_clip(path, rig, replace(reading, fps=reading.fps or 1.0), FrameOptions())
     except TopologyError as error:
         if error.same_count:
             raise InputError(f"actor.neutral={error}") from None
-        if Path(path).suffix.lower() not in SUFFIXES:
-            raise InputError(f"actor.neutral={error}; a scan is an OBJ, PLY or glTF file, which is wrapped") from None
+        if not may_be_scan(path):
+            raise InputError(f"actor.neutral={error}; a scan is a file of points, such as OBJ, PLY or glTF") from None
         return _wrapped(path, rig, reading)
     except StillMeshError:
         return _wrapped(path, rig, reading)

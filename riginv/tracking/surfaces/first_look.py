@@ -1,15 +1,13 @@
 """A look at the first scan before any work starts: whether another unit fits, and whether its normals point inwards."""
 
-import numpy as np
-
-from riginv.clips.options import UNITS, ReadingOptions
-from riginv.clips.units import GUESSED, ClipUnits
+from riginv.clips.options import ReadingOptions
+from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.tracking.surfaces.alignment import GOOD_MM
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.scans import Scan, ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver
-from riginv.tracking.surfaces.units import first_scan
+from riginv.tracking.surfaces.units import first_scan, in_inches
 
 BETTER = 0.8  # factor of the distance that another reading must reach
 
@@ -31,11 +29,9 @@ def checked_units(scans: ScanSequence, units: ClipUnits, reading: ReadingOptions
         return solver.aligner.from_centre(target).distance_mm
 
     as_read = distance(units.mm, scan)
-    if units.unit_source == GUESSED and np.isclose(units.mm, UNITS["cm"] * reading.scale):
-        mm = UNITS["inch"] * reading.scale
-        if distance(mm, scan) < min(GOOD_MM, BETTER * as_read):
-            note = "units of inches guessed: the first scan fits the rig better so than in cm (reading.unit=cm)"
-            return units._replace(mm=mm, notes=[note, *(other for other in units.notes if not other.startswith("units of cm"))])
+    inches = in_inches(units, reading, "the first scan fits the rig better so than in cm")
+    if inches is not None and distance(inches.mm, scan) < min(GOOD_MM, BETTER * as_read):
+        return inches
     if as_read > GOOD_MM and distance(units.mm, scan.reversed()) < min(GOOD_MM, BETTER * as_read):
         raise InputError(
             f"{scans.path}: the normals of its first scan point inwards: reversed it fits rig '{solver.rig.name}'; flip them "

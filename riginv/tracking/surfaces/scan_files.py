@@ -23,7 +23,7 @@ from riginv.rig.interface import RigBackend
 from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
 from riginv.runs.files import read_bytes
 from riginv.tracking.surfaces.scans import Scan, ScanSequence
-from riginv.tracking.surfaces.units import resolve_scan_units
+from riginv.tracking.surfaces.units import resolve_neutral_units
 
 STILLS = {**READERS, ".stl": StlMesh}
 CLIPS = (".usd", ".usda", ".usdc", ".usdz", ".abc")  # of files that are a scan each where a path names several
@@ -119,7 +119,7 @@ class RaggedArrays(ScanSequence):
         return Scan(points, faces)
 
 
-def open_scans(path: str, rig: RigBackend, reading: ReadingOptions) -> ScanSequence:
+def open_scans(path: str, rig: RigBackend | None, reading: ReadingOptions) -> ScanSequence:
     """A clip of scans.
 
     Raises:
@@ -153,7 +153,7 @@ def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "s
     cleaned = scans.cleaned(0)
     if cleaned is None:
         raise InputError(f"{key}={path}: fewer than 50 points: there is nothing to fit")
-    return cleaned, resolve_scan_units(scans, rig, reading)
+    return cleaned, resolve_neutral_units(scans, rig, reading)
 
 
 def holds_scans(path: str) -> bool:
