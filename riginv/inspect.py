@@ -21,6 +21,7 @@ from riginv.clips.marker_exports import read_export
 from riginv.clips.markers import SUFFIXES, MarkerClip, holds_markers, open_markers, read_marker_csv
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.sequence import StillMeshError
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.errors import InputError, counted, printable
@@ -129,6 +130,10 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
         return
     try:
         clip, notes = open_clip(path, rig, settings.reading, settings.frames)
+    except StillMeshError as misfit:
+        show_scans(path, settings.reading, rig)
+        show_rig(rig, config, Console())
+        raise misfit from None
     except InputError as misfit:
         if is_table:
             raise

@@ -126,6 +126,8 @@ def by_surface(
     """
     if options.landmarks.is_given:
         return True, []
+    if has_network and holds_scans(path):
+        raise InputError(f"{path}: scans are fitted by their surface, without a network: give rig=NAME in place of bundle=DIR")
     if options.correspondence != "auto" or has_network or reading.vertices is not None or Path(path).suffix == ".csv":
         return options.correspondence == "surface", []
     if holds_scans(path):

@@ -21,7 +21,8 @@ MAX_CELLS = 200_000_000  # of a text file
 SUFFIXES = (".c3d", ".trc", ".csv")
 AXIS = re.compile(r"(.+?)(?:[ ._:\-]t?| ?[(\[])([xyz])[)\]]?", re.IGNORECASE)  # `nose.x`, `nose:tx`, `nose (X)`
 UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the names of unnamed trajectories
-TIMES = ("time", "seconds")
+PLACEHOLDERS = (9999.0, 99999.0, 999999.0, 9999999.0)  # coordinates, of either sign, that stand for none
+TIMES = ("time", "seconds", "time (s)", "time [s]", "time_s", "timestamp")
 FRAMES = ("frame", "frame#", "field")
 UNIT_WORDS = {
     "mm": "mm",
@@ -116,12 +117,18 @@ def unnamed_note(named: int, points: int) -> tuple[str, ...]:
 
 
 def without_gaps_at_zero(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Points `(frame, marker, 3)` with NaN where one is exactly at the origin or not finite, and a note on the former."""
-    at_zero = (points == 0).all(axis=2)
-    gap = at_zero | ~np.isfinite(points).all(axis=2)
-    count = int(at_zero.sum())
-    notes = (f"Taken as gaps: {counted(count, 'marker')} at exactly 0, 0, 0.",) if count else ()
-    return np.where(gap[..., None], np.nan, points).astype(np.float32), notes
+    """Points `(frame, marker, 3)` with NaN where one stands for a gap or is not finite, and notes on the former.
+
+    At the origin, or at one of `PLACEHOLDERS` on all three axes, stands what is not known.
+    """
+    at_zero, count = (points == 0).all(axis=2), int((points == 0).all(axis=2).sum())
+    placeholder = np.isin(np.abs(points), PLACEHOLDERS).all(axis=2) & (points == points[:, :, :1]).all(axis=2)
+    gap = at_zero | placeholder | ~np.isfinite(points).all(axis=2)
+    notes = [f"Taken as gaps: {counted(count, 'marker')} at exactly 0, 0, 0."] if count else []
+    if placeholder.any():
+        value = float(points[placeholder][0, 0])
+        notes.append(f"Taken as gaps: {counted(int(placeholder.sum()), 'marker')} at {value:g} on all axes.")
+    return np.where(gap[..., None], np.nan, points).astype(np.float32), tuple(notes)
 
 
 def unit_in_mm(path: Path, text: str) -> tuple[float | None, tuple[str, ...]]:

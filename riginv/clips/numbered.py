@@ -197,9 +197,10 @@ def _with_missing(path: str, numbers: np.ndarray, step: int, bridge: bool) -> np
     full = np.union1d(np.arange(numbers[0], numbers[-1] + 1, step), numbers)
     missing = np.setdiff1d(full, numbers)
     if not bridge:
+        every, verb = f" (one every {step})" if step > 1 else "", "is" if len(missing) == 1 else "are"
         raise InputError(
-            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]}{f' (one every {step})' if step > 1 else ''} are "
-            f"missing: {_spans(missing, step)}; add them, or interpolate them with reading.missing_frames=bridge"
+            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]}{every} {verb} missing: {_spans(missing, step)}; "
+            "add them, or interpolate them with reading.missing_frames=bridge"
         )
     return full
 

@@ -92,8 +92,8 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions, as
 def _open_folder(path: str, options: ReadingOptions) -> MeshSequence:
     inside = {file.suffix.lower() for file in visible_files(Path(path))} & set(SEQUENCES)
     if len(inside) != 1:
-        which = "; 'FOLDER/*.obj' names the OBJ files of one that holds both" if inside else ""
-        raise InputError(f"{path}: a folder, expected to hold OBJ or PLY files, one for each frame, and not both{which}")
+        found = "both: 'FOLDER/*.obj' names its OBJ files" if inside else "none"
+        raise InputError(f"{path}: a folder, expected to hold OBJ or PLY files, one for each frame, found {found}")
     return SEQUENCES[inside.pop()](path, options)
 
 

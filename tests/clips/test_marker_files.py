@@ -92,6 +92,14 @@ def test_what_cannot_be_read_is_told_in_a_sentence(tmp_path, name, content, said
     assert "\n" not in str(error.value)
 
 
+def test_numbers_that_stand_for_nothing_are_gaps_and_said(tmp_path):
+    rows = "1,0,-9999,-9999,-9999\n2,0.1,1,2,-9999\n3,0.2,9999,-9999,9999\n"
+    (tmp_path / "a.csv").write_text("Frame,Time (s),nose_X,nose_Y,nose_Z\n" + rows)
+    clip = open_markers(str(tmp_path / "a.csv"))
+    assert np.isnan(clip.points[0]).all() and np.isfinite(clip.points[1:]).all() and clip.fps == 10
+    assert "Taken as gaps: 1 marker at -9999 on all axes." in clip.facts.notes
+
+
 def test_words_for_nothing_are_gaps_and_said(tmp_path):
     rows = "0,1,2,3,-,-,-\n1,1,2,3,#N/A,NULL,n/a\n2,1,2,3,--,None,\n3,1,2,3,4,5,6\n"
     (tmp_path / "a.csv").write_text("frame,nose.x,nose.y,nose.z,chin.x,chin.y,chin.z\n" + rows)

@@ -151,11 +151,13 @@ def test_alembic_whose_topology_changes_is_a_clip_of_scans(tmp_path, scans):
     assert len({len(found.scan(number).points) for number in range(3)}) == 3
 
 
-def test_stl_files_are_scans(tmp_path, scans):
+def test_stl_files_are_scans(run, tmp_path, scans):
     for number, (points, faces) in enumerate(scans):
         mesh = trimesh.Trimesh(points, faces, process=False)
         data = mesh.export(file_type="stl_ascii" if number else "stl")
         (tmp_path / f"scan.{number}.stl").write_bytes(data.encode() if isinstance(data, str) else data)
+    done = run("invert", "bundle=nowhere", f"clip={tmp_path / 'scan.0.stl'}", "out=got")
+    assert done.code == 1 and "Traceback" not in done.text
     found = open_scans(str(tmp_path / "scan.%d.stl"), RIG, reading_options())
     for number, (points, faces) in enumerate(scans):
         merged, expected = found.cleaned(number), Scan(points, faces).cleaned()
