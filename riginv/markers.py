@@ -89,7 +89,9 @@ def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.nd
     is_known = np.isfinite(clip.points[row]).all(axis=1)
     names = tuple(name for name, there in zip(clip.names, is_known) if there)
     if len(names) < 4:
-        raise InputError(f"{clip.path}: frame {clip.frame_numbers[row]} has {len(names)} markers, expected 4 at least: frame=N")
+        raise InputError(
+            f"{clip.path}: frame {clip.frame_numbers[row]} has {counted(len(names), 'marker')}, expected 4 at least: frame=N"
+        )
     frame = clip.select(names, clip.points[row : row + 1, is_known], clip.frame_numbers[row : row + 1])
     if settings.anchors is not None:
         anchors = _anchors(settings.anchors, names, rig)

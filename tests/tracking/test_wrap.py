@@ -41,6 +41,12 @@ def test_a_scan_of_something_else_is_refused():
         wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), TriangleMesh(hull.vertices, hull.faces))
 
 
+def test_a_scan_that_is_inside_out_is_refused():
+    rig, scan = ToyRig(detail=3), somebody(ToyRig(detail=3))
+    with pytest.raises(InputError, match="the normals of the scan point inwards"):
+        wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), scan.reversed())
+
+
 def turned(rig: ToyRig, degrees: float) -> tuple[TriangleMesh, np.ndarray]:
     """The scan of `somebody`, turned further, and where the toy's vertices lie on it, about."""
     scan = somebody(rig)

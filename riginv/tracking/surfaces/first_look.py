@@ -5,8 +5,9 @@ from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.tracking.surfaces.alignment import GOOD_MM
 from riginv.tracking.surfaces.motion import Motion
-from riginv.tracking.surfaces.scans import Scan, ScanSequence
+from riginv.tracking.surfaces.scans import ScanSequence
 from riginv.tracking.surfaces.solving import ScanSolver
+from riginv.tracking.surfaces.triangles import Surface
 from riginv.tracking.surfaces.units import first_scan, in_inches
 
 BETTER = 0.8  # factor of the distance that another reading must reach
@@ -22,17 +23,18 @@ def checked_units(scans: ScanSequence, units: ClipUnits, reading: ReadingOptions
     """
     scan, axes = first_scan(scans), units.axes.double().numpy()
 
-    def distance(mm: float, scan: Scan) -> float:
-        target = solver.target(scan.surface(mm, axes))
+    def distance(surface: Surface) -> float:
+        target = solver.target(surface)
         if not solver.moves:
             return solver.aligner.distance(target, Motion.identity())
         return solver.aligner.from_centre(target).distance_mm
 
-    as_read = distance(units.mm, scan)
+    surface = scan.surface(units.mm, axes)
+    as_read = distance(surface)
     inches = in_inches(units, reading, "the first scan fits the rig better so than in cm")
-    if inches is not None and distance(inches.mm, scan) < min(GOOD_MM, BETTER * as_read):
+    if inches is not None and distance(scan.surface(inches.mm, axes)) < min(GOOD_MM, BETTER * as_read):
         return inches
-    if as_read > GOOD_MM and distance(units.mm, scan.reversed()) < min(GOOD_MM, BETTER * as_read):
+    if as_read > GOOD_MM and distance(surface.reversed()) < min(GOOD_MM, BETTER * as_read):
         raise InputError(
             f"{scans.path}: the normals of its first scan point inwards: reversed it fits rig '{solver.rig.name}'; flip them "
             f"(the order of each face's corners), and export it again"

@@ -49,11 +49,6 @@ class Scan(NamedTuple):
             normals = None
         return Scan(points[used], None if faces is None else renumbered[faces], normals)
 
-    def reversed(self) -> "Scan":
-        """The scan with its other side out."""
-        faces, normals = self.faces, self.normals
-        return Scan(self.points, None if faces is None else faces[:, ::-1], None if normals is None else -normals)
-
     def surface(self, mm: float, axes: np.ndarray, shift: np.ndarray | float = 0.0) -> Surface:
         """The scan as a surface in millimetres, y up.
 
