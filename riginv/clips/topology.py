@@ -73,7 +73,8 @@ def _check_order(clip: MeshSequence, rig: RigBackend) -> None:
     """
     edges = Polygons.triangles(rig.faces.cpu().numpy()).edges()
     for index in range(min(len(clip), ORDER_FRAMES)):
-        points = clip.read(index, index + 1)[0].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # damaged files hold NaN of every kind
+            points = clip.read(index, index + 1)[0].astype(np.float64)
         known = np.isfinite(points[edges]).all(axis=(1, 2))
         if known.sum() >= MIN_EDGES:
             break
