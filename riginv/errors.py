@@ -24,6 +24,11 @@ def listed(names: Iterable[object], most: int | None = 8) -> str:
     return ", ".join(texts[:most]) + more if texts else "none"
 
 
+def counted(count: int, one: str, many: str | None = None) -> str:
+    """A number with its noun: `1 frame`, `2 frames`; `many` where the plural is not made by an s."""
+    return f"{count:,} {one if count == 1 else many or one + 's'}"
+
+
 def in_short(error: BaseException, most: int = 150) -> str:
     """An exception's message in one line, cut to `most` characters."""
     return " ".join(str(error).split())[:most] or type(error).__name__

@@ -14,16 +14,17 @@ from rich.console import Console
 from rich.text import Text
 
 from riginv.clips.clip import Clip
-from riginv.clips.description import describe
-from riginv.clips.description_text import NAMES, cell_of, rows
+from riginv.clips.description import describe, span_of
+from riginv.clips.description_text import NAMES, cell_of, frames_text, rows
 from riginv.clips.live_link import Recording, read_live_link
 from riginv.clips.marker_exports import read_export
-from riginv.clips.markers import SUFFIXES, MarkerClip, open_markers
+from riginv.clips.markers import SUFFIXES, MarkerClip, holds_markers, open_markers, read_marker_csv
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.sequence import StillMeshError
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
-from riginv.errors import InputError, printable
+from riginv.errors import InputError, counted, printable
 from riginv.inference.bundle import DESCRIPTION, read_bundle
 from riginv.inference.inverse import load_inverse
 from riginv.rig.interface import RigBackend
@@ -34,8 +35,11 @@ from riginv.runs.run_folder import BUNDLE
 from riginv.sampling.store.location import StoreLocation
 from riginv.sampling.store.store import PoseStore
 from riginv.sampling.store.summary import show as show_store
+from riginv.tracking.surfaces.inspection import scan_rows
+from riginv.tracking.surfaces.scan_files import holds_scans, open_scans
 
 STORE = "zarr.json"
+SURFACE = "correspondence=surface"  # readers recommend it for what can be read as scans
 Row = tuple[str, str]
 
 
@@ -73,7 +77,9 @@ def markers_of(path: Path) -> MarkerClip | None:
     """The markers of a file of a format that holds nothing else; None for other files."""
     suffix = path.suffix.lower()
     if suffix == TABLE:
-        return read_export(path) if is_file(path) else None
+        if not is_file(path):
+            return None
+        return read_export(path) or (read_marker_csv(path) if holds_markers(path) else None)
     return open_markers(str(path)) if suffix in SUFFIXES else None
 
 
@@ -81,17 +87,16 @@ def marker_rows(clip: MarkerClip, names: int | None) -> list[Row]:
     """The contents of a take of markers, as table rows."""
     known = np.isfinite(clip.points).all(axis=2)
     gaps = [f"{name} ({1 - seen:.0%})" for name, seen in zip(clip.names, known.mean(axis=0)) if seen < 1]
-    first, last = int(clip.frame_numbers[0]), int(clip.frame_numbers[-1])
     size = np.ptp(clip.points[known], axis=0) if known.any() else np.zeros(3)
     return [
         ("format", clip.facts.format),
         ("markers", f"{len(clip.names):,}: {cell_of(list(clip.names), names)}"),
-        ("frames", f"{len(clip.frame_numbers):,} frames {first} to {last}"),
+        ("frames", frames_text(span_of(clip.frame_numbers))),
         ("rate", f"{clip.fps:g} frames a second ({clip.facts.rate_source})" if clip.fps else "not known"),
         ("size", " x ".join(f"{axis:.4g}" for axis in size.tolist()) + " units, over all frames"),
         ("unit", f"{clip.unit_mm:g} mm" if clip.unit_mm else "not known"),
         ("up", clip.up or "not known"),
-        ("gaps", f"{len(gaps):,} markers: {cell_of(gaps, names)}" if gaps else "none"),
+        ("gaps", f"{counted(len(gaps), 'marker')}: {cell_of(gaps, names)}" if gaps else "none"),
     ]
 
 
@@ -105,16 +110,30 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
         InputError: it cannot be read, or does not fit.
     """
     path, rig = settings.clip, build_named_rig(settings)
-    is_table = path.lower().endswith(TABLE)
-    if rig is None:
-        if is_table:
-            show_rows(Path(path).name, recording_rows(read_live_link(path), names))
-        else:
-            show_sequence(*open_clip_without_rig(path, settings.reading, settings.frames), names)
+    is_table, config = path.lower().endswith(TABLE), settings.rig.config if settings.rig else None
+    if is_table and rig is None:
+        show_rows(Path(path).name, recording_rows(read_live_link(path), names))
         return
-    config = settings.rig.config if settings.rig else None
+    if holds_scans(path):
+        show_scans(path, settings.reading, rig)
+        if rig is not None:
+            show_rig(rig, config, Console())
+        return
+    if rig is None:
+        try:
+            show_sequence(*open_clip_without_rig(path, settings.reading, settings.frames), names)
+        except InputError as error:
+            if SURFACE not in str(error):  # a still mesh, a point cloud, or another mesh in each frame
+                raise
+            show_scans(path, settings.reading, rig)
+            show_lines([f"scans are fitted by their surface: riginv invert rig=NAME correspondence=surface ({error})"])
+        return
     try:
         clip, notes = open_clip(path, rig, settings.reading, settings.frames)
+    except StillMeshError as misfit:
+        show_scans(path, settings.reading, rig)
+        show_rig(rig, config, Console())
+        raise misfit from None
     except InputError as misfit:
         if is_table:
             raise
@@ -124,6 +143,17 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
     show_sequence(clip, notes, names)
     show_rig(rig, config, Console())
     show_lines([f"the clip fits rig '{rig.name}'"], console=Console())
+
+
+def show_scans(path: str, reading: ReadingOptions, rig: RigBackend | None) -> None:
+    """Print what a clip of scans holds.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    found, notes = scan_rows(open_scans(path, rig, reading), reading, rig)
+    show_rows(Path(path).name, found)
+    show_lines([], notes, console=Console())
 
 
 def build_named_rig(settings: InspectConfig) -> RigBackend | None:

@@ -32,7 +32,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.size import show_rig
 from riginv.runs.checksums import SUMS, sha256
 from riginv.runs.console import show_lines
-from riginv.runs.files import atomic_write
+from riginv.runs.files import atomic_write, free_folder
 from riginv.runs.locks import exclusive_lock
 from riginv.runs.threads import single_threaded
 from riginv.tracking.actors.actor import Actor, posed_actor
@@ -128,6 +128,8 @@ def by_surface(
     """
     if options.landmarks.is_given:
         return True, []
+    if has_network and holds_scans(path):
+        raise InputError(f"{path}: scans are fitted by their surface, without a network: give rig=NAME in place of bundle=DIR")
     if options.correspondence != "auto" or has_network or reading.vertices is not None or Path(path).suffix == ".csv":
         return options.correspondence == "surface", []
     if holds_scans(path):
@@ -137,7 +139,7 @@ def by_surface(
     except TopologyError as error:
         if error.same_count:  # the vertices are in another order, which the user must correct
             raise InputError(f"{error}, and correspondence=surface fits its surface") from None
-        reason = str(error).partition(": ")[2].partition(": ")[0]
+        reason = str(error).removeprefix(f"{path}: ").partition(": ")[0]
         return True, [f"{reason}: fitted by its surface (correspondence=vertices refuses such clips)"]
     return False, ["the clip is read as the rig's own mesh, vertex by vertex (correspondence=surface: as a scan)"]
 
@@ -239,18 +241,6 @@ def invert_markers(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
     rows = ("mean over the markers", "farthest marker")
     remarks = [*marker_remarks(errors), *curve_notes, *view_notes]
     show(animation, errors, true_rig, out, [*files, *views], remarks, "distances of the markers", rows)
-
-
-def free_folder(out: str) -> Path:
-    """The folder for the results.
-
-    Raises:
-        InputError: it exists and is not an empty folder.
-    """
-    path = Path(out)
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise InputError(f"out={out}: it is there already; give another folder, or remove it")
-    return path
 
 
 def made_by(settings: InvertConfig, method: str, actor: Actor | None = None) -> dict[str, Any]:

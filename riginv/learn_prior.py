@@ -16,9 +16,9 @@ from rich.console import Console
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import Bound, NonNegativeInt
-from riginv.invert import free_folder
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
+from riginv.runs.files import free_folder
 from riginv.runs.locks import exclusive_lock
 from riginv.tracking.priors.files import save_prior
 from riginv.tracking.priors.performances import default_prior

@@ -16,11 +16,11 @@ from riginv.clips.options import ReadingOptions
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
-from riginv.errors import InputError, listed
+from riginv.errors import InputError, counted, listed
 from riginv.meshes.rendering import Camera, grid
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
-from riginv.runs.files import atomic_write
+from riginv.runs.files import atomic_write, free_file
 from riginv.tracking.markers.assembly import frame_units, in_millimetres
 from riginv.tracking.markers.layout import NOISE_MM, SPACING, suggest_layout
 from riginv.tracking.markers.map_file import read_map, write_map
@@ -60,9 +60,7 @@ class MarkersConfig:
 def run(config: DictConfig) -> None:
     """Write the map `config.out`, and a picture of it."""
     settings = to_typed(config, MarkersConfig)
-    out = Path(settings.out)
-    if out.exists():
-        raise InputError(f"out={out}: it is there already; give another name, or remove it")
+    out = free_file(settings.out)
     rig = build_rig(settings.rig, settings.mesh_space)
     comments: dict[str, str] = {}
     if settings.count is not None:
@@ -91,7 +89,9 @@ def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.nd
     is_known = np.isfinite(clip.points[row]).all(axis=1)
     names = tuple(name for name, there in zip(clip.names, is_known) if there)
     if len(names) < 4:
-        raise InputError(f"{clip.path}: frame {clip.frame_numbers[row]} has {len(names)} markers, expected 4 at least: frame=N")
+        raise InputError(
+            f"{clip.path}: frame {clip.frame_numbers[row]} has {counted(len(names), 'marker')}, expected 4 at least: frame=N"
+        )
     frame = clip.select(names, clip.points[row : row + 1, is_known], clip.frame_numbers[row : row + 1])
     if settings.anchors is not None:
         anchors = _anchors(settings.anchors, names, rig)
@@ -100,13 +100,13 @@ def _proposed(settings: MarkersConfig, rig: LinearRig) -> tuple[Placement, np.nd
     proposal = propose(rig, names, points, anchors, settings.pose, settings.calibrate)
     far = proposal.distance_mm > FAR * np.median(proposal.distance_mm) + 1
     lines = [
-        f"  {len(names)} markers of frame {frame.frame_numbers[0]}, {proposal.distance_mm.mean():.2g} mm from rig "
+        f"  {counted(len(names), 'marker')} of frame {frame.frame_numbers[0]}, {proposal.distance_mm.mean():.2g} mm from rig "
         f"'{rig.name}' on average, {proposal.distance_mm.max():.2g} mm at most"
     ]
     lines += [f"  note: {note}" for note in units.notes if "frames a second" not in note]
     if len(names) < len(clip.names):
         lines.append(
-            f"  note: {len(clip.names) - len(names)} markers are in a gap there: add them by hand, or take another frame=N"
+            f"  note: in a gap there: {counted(len(clip.names) - len(names), 'marker')}: add by hand, or take another frame=N"
         )
     if far.any():
         lines.append(f"  far from the rig, check their labels: {listed(np.array(names)[far])}")
@@ -139,7 +139,7 @@ def draw(rig: RigBackend, placement: Placement) -> Image.Image:
     shown = RigWithMarkers(rig, placement, detail=1)
     vertices, colors = shown.rest_vertices.cpu(), shown.vertex_colors().numpy()
     pictures = [Camera(rig.rest_vertices, turn).picture(vertices, shown.faces, colors) for turn in TURNS]
-    return grid(pictures, ["", f"{len(placement)} markers", ""], columns=len(pictures))
+    return grid(pictures, ["", counted(len(placement), "marker"), ""], columns=len(pictures))
 
 
 if __name__ == "__main__":

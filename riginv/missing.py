@@ -21,10 +21,9 @@ from riginv.config.values import NonNegativeInt, PositiveInt
 from riginv.errors import InputError
 from riginv.geometry.neighbours import evenly
 from riginv.inference.inverse import Inverse, load_inverse
-from riginv.invert import free_folder
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
-from riginv.runs.files import atomic_write
+from riginv.runs.files import atomic_write, free_folder
 from riginv.runs.locks import exclusive_lock
 from riginv.tracking.alternation import WindowInverter, WindowResult
 from riginv.tracking.assembly import build_parts

@@ -4,7 +4,7 @@ from riginv.launch.command import answer_help, command
 
 answer_help(__name__, "wrap")  # before the imports that take seconds
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from riginv.meshes.obj import obj_text
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
-from riginv.runs.files import atomic_write, write_text
+from riginv.runs.files import atomic_write, free_file, write_text
 from riginv.tracking.surfaces.landmark_files import landmarks_of_scan
 from riginv.tracking.surfaces.scan_files import read_scan
 from riginv.tracking.surfaces.triangles import Surface, TriangleMesh
@@ -41,6 +41,7 @@ class WrapConfig:
     landmarks: str | None
     unit: str | float
     up: str
+    reading: ReadingOptions
     seed: NonNegativeInt
 
     def __post_init__(self) -> None:
@@ -51,13 +52,13 @@ class WrapConfig:
 def run(config: DictConfig) -> None:
     """Wrap the mesh of `config.rig` onto `config.scan`; write `config.out` and a picture of the distances."""
     settings = to_typed(config, WrapConfig)
+    out = free_file(settings.out, ".png")
     rig = settings.rig.build()
-    scan, units = read_scan(settings.scan, ReadingOptions(unit=settings.unit, up=settings.up, fps=1.0), rig)
+    scan, units = read_scan(settings.scan, replace(settings.reading, fps=settings.reading.fps or 1.0), rig)
     show_lines([], units.notes, console=Console())
     surface = scan.surface(units.mm, units.axes.double().numpy())
     landmarks = landmarks_of_scan(Path(settings.landmarks), rig, scan.points, units) if settings.landmarks else None
     found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface, WrapSettings(), landmarks)
-    out = Path(settings.out)
     write_text(out, obj_text(found.vertices, rig.faces.cpu().numpy()))
     picture = out.with_suffix(".png")
     with atomic_write(picture) as file:

@@ -9,6 +9,7 @@ import numpy as np
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
 from riginv.errors import InputError
+from riginv.meshes.mesh_file import MeshFile
 from riginv.rig.interface import RigBackend
 from riginv.runs.worker_process import WorkerRefusedError
 from rigs.blender.pool import PoseLostError, WorkerPool
@@ -37,12 +38,13 @@ class WorkerClip(MeshSequence):
         path: of the file, as messages name it.
         options: `mesh`, `animation` and `fps`, for the script.
         vertices: number of vertices of the clip's rig, where known.
+        ragged: whether each frame may be another mesh, as of scans; then `mesh` reads them, and not `read`.
 
     Raises:
         InputError: no such file, mesh or animation, or the worker cannot be started or cannot read the file.
     """
 
-    def __init__(self, path: str, options: ReadingOptions, vertices: int | None = None) -> None:
+    def __init__(self, path: str, options: ReadingOptions, vertices: int | None = None, ragged: bool = False) -> None:
         source = self._source(path, options)
         load = {
             "file": str(source.file),
@@ -50,8 +52,9 @@ class WorkerClip(MeshSequence):
             "animation": options.animation,
             "fps": options.fps,
             "vertices": vertices,
+            "ragged": ragged,
         }
-        self.path = path
+        self.path, self.ragged = path, ragged
         self.pool = WorkerPool(source.command, load, 1, source.timeout_s)
         try:
             facts, arrays = self.pool.describe()
@@ -64,7 +67,7 @@ class WorkerClip(MeshSequence):
         super().__init__(
             path,
             arrays["frames"],
-            facts["vertices"],
+            max(facts["vertices"], int(ragged)),  # a scan may be empty
             Polygons(sizes, corners) if len(sizes) else None,
             facts["fps"],
             facts["unit_mm"],
@@ -89,6 +92,29 @@ class WorkerClip(MeshSequence):
         """
         return cls(path, options, None if options.vertices is not None else len(rig.rest_vertices))
 
+    @classmethod
+    def for_scans(cls, path: str, options: ReadingOptions) -> MeshSequence:
+        return cls(path, options, ragged=True)
+
+    @classmethod
+    def still(cls, path: Path, options: ReadingOptions) -> MeshFile:
+        clip = cls(str(path), options, ragged=True)
+        try:
+            return StillMesh(path, clip)
+        finally:
+            clip.pool.close()
+
+    def mesh(self, index: int) -> tuple[np.ndarray, Polygons | None]:
+        if not self.ragged:
+            return super().mesh(index)
+        try:
+            arrays = self.pool.pose(["frame"], np.array([index], np.float32))
+        except (WorkerRefusedError, PoseLostError) as error:
+            raise self._failure(error) from None
+        polygons = Polygons(arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64))
+        polygons.check(self.path, len(arrays["vertices"][0]))
+        return arrays["vertices"][0], polygons if len(polygons) else None
+
     def read(self, start: int, stop: int) -> np.ndarray:
         try:
             return self.pool.evaluate(["frame"], np.arange(start, stop, dtype=np.float32)[:, None])
@@ -106,3 +132,16 @@ class WorkerClip(MeshSequence):
     @abstractmethod
     def _failure(self, error: Exception) -> InputError:
         """The message for a worker that refuses the file, or that is lost."""
+
+
+class StillMesh(MeshFile):
+    """The first frame of a clip as the mesh of a file."""
+
+    def __init__(self, path: Path, clip: WorkerClip) -> None:
+        points, self._polygons = clip.mesh(0)
+        self.unit_mm, self.up = clip.unit_mm, clip.up
+        notes = (f"{path.name} holds {len(clip)} frames: the first is the scan.",) if len(clip) > 1 else ()
+        super().__init__(path, points.astype(np.float64), b"", notes)
+
+    def polygons(self) -> Polygons | None:
+        return self._polygons

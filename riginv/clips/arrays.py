@@ -195,4 +195,7 @@ def _check_vertices(path: Path, layout: Header) -> None:
             f"they are meant in; where they are quantised, scale them first"
         )
     if not _is_mesh(layout):
-        raise InputError(f"{path}: the vertices are {layout.dtype} of shape {layout.shape}, expected floats (frame, vertex, 3)")
+        one = "; one mesh is a frame, too: save vertices[None]" if len(layout.shape) == 2 and layout.shape[1] == 3 else ""
+        raise InputError(
+            f"{path}: the vertices are {layout.dtype} of shape {layout.shape}, expected floats (frame, vertex, 3){one}"
+        )

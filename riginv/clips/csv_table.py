@@ -5,6 +5,7 @@ import csv
 import io
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riginv.errors import InputError
+from riginv.errors import InputError, counted, listed
 from riginv.runs.files import check_regular
 
 DELIMITERS = (",", ";", "\t")
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+GAPS = ("", "nan", "-", "--", "null", "none", "na", "n/a", "#n/a")  # cells of tables of markers that hold no number
 CLOCK = re.compile(r"\d+[:;]\d\d?[:;]\d\d?")
 REASONS = (  # why a text is no number, and the remedy
     (re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[dD][+-]?\d+"), "a Fortran exponent: write E in place of D"),
@@ -85,11 +87,12 @@ class CsvTable:
         return np.stack([self.column(number) for number in numbers], axis=1)
 
 
-def read_csv(path: Path, text_column: str = "") -> CsvTable:
+def read_csv(path: Path, text_column: str = "", gaps: Counter[str] | None = None) -> CsvTable:
     """Read a CSV with a header; cells are separated by commas, semicolons or tabs, decimals by points or commas.
 
     Args:
         text_column: name in lower case of a column that holds text.
+        gaps: counts the cells of each word in `GAPS`, which then are no faults; None: they are.
 
     Raises:
         InputError: the file is missing, empty or no CSV, has no row below the header, a row of another length than the
@@ -114,7 +117,7 @@ def read_csv(path: Path, text_column: str = "") -> CsvTable:
             else:
                 value, has_comma = number_in(cell)
                 commas += has_comma
-                if math.isnan(value):
+                if math.isnan(value) and not (gaps is not None and is_gap(cell, gaps)):
                     faults.setdefault(number, Fault(line, cell))
             values.append(value)
         lines.append(line)
@@ -122,6 +125,23 @@ def read_csv(path: Path, text_column: str = "") -> CsvTable:
         raise InputError(f"{path}: no frames below the header; export the take once more")
     notes = [f"{commas:,} numbers with a decimal comma were read as with a decimal point"] if commas else []
     return CsvTable(path, header, np.frombuffer(values).reshape(len(lines), -1), faults, texts, lines, notes)
+
+
+def is_gap(cell: str, gaps: Counter[str]) -> bool:
+    """Whether a cell holds one of `GAPS`, which is then counted."""
+    word = cell.strip()
+    found = word.lower() in GAPS
+    if found:
+        gaps[word] += 1
+    return found
+
+
+def gap_note(gaps: Counter[str]) -> tuple[str, ...]:
+    """A note on the words that were taken as gaps, other than empty cells and NaN."""
+    words = {word: count for word, count in gaps.items() if word.lower() not in GAPS[:2]}
+    if not words:
+        return ()
+    return (f"Taken as gaps: {counted(sum(words.values()), 'cell')} of {listed(map(repr, words))}.",)
 
 
 def number_in(cell: str) -> tuple[float, bool]:
@@ -133,6 +153,15 @@ def number_in(cell: str) -> tuple[float, bool]:
             return math.nan, False
         return float(cell.replace(",", ".")), True
     return (value if math.isfinite(value) and "_" not in cell else math.nan), False
+
+
+def header_of(path: Path) -> list[str]:
+    """The names of the columns of a CSV.
+
+    Raises:
+        InputError: the file is missing, empty or no CSV.
+    """
+    return _opened(path)[0]
 
 
 def _resized(path: Path, header: list[str], row: list[str], line: int, delimiter: str) -> list[str]:

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 from riginv.clips.clip import Clip
-from riginv.clips.description import ClipDescription, describe
+from riginv.clips.description import ClipDescription, FrameSpan, describe
 from riginv.clips.options import UNITS
 from riginv.clips.units import AS_THE_FILE_SAYS
-from riginv.errors import listed, printable
+from riginv.errors import counted, listed, printable
 from riginv.rig.mesh_sets import MeshSet
 from riginv.rig.size import extent
 from riginv.runs.console import show_lines
@@ -81,7 +81,7 @@ def _contents(clip: ClipDescription, detail: int) -> list[str]:
     facts, parts = clip.facts, []
     meshes, others = len(facts.meshes), len(facts.other_meshes)
     if meshes or others:
-        text = f"mesh {_short(facts.meshes[0])}" if meshes == 1 and detail < NO_NAMES else _count(meshes, "mesh", "meshes")
+        text = f"mesh {_short(facts.meshes[0])}" if meshes == 1 and detail < NO_NAMES else counted(meshes, "mesh", "meshes")
         parts.append(text + (f" ({others:,} left out)" if others else ""))
     if facts.animation:
         passed = len(facts.other_animations)
@@ -89,9 +89,21 @@ def _contents(clip: ClipDescription, detail: int) -> list[str]:
     return parts
 
 
+def frames_text(span: FrameSpan) -> str:
+    """A range of frames in words."""
+    return f"1 frame, {span.first}" if span.count == 1 else f"{span.count:,} frames {span.first} to {span.last}"
+
+
+def unit_text(mm: float | None, source: str) -> str:
+    """A unit in words, None: not known, and where it comes from."""
+    if not mm:
+        return "not known"
+    name = next((name for name, known in UNITS.items() if abs(known - mm) < 1e-6 * known), f"{mm:g} mm")
+    return f"{name} ({source})" if source else name
+
+
 def _frames(clip: ClipDescription, detail: int = FULL) -> str:
-    first, last, count = clip.frames.first, clip.frames.last, clip.frames.count
-    text = f"1 frame, {first}" if count == 1 else f"{count:,} frames {first} to {last}"
+    text, count = frames_text(clip.frames), clip.frames.count
     if count < clip.all_frames.count:
         text += f" of {clip.all_frames.first} to {clip.all_frames.last}"
     details = []
@@ -114,10 +126,7 @@ def _size(clip: ClipDescription) -> str:
 
 
 def _unit(clip: ClipDescription, detail: int = FULL) -> str:
-    if not clip.unit_mm:
-        return "unit not known"
-    name = next((name for name, mm in UNITS.items() if abs(mm - clip.unit_mm) < 1e-6 * mm), f"{clip.unit_mm:g} mm")
-    return f"unit {name}{_source(clip.unit_source, detail)}"
+    return f"unit {unit_text(clip.unit_mm, clip.unit_source if _says(clip.unit_source, detail) else '')}"
 
 
 def _up(clip: ClipDescription, detail: int) -> str:
@@ -129,9 +138,13 @@ def _rate(clip: ClipDescription, detail: int) -> str:
 
 
 def _source(source: str, detail: int) -> str:
-    """The source of a unit or an axis, in parentheses; omitted at low `detail`."""
-    shown = detail == FULL or (detail < NO_SOURCES and source != AS_THE_FILE_SAYS)
-    return f" ({source})" if shown else ""
+    """The source of an axis, in parentheses; omitted at low `detail`."""
+    return f" ({source})" if _says(source, detail) else ""
+
+
+def _says(source: str, detail: int) -> bool:
+    """Whether a line says the source of a unit or an axis."""
+    return detail == FULL or (detail < NO_SOURCES and source != AS_THE_FILE_SAYS)
 
 
 def _motion(clip: ClipDescription) -> str:
@@ -141,10 +154,6 @@ def _motion(clip: ClipDescription) -> str:
     text = f"up to {motion.farthest_mm:.3g} {'mm' if clip.unit_mm else 'units'} from the first frame"
     text += f", at up to {motion.fastest_m_s:.3g} m/s" if clip.unit_mm else ""
     return text + (f" ({motion.frames:,} frames looked at)" if motion.frames < motion.all_frames else "")
-
-
-def _count(count: int, one: str, many: str) -> str:
-    return f"{count:,} {one if count == 1 else many}"
 
 
 def _short(text: str) -> str:

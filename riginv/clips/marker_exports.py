@@ -5,11 +5,12 @@ Both have rows of names and axes above the frames, and other objects (rigid bodi
 
 import csv
 import io
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
-from riginv.clips.csv_table import DELIMITERS, decoded
+from riginv.clips.csv_table import DELIMITERS, decoded, gap_note
 from riginv.clips.markers import (
     MAX_CELLS,
     MarkerClip,
@@ -102,13 +103,13 @@ def _clip(path: Path, source: str, rows: Rows, first: int, named: list[tuple[str
     if len(frames) * len(chosen) > MAX_CELLS // 3:
         raise InputError(f"{path}: {len(frames)} frames of {len(chosen)} markers: cut the take")
     columns = [0, *(column + axis for _, column in chosen for axis in range(3))]
-    values = np.full((len(frames), len(columns)), np.nan)
+    values, gaps = np.full((len(frames), len(columns)), np.nan), Counter[str]()
     for index, (line, row) in enumerate(frames):
         for place, column in enumerate(columns):
-            values[index, place] = number_or_gap(path, line, row[column] if column < len(row) else "")
+            values[index, place] = number_or_gap(path, line, row[column] if column < len(row) else "", gaps)
     points, notes = without_gaps_at_zero(values[:, 1:].reshape(len(frames), len(chosen), 3))
     unit_mm, unit_notes = unit_in_mm(path, unit)
-    notes = (*notes, *unnamed_note(len(chosen), len(named)), *unit_notes)
+    notes = (*gap_note(gaps), *notes, *unnamed_note(len(chosen), len(named)), *unit_notes)
     facts = SourceFacts(f"CSV markers ({source})", rate_source="its header", notes=notes)
     numbers = whole_numbers(path, values[:, 0])
     return MarkerClip(str(path), tuple(name for name, _ in chosen), points, numbers, facts, positive_rate(rate), unit_mm)

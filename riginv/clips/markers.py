@@ -2,17 +2,18 @@
 
 import itertools
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from riginv.clips.csv_table import number_in, read_csv
+from riginv.clips.csv_table import gap_note, header_of, is_gap, number_in, read_csv
 from riginv.clips.options import UNITS
 from riginv.clips.sequence import SourceFacts
 from riginv.clips.times import FrameTimes, frames_from_times
-from riginv.errors import InputError, listed, printable
+from riginv.errors import InputError, counted, listed, printable
 from riginv.runs.files import is_file, read_bytes
 
 MAX_MARKERS = 2000  # more are no markers but a scan
@@ -20,7 +21,8 @@ MAX_CELLS = 200_000_000  # of a text file
 SUFFIXES = (".c3d", ".trc", ".csv")
 AXIS = re.compile(r"(.+?)(?:[ ._:\-]t?| ?[(\[])([xyz])[)\]]?", re.IGNORECASE)  # `nose.x`, `nose:tx`, `nose (X)`
 UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the names of unnamed trajectories
-TIMES = ("time", "seconds")
+PLACEHOLDERS = (9999.0, 99999.0, 999999.0, 9999999.0)  # coordinates, of either sign, that stand for none
+TIMES = ("time", "seconds", "time (s)", "time [s]", "time_s", "timestamp")
 FRAMES = ("frame", "frame#", "field")
 UNIT_WORDS = {
     "mm": "mm",
@@ -115,12 +117,18 @@ def unnamed_note(named: int, points: int) -> tuple[str, ...]:
 
 
 def without_gaps_at_zero(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Points `(frame, marker, 3)` with NaN where one is exactly at the origin or not finite, and a note on the former."""
-    at_zero = (points == 0).all(axis=2)
-    gap = at_zero | ~np.isfinite(points).all(axis=2)
-    count = int(at_zero.sum())
-    notes = (f"{count:,} markers at exactly 0, 0, 0 were taken as gaps.",) if count else ()
-    return np.where(gap[..., None], np.nan, points).astype(np.float32), notes
+    """Points `(frame, marker, 3)` with NaN where one stands for a gap or is not finite, and notes on the former.
+
+    At the origin, or at one of `PLACEHOLDERS` on all three axes, stands what is not known.
+    """
+    at_zero, count = (points == 0).all(axis=2), int((points == 0).all(axis=2).sum())
+    placeholder = np.isin(np.abs(points), PLACEHOLDERS).all(axis=2) & (points == points[:, :, :1]).all(axis=2)
+    gap = at_zero | placeholder | ~np.isfinite(points).all(axis=2)
+    notes = [f"Taken as gaps: {counted(count, 'marker')} at exactly 0, 0, 0."] if count else []
+    if placeholder.any():
+        value = float(points[placeholder][0, 0])
+        notes.append(f"Taken as gaps: {counted(int(placeholder.sum()), 'marker')} at {value:g} on all axes.")
+    return np.where(gap[..., None], np.nan, points).astype(np.float32), tuple(notes)
 
 
 def unit_in_mm(path: Path, text: str) -> tuple[float | None, tuple[str, ...]]:
@@ -159,14 +167,14 @@ def read_trc(path: Path) -> MarkerClip:
     if rows and not text.endswith("\n") and len(rows[-1][1]) < width:
         notes.append("its last line is cut short, and was left out.")
         rows = rows[:-1]
-    values = np.full((len(rows), width), np.nan)
+    values, gaps = np.full((len(rows), width), np.nan), Counter[str]()
     for row, (line, cells) in enumerate(rows):
         if any(cell.strip() for cell in cells[width:]) or len(cells) < 2:
             raise InputError(
                 f"{path}, line {line}: {len(cells)} fields, expected {width}: 3 for each of {len(columns)} markers"
             )
         for column, cell in enumerate(cells[:width]):
-            values[row, column] = number_or_gap(path, line, cell)
+            values[row, column] = number_or_gap(path, line, cell, gaps)
     counted = header.get("NumFrames", "")
     if counted not in ("", str(len(rows))):
         notes.append(f"its header promises {counted[:12]} frames, it has {len(rows)}.")
@@ -176,21 +184,34 @@ def read_trc(path: Path) -> MarkerClip:
     if rate and by_times.fps and abs(by_times.fps / rate - 1) > 0.01:
         notes.append(f"DataRate is {rate:g}, and its times give {by_times.fps:g} frames a second: DataRate was taken.")
     unit, unit_notes = unit_in_mm(path, header.get("Units", ""))
+    notes += [*gap_note(gaps), *more, *unit_notes]
     facts = SourceFacts(
-        "TRC markers", rate_source="DataRate" if rate else by_times.rate_source, notes=(*notes, *more, *unit_notes)
+        "TRC markers",
+        rate_source="DataRate" if rate else by_times.rate_source,
+        notes=tuple(notes),
     )
     return MarkerClip(str(path), tuple(name for _, name in columns), points, times.numbers, facts, rate or by_times.fps, unit)
+
+
+def holds_markers(path: Path) -> bool:
+    """Whether a CSV has columns of markers' axes and of frames and times alone, so that it is no table of controls."""
+    titles = [title for title in header_of(path) if title]
+    axes = [match for title in titles if (match := AXIS.fullmatch(title))]
+    names = {match[1] for match in axes}
+    others = {title.lower() for title in titles} - {match[0].lower() for match in axes}
+    return bool(axes) and len(axes) == 3 * len(names) and others <= {*TIMES, *FRAMES}
 
 
 def read_marker_csv(path: Path) -> MarkerClip:
     """A CSV with columns `NAME.x`, `NAME.y`, `NAME.z` for each marker, and perhaps `frame` and `time` in seconds.
 
-    Empty cells and `nan` are gaps.
+    Empty cells and the other words of `GAPS` are gaps.
 
     Raises:
-        InputError: it is damaged, or lacks an axis of a marker.
+        InputError: it is damaged, or lacks an axis of a marker, or a frame's number or time.
     """
-    table = read_csv(path)
+    gaps = Counter[str]()
+    table = read_csv(path, gaps=gaps)
     axes: dict[str, dict[str, int]] = {}
     for column, title in enumerate(table.header):
         if match := AXIS.fullmatch(title):
@@ -205,17 +226,21 @@ def read_marker_csv(path: Path) -> MarkerClip:
             raise InputError(f"{path}: marker {name!r} has columns for {', '.join(found)}, expected x, y and z")
     columns = [found[axis] for found in axes.values() for axis in "xyz"]
     for column in columns:
-        if column in table.faults and table.faults[column].text.strip().lower() not in ("", "nan"):
-            table.column(column)  # names the row and the fault
+        table.column(column)  # names the row of a fault
     points, notes = without_gaps_at_zero(table.numbers[:, columns].reshape(len(table), len(axes), 3))
     named = {title.lower(): column for column, title in enumerate(table.header)}
     frame = next((named[name] for name in FRAMES if name in named), None)
     time = next((named[name] for name in TIMES if name in named), None)
+    for column in (column for column in (frame, time) if column is not None):
+        if np.isnan(table.column(column)).any():
+            raise InputError(f"{path}: a gap in column {table.header[column]!r}, expected a number in each row: fill it")
     times = FrameTimes(np.arange(len(table)))
     if time is not None:
         times = frames_from_times(table.column(time), "times")
     numbers = times.numbers if frame is None else whole_numbers(path, table.column(frame))
-    source = SourceFacts("CSV markers", rate_source=times.rate_source, notes=(*table.notes, *times.notes, *notes))
+    source = SourceFacts(
+        "CSV markers", rate_source=times.rate_source, notes=(*table.notes, *times.notes, *gap_note(gaps), *notes)
+    )
     return MarkerClip(str(path), tuple(axes), points, numbers, source, times.fps)
 
 
@@ -227,14 +252,14 @@ def _text(path: Path) -> str:
         return data.decode("latin-1")  # a name in its first line
 
 
-def number_or_gap(path: Path, line: int, cell: str) -> float:
-    """The number in a cell of a table of markers; NaN in a gap.
+def number_or_gap(path: Path, line: int, cell: str, gaps: Counter[str]) -> float:
+    """The number in a cell of a table of markers; NaN in a gap, which is counted.
 
     Raises:
         InputError: it holds something else.
     """
     value = number_in(cell)[0]
-    if np.isnan(value) and cell.strip().lower() not in ("", "nan"):
+    if np.isnan(value) and not is_gap(cell, gaps):
         raise InputError(f"{path}, line {line}: found {printable(cell.strip())[:40]!r}, expected a number, or nothing in a gap")
     return value if abs(value) < 1e30 else np.nan
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riginv.clips.frame_names import frame_position, group, pattern_of, sequence_of
-from riginv.errors import InputError, listed
+from riginv.errors import InputError, counted, listed
 
 # Placeholders of the frame number in a pattern; the first kind that occurs in a name is the one meant.
 PLACEHOLDERS = tuple(
@@ -100,7 +100,7 @@ def _one_file(given: Path) -> FrameFiles:
     notes: tuple[str, ...] = ()
     if len(names) > 1:
         pattern = pattern_of(names, position)
-        notes = (f"One frame was read; {len(names) - 1} more files beside it are as {pattern}, which reads them all.",)
+        notes = (f"One frame was read; {counted(len(names) - 1, 'more file')} beside it as {pattern}, which reads them all.",)
     number = name.number(position)
     return FrameFiles(np.array([number if abs(number) < LARGEST_NUMBER else 0]), [given], notes)
 
@@ -180,8 +180,9 @@ def _numbered(path: str, found: list[tuple[int, Path]], bridge: bool, notes: tup
     steps = np.diff(numbers)
     if len(steps) and (steps != steps[0]).any():
         numbers = _with_missing(path, numbers, int(steps.min()), bridge)
+        gone = len(numbers) - len(by_number)
         notes += (
-            f"{len(numbers) - len(by_number)} frames have no file and are interpolated "
+            f"{counted(gone, 'frame')} {'has no file and is' if gone == 1 else 'have no file and are'} interpolated "
             "(reading.missing_frames=error refuses them).",
         )
     elif len(steps) and steps[0] > 1:
@@ -196,9 +197,10 @@ def _with_missing(path: str, numbers: np.ndarray, step: int, bridge: bool) -> np
     full = np.union1d(np.arange(numbers[0], numbers[-1] + 1, step), numbers)
     missing = np.setdiff1d(full, numbers)
     if not bridge:
+        every, verb = f" (one every {step})" if step > 1 else "", "is" if len(missing) == 1 else "are"
         raise InputError(
-            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]}{f' (one every {step})' if step > 1 else ''} are "
-            f"missing: {_spans(missing, step)}; add them, or interpolate them with reading.missing_frames=bridge"
+            f"{path}: {len(missing)} of frames {numbers[0]} to {numbers[-1]}{every} {verb} missing: {_spans(missing, step)}; "
+            "add them, or interpolate them with reading.missing_frames=bridge"
         )
     return full
 

@@ -53,12 +53,13 @@ def open_clip_without_rig(path: str, reading: ReadingOptions, frames: FrameOptio
     return clip, [*sequence.facts.notes, *units.notes]
 
 
-def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) -> MeshSequence:
+def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions, as_scans: bool = False) -> MeshSequence:
     """Open a clip with the reader for its suffix.
 
     Args:
         rig: its mesh chooses among the meshes of a scene, its shapes or controls turn curves into meshes; None: no rig.
         options: how the file is read; `readers` adds suffixes.
+        as_scans: whether each frame may be another mesh, for `MeshSequence.mesh`.
 
     Raises:
         InputError: there is no reader for the suffix, the file is missing or damaged, or it needs a rig.
@@ -78,6 +79,8 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) ->
     if suffix.removeprefix(".") in options.readers:
         reader_class: type[MeshSequence] = class_of(options.readers[suffix.removeprefix(".")], kind=MeshSequence)
         reader: Reader = reader_class
+        if as_scans:
+            return reader_class.for_scans(path, options)
         return reader(path, options) if rig is None else reader_class.for_rig(path, options, rig)
     suffixes = (*READERS, *(f".{name}" for name in options.readers), TABLE)
     raise InputError(
@@ -89,8 +92,8 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions) ->
 def _open_folder(path: str, options: ReadingOptions) -> MeshSequence:
     inside = {file.suffix.lower() for file in visible_files(Path(path))} & set(SEQUENCES)
     if len(inside) != 1:
-        which = "; 'FOLDER/*.obj' names the OBJ files of one that holds both" if inside else ""
-        raise InputError(f"{path}: a folder, expected to hold OBJ or PLY files, one for each frame, and not both{which}")
+        found = "both: 'FOLDER/*.obj' names its OBJ files" if inside else "none"
+        raise InputError(f"{path}: a folder, expected to hold OBJ or PLY files, one for each frame, found {found}")
     return SEQUENCES[inside.pop()](path, options)
 
 

@@ -99,7 +99,17 @@ class MeshSequence(ABC):
         return reader(path, options)
 
     @classmethod
-    def still(cls, path: Path) -> MeshFile:
+    def for_scans(cls, path: str, options: ReadingOptions) -> "MeshSequence":
+        """Open a file whose frames may each be another mesh, where the format can hold such: `mesh` reads them.
+
+        Raises:
+            InputError: the file cannot be read.
+        """
+        reader: Reader = cls
+        return reader(path, options)
+
+    @classmethod
+    def still(cls, path: Path, options: ReadingOptions) -> MeshFile:
         """The mesh in a file as it is without an animation, for formats that have a file for each scan.
 
         Raises:
@@ -117,3 +127,11 @@ class MeshSequence(ABC):
         Raises:
             InputError: the file turns out to be damaged there.
         """
+
+    def mesh(self, index: int) -> tuple[np.ndarray, Polygons | None]:
+        """One frame: points `(vertex, 3)`, and its faces, None where the file has none.
+
+        Raises:
+            InputError: as `read`.
+        """
+        return self.read(index, index + 1)[0], self.faces

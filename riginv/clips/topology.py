@@ -7,6 +7,10 @@ from riginv.errors import InputError, listed
 from riginv.meshes.polygons import Polygons
 from riginv.rig.interface import RigBackend
 
+ORDER_FRAMES = 20  # at most, to find one with enough points
+MIN_EDGES = 20  # with two known ends
+LONGER = 3.0  # factor of the edges' length in a clip beyond what any pose does to them
+
 
 class TopologyError(InputError):
     """A clip is not the rig's mesh.
@@ -47,6 +51,7 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
     if not faces or not len(rig_faces):
         return ""
     if not clip.faces:
+        _check_order(clip, rig)
         return "the clip has no faces, so the order of its vertices cannot be checked: it is assumed to be the rig's"
     wrong = foreign_edges(clip.faces, rig_faces, rig_vertices)
     if len(wrong):
@@ -58,6 +63,37 @@ def check_topology(clip: MeshSequence, rig: RigBackend, faces: bool = True) -> s
             same_count=True,
         )
     return ""
+
+
+def _check_order(clip: MeshSequence, rig: RigBackend) -> None:
+    """Compare the edges of the rig on the points of a clip without faces with those on the rig, relative to the mesh's size.
+
+    Raises:
+        TopologyError: they are so much longer that the points cannot be in the rig's order.
+    """
+    edges = Polygons.triangles(rig.faces.cpu().numpy()).edges()
+    for index in range(min(len(clip), ORDER_FRAMES)):
+        with np.errstate(invalid="ignore"):  # damaged files hold NaN of every kind
+            points = clip.read(index, index + 1)[0].astype(np.float64)
+        known = np.isfinite(points[edges]).all(axis=(1, 2))
+        if known.sum() >= MIN_EDGES:
+            break
+    else:
+        return
+    longer = _relative_length(points, edges[known]) / _relative_length(rig.rest_vertices.double().cpu().numpy(), edges[known])
+    if longer > LONGER:
+        raise TopologyError(
+            f"{clip.path}: {clip.vertex_count} points without faces, as many as rig '{rig.name}' has vertices, but in another "
+            f"order: its edges would be {longer:.3g} times as long as on the rig: correspondence=surface fits a point cloud",
+            same_count=False,
+        )
+
+
+def _relative_length(points: np.ndarray, edges: np.ndarray) -> float:
+    """Median length of edges, relative to the median distance of their ends from the centre."""
+    ends = points[edges]
+    away = np.linalg.norm(ends[:, 0] - np.median(ends[:, 0], axis=0), axis=1)
+    return float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)) / max(float(np.median(away)), 1e-30))
 
 
 def _meshes(clip: MeshSequence) -> str:

@@ -108,7 +108,7 @@ def units_from_size(
     return _units(clip, mm, source, reading, notes)
 
 
-def resolve_units_without_rig(clip: MeshSequence, reading: ReadingOptions) -> ClipUnits:
+def resolve_units_without_rig(clip: Source, reading: ReadingOptions) -> ClipUnits:
     """The units of a clip where there is no rig to compare its size with."""
     mm = _given_mm(clip, reading)
     source = "" if mm is None else AS_THE_FILE_SAYS if reading.unit == "auto" else AS_GIVEN

@@ -15,7 +15,8 @@ from hydra.core.override_parser.types import Override, Quote, QuotedString
 from hydra.errors import HydraException
 
 NAMES = {"clip", "capture", "out", "bundle", "verify", "file", "folder", "store", "interpreter", "mask"}  # after the last dot
-KEYS = {"reading.vertices", "rig.neutral", "hydra.run.dir", "hydra.sweep.dir"}
+KEYS = {"reading.vertices", "rig.neutral", "hydra.run.dir", "hydra.sweep.dir", "scan", "landmarks", "landmarks.map", "markers"}
+KEYS |= {"anchors", "prior", "actor.neutral", "curves", "inputs"}
 VALUE = re.compile(r"(\+{0,2}([A-Za-z_][\w.]*)=)(.+)", re.DOTALL)
 SWEEPS = {"-m", "--multirun", "hydra.mode=MULTIRUN"}
 

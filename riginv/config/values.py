@@ -44,7 +44,8 @@ NonEmpty = Annotated[str, Bound("a path or a URL", lambda value: value != "")]
 def check_value(value: Any, hint: Any, key: str) -> None:
     """Raises InputError where a value does not fit an annotation; the message names the key, the value and what is expected."""
     if not fits(value, hint):
-        raise InputError(f"{key} is {value!r:.80}, expected {in_words(hint)}")
+        form = f": {key}=[{value}]" if isinstance(value, str) and _is_list(hint) and value.isprintable() else ""
+        raise InputError(f"{key} is {value!r:.80}, expected {in_words(hint)}{form}")
 
 
 def fits(value: Any, hint: Any) -> bool:
@@ -89,6 +90,10 @@ def _is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
+def _is_list(hint: Any) -> bool:
+    return get_origin(hint) in (list, tuple, Sequence) or hint in (list, tuple, Sequence)
+
+
 def in_words(hint: Any) -> str:
     """The values that an annotation allows, in words, for a message."""
     origin, inner = get_origin(hint), get_args(hint)
@@ -104,7 +109,7 @@ def in_words(hint: Any) -> str:
         return PLAIN[hint]
     if origin in (dict, Mapping) or hint in (dict, Mapping) or is_dataclass(origin or hint):
         return "values with names"
-    if origin in (list, tuple, Sequence) or hint in (list, tuple, Sequence):
+    if _is_list(hint):
         return f"a list of {in_words(inner[0])}" if inner and inner[0] is not Any else "a list"
     return getattr(hint, "__name__", str(hint))
 

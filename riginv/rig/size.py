@@ -6,6 +6,7 @@ from typing import Any
 
 from rich.console import Console
 
+from riginv.errors import counted
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 
@@ -19,7 +20,7 @@ def rig_line(rig: RigBackend) -> str:
     size = (rig.rest_vertices.amax(dim=0) - rig.rest_vertices.amin(dim=0)).tolist()
     contents = f" ({rig.contents})" if rig.contents else ""
     return (
-        f"rig {rig.name}: {len(rig.controls):,} controls{contents}, {len(rig.rest_vertices):,} vertices, "
+        f"rig {rig.name}: {counted(len(rig.controls), 'control')}{contents}, {len(rig.rest_vertices):,} vertices, "
         f"{len(rig.faces):,} faces, {length(size[1])} tall ({extent(size)})"
     )
 

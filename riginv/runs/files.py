@@ -33,6 +33,34 @@ def atomic_write(path: Path) -> Iterator[Path]:
         discard(beside)
 
 
+def free_folder(out: str) -> Path:
+    """The folder `out` for results.
+
+    Raises:
+        InputError: it exists and is not an empty folder.
+    """
+    path = Path(out)
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise InputError(f"out={out}: it is there already; give another folder, or remove it")
+    return path
+
+
+def free_file(out: str, *beside: str) -> Path:
+    """The file `out` for a result.
+
+    Args:
+        beside: suffixes of files that are written next to it.
+
+    Raises:
+        InputError: one of them exists.
+    """
+    path = Path(out)
+    for file in (path, *(path.with_suffix(suffix) for suffix in beside)):
+        if file.exists():
+            raise InputError(f"out={out}: {'it' if file == path else file} is there already; give another name, or remove it")
+    return path
+
+
 def stale_partial_files(path: Path) -> list[Path]:
     """Partial files and folders that killed processes left beside a file or a folder."""
     part = re.compile(rf"\.{re.escape(path.name)}\.\d+\.part(\..+)?")

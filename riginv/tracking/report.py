@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, Tim
 from torch import Tensor
 
 from riginv.animation.animation import Animation, FrameErrors
+from riginv.errors import counted
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import Bar
 from riginv.runs.tables import control_lines, new_table
@@ -78,7 +79,7 @@ def show(
     """Print the errors of the frames, which frames to look at, and what was written."""
     console = Console()
     known = ~errors.mean_mm.isnan()
-    title = f"{animation.source}: {len(animation):,} frames at {animation.fps:g} a second, {measure} in mm"
+    title = f"{animation.source}: {counted(len(animation), 'frame')} at {animation.fps:g} a second, {measure} in mm"
     table = new_table(("", "mean", "median", "95th percentile", "maximum"), title, padding=2)
     for name, values in zip(rows, (errors.mean_mm, errors.max_mm)):
         table.add_row(name, *_figures(values[known]))
@@ -99,7 +100,7 @@ def show(
         console.print(f"  Rigid motion was removed: {_extent(animation.motion)}.", highlight=False, soft_wrap=True)
     counts = Counter(flag for flags in errors.flags for flag in flags)
     for flag, count in counts.most_common():
-        console.print(f"  [yellow]{flag}[/]: {count} frames: {FLAG_MEANINGS[flag]}", highlight=False, soft_wrap=True)
+        console.print(f"  [yellow]{flag}[/]: {counted(count, 'frame')}: {FLAG_MEANINGS[flag]}", highlight=False, soft_wrap=True)
     if not counts:
         console.print("  No frame is flagged.", highlight=False)
     next_step = f"; open {folder / PAGE} in a browser" if PAGE in files else ""

@@ -84,6 +84,11 @@ class WorkerPool(ProcessPool):
         answers = self._run([PoseRequest(header, {"controls": controls[part.start : part.stop]}, rows=part) for part in rows])
         return np.concatenate([answers[start][1]["vertices"] for start in sorted(answers)])
 
+    def pose(self, names: Sequence[str], controls: np.ndarray) -> dict[str, np.ndarray]:
+        """All arrays of the answer for one pose, `(control,)`; arguments and errors as `evaluate`."""
+        request = PoseRequest({"command": "evaluate", "names": list(names)}, {"controls": controls[None]}, rows=range(1))
+        return self._run([request])[0][1]
+
     def _run(self, requests: Sequence[PoseRequest]) -> dict[int, Message]:
         """The answers to requests, by the first row of each."""
         answers = {}

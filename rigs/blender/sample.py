@@ -26,7 +26,7 @@ from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
 from riginv.runs.console import show_result
-from riginv.runs.files import atomic_write, discard
+from riginv.runs.files import atomic_write, discard, free_file
 from riginv.runs.locks import exclusive_lock
 
 BATCH_SIZE = 128  # poses at a time
@@ -49,8 +49,7 @@ def sample(config: DictConfig) -> None:
     out = Path(settings.out)
     if out.suffix not in ("", ".npz"):
         raise InputError(f"out={out}: expected a name that ends in .npz, or without an ending for a folder of .npy files")
-    if out.exists():
-        raise InputError(f"out={out}: it is there already; give another name")
+    free_file(settings.out)
     rig = settings.rig.build()
     most = len(rig.controls) if settings.most is None else settings.most
     if not 1 <= most <= len(rig.controls):

@@ -17,6 +17,7 @@ from riginv.errors import InputError
 from riginv.rig.contract import random_controls
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_result
+from riginv.runs.files import free_file
 from rigs.dna.draft import Draft
 from rigs.dna.exports import draft_of
 from rigs.dna.format import write_dna
@@ -41,6 +42,7 @@ def export(config: DictConfig) -> None:
     out = Path(settings.out)
     if out.suffix.lower() != ".dna" or out.is_dir():
         raise InputError(f"out={out}: expected the name of a file that ends in .dna")
+    free_file(settings.out)
     rig = settings.rig.build()
     draft = draft_of(rig)
     difference = write_rig(rig, draft, out)

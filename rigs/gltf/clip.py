@@ -65,7 +65,7 @@ class GltfClip(MeshSequence):
         return bones_clip(path, options, rig) or cls(path, options, rig)
 
     @classmethod
-    def still(cls, path: Path) -> MeshFile:
+    def still(cls, path: Path, options: ReadingOptions) -> MeshFile:
         return GltfMesh(path)
 
     def read(self, start: int, stop: int) -> np.ndarray:

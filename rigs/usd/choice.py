@@ -18,18 +18,22 @@ class StageContents:
     Args:
         stage: the stage; its session layer is modified.
         prims: all prims, including those within instances.
+        ragged: whether meshes may change from frame to frame; then point clouds serve where there are no meshes.
     """
 
-    def __init__(self, stage: Usd.Stage, prims: list[Usd.Prim]) -> None:
-        self.stage = stage
+    def __init__(self, stage: Usd.Stage, prims: list[Usd.Prim], ragged: bool = False) -> None:
+        self.stage, self.ragged = stage, ragged
         self.mesh_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdGeom.Mesh)]
+        self.cloud_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdGeom.Points)]
+        if ragged and not self.mesh_paths:
+            self.mesh_paths = self.cloud_paths
         self.animation_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdSkel.Animation)]
         self.skeleton_paths = [prim.GetPath() for prim in prims if prim.IsA(UsdSkel.Skeleton)]
         self.skins = Skins(stage)
 
     def mesh(self, path: Sdf.Path) -> PosedMesh:
         prim = self.stage.GetPrimAtPath(path)
-        return PosedMesh(prim, self.skins.of(prim))
+        return PosedMesh(prim, self.skins.of(prim), self.ragged)
 
     def bind_animation(self, requested: str | int) -> None:
         """Bind a SkelAnimation to every skeleton with joints or blend shapes of its names.
@@ -67,6 +71,8 @@ class StageContents:
         more = ""
         if self.animation_paths and not self.skeleton_paths:
             more = " It has SkelAnimations and no Skeleton, whose rest pose they need: export both in one stage."
+        if self.cloud_paths:
+            more += " It has point clouds: correspondence=surface reads them as scans."
         return f"expected one mesh, and it has none.{more} {' '.join(notes)}".strip()
 
     def _animation_path(self, requested: str | int) -> Sdf.Path:

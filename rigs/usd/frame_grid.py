@@ -39,12 +39,13 @@ class FrameGrid:
     notes: tuple[str, ...]
 
 
-def frame_grid(samples: np.ndarray, clock: StageClock) -> FrameGrid:
+def frame_grid(samples: np.ndarray, clock: StageClock, held: bool = False) -> FrameGrid:
     """Frames from the first time sample to the last, extended to the stage's range.
 
     Args:
         samples: distinct time codes of everything that moves the mesh, `(sample,)`, ascending; none or one: a still frame.
         clock: the stage's metadata.
+        held: whether frames without a sample hold the one before, instead of being interpolated.
 
     Raises:
         UnusableStageError: times or rates are damaged.
@@ -65,7 +66,7 @@ def frame_grid(samples: np.ndarray, clock: StageClock) -> FrameGrid:
     start, end = stage_range or (samples[0], samples[-1])
     low, high = min(samples[0], start), max(samples[-1], end)
     numbers, times = _frames(grid, samples, low, high)
-    _note_samples(samples, times, grid, rate, notes)
+    _note_samples(samples, times, grid, rate, held, notes)
     return FrameGrid(numbers, times, rate / grid.step, _source(grid, rate, source, clock), tuple(notes))
 
 
@@ -133,7 +134,7 @@ def _source(grid: Grid, rate: float, source: str, clock: StageClock) -> str:
     return f"the spacing of its samples and {source}"
 
 
-def _note_samples(samples: np.ndarray, times: np.ndarray, grid: Grid, rate: float, notes: list[str]) -> None:
+def _note_samples(samples: np.ndarray, times: np.ndarray, grid: Grid, rate: float, held: bool, notes: list[str]) -> None:
     """Add notes on samples between frames, and frames without samples."""
     passed_over = len(samples) - len(np.intersect1d(samples, times))
     if passed_over:
@@ -145,6 +146,7 @@ def _note_samples(samples: np.ndarray, times: np.ndarray, grid: Grid, rate: floa
     inside = times[(times >= samples[0]) & (times <= samples[-1])]
     interpolated = len(inside) - len(np.intersect1d(inside, samples))
     if interpolated:
-        notes.append(f"{interpolated} of {len(times)} frames have no sample of their own: USD interpolates them.")
+        how = "they hold the one before" if held else "USD interpolates them"
+        notes.append(f"{interpolated} of {len(times)} frames have no sample of their own: {how}.")
     if rate / grid.step > FRAME_RATES[1]:
         notes.append(f"{rate / grid.step:.6g} frames a second are many: reading.fps=... gives the rate, if the stage is wrong.")

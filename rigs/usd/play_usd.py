@@ -21,12 +21,13 @@ from rigs.usd.frame_grid import frame_grid
 from rigs.usd.layers import limit_memory, refuse_layers_elsewhere
 from rigs.usd.skins import repair_bindings
 from rigs.usd.stage_clock import StageClock, UnusableStageError
-from rigs.usd.stage_facts import animations, faces, notes_of_skins, notes_of_variants, notes_of_visibility
+from rigs.usd.stage_facts import animations, faces, joined_faces, notes_of_skins, notes_of_variants, notes_of_visibility
 
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
 MEMORY = 4 << 30  # limit in bytes
 MEMORY_PER_BYTE = 20  # additional limit per byte of the file
 MOST_NAMED = 1000  # meshes and animations named to the user
+NO_FACES = np.zeros(0, np.int64), np.zeros(0, np.int64)
 DAMAGED = (Tf.ErrorException, Tf.CppException, RuntimeError, ValueError, TypeError, MemoryError)
 
 
@@ -40,7 +41,7 @@ class OpenedStage:
     def __init__(self, memory: int | None = None) -> None:
         self.memory = memory
 
-    def open(self, file: str) -> None:
+    def open(self, file: str, ragged: bool = False) -> None:
         """Open the stage, repair its bindings, and list its contents."""
         if self.memory is not None:
             limit_memory(self.memory + MEMORY_PER_BYTE * Path(file).stat().st_size)
@@ -52,7 +53,7 @@ class OpenedStage:
                 self.notes.append(f"Layers that it refers to are not there: {listing(missing)}.")
             self.stage = Usd.Stage.Open(file)
             self.notes += repair_bindings(self.stage, all_prims(self.stage))
-            self.contents = StageContents(self.stage, all_prims(self.stage))
+            self.contents = StageContents(self.stage, all_prims(self.stage), ragged)
 
     def clock(self, requested: float | None) -> StageClock:
         """Time metadata of the stage."""
@@ -97,6 +98,7 @@ class UsdScene(OpenedStage):
         animation: str | int | None = None,
         fps: float | None = None,
         vertices: int | None = None,
+        ragged: bool = False,
     ) -> Answer:
         """Open the stage and choose its meshes.
 
@@ -106,16 +108,20 @@ class UsdScene(OpenedStage):
             animation: path, name or number of the SkelAnimation to bind; None: what the stage binds.
             fps: requested frame rate.
             vertices: of the rig that the clip is for, where known.
+            ragged: whether each frame may be another mesh.
         """
-        self.open(file)
+        self.open(file, ragged)
         with self.refusing("open"):
             if not self.contents.mesh_paths:
                 raise UnusableStageError(self.contents.without_meshes(self.notes))
             if animation is not None:
                 self.contents.bind_animation(animation)
             self.meshes = chosen_meshes(self.contents, meshes or [], vertices, self.notes)
+            held = ragged and any(mesh.changes() for mesh in self.meshes)
+            if held:
+                self.stage.SetInterpolationType(Usd.InterpolationTypeHeld)  # nothing lies between two meshes
             times = np.unique(np.concatenate([mesh.times for mesh in self.meshes]))
-            self.grid = frame_grid(times, self.clock(fps))
+            self.grid = frame_grid(times, self.clock(fps), held)
         return {"mesh": self.meshes[0].path}, {}
 
     def describe(self) -> Answer:
@@ -142,18 +148,22 @@ class UsdScene(OpenedStage):
         return facts, {"frames": grid.numbers, "sizes": sizes, "corners": corners}
 
     def evaluate(self, names: list[str], controls: np.ndarray) -> Answer:
-        """The vertices of frames."""
+        """The vertices of frames; of a ragged clip of one frame, with its faces."""
         indices = controls[:, names.index("frame")].astype(np.int64).tolist()
         with self.refusing("read"):
-            return {}, {"vertices": np.stack([self.frame(index) for index in indices])}
+            if not self.contents.ragged:
+                return {}, {"vertices": np.stack([np.concatenate(self.frame(index)) for index in indices])}
+            points, time = self.frame(indices[0]), float(self.grid.times[indices[0]])
+            shapes = [mesh.faces(time) if len(found) else NO_FACES for mesh, found in zip(self.meshes, points)]
+            sizes, corners = joined_faces(shapes, [len(found) for found in points])
+        return {}, {"vertices": np.concatenate(points)[None], "sizes": sizes, "corners": corners}
 
-    def frame(self, index: int) -> np.ndarray:
-        """The points `(vertex, 3)` of a frame in the world, float32; mesh after mesh."""
+    def frame(self, index: int) -> list[np.ndarray]:
+        """The points `(vertex, 3)` of each mesh in the world, float32, in a frame."""
         time = float(self.grid.times[index])
         transforms = UsdGeom.XformCache(time)
         with np.errstate(over="ignore"):
-            points = [mesh.world_points(time, transforms).astype(np.float32) for mesh in self.meshes]
-        return np.concatenate(points)
+            return [mesh.world_points(time, transforms).astype(np.float32) for mesh in self.meshes]
 
 
 if __name__ == "__main__":

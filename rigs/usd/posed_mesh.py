@@ -9,7 +9,8 @@ from rigs.usd.skins import Skin
 from rigs.usd.stage_clock import MOST_FRAMES, UnusableStageError
 
 LOOKS = 64  # sampled times to detect motion
-ONE_TOPOLOGY = "all frames must be the same mesh; export it again, or scans as a file for each frame (.ply, .obj or .glb)"
+MOST_COMPARED = 16  # samples whose number of points is compared
+ONE_TOPOLOGY = "all frames must be the same mesh: export it again, or correspondence=surface fits each as a scan"
 
 
 class PosedMesh:
@@ -18,18 +19,19 @@ class PosedMesh:
     Args:
         prim: the mesh.
         skin: None: unskinned.
+        ragged: whether its points and faces may change from frame to frame, as those of scans.
     """
 
-    def __init__(self, prim: Usd.Prim, skin: Skin | None) -> None:
-        self.prim, self.skin, self.path = prim, skin, str(prim.GetPath())
+    def __init__(self, prim: Usd.Prim, skin: Skin | None, ragged: bool = False) -> None:
+        self.prim, self.skin, self.path, self.ragged = prim, skin, str(prim.GetPath()), ragged
         mesh = UsdGeom.Mesh(prim)
-        self._points = mesh.GetPointsAttr()
+        self._points = UsdGeom.PointBased(prim).GetPointsAttr()
+        self._shape = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
         self._placed = skin.placed if skin and skin.has_joints else prim  # whose transform applies
         self._rest = self._points.Get() if skin else None  # UsdSkel ignores time samples of the points
         self.times = self._sample_times()
         self.vertex_count = len(self._points_at(self.first_time) or [])
-        topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
-        self._topology = [(attribute, attribute.Get(self.first_time)) for attribute in topology if _varies(attribute)]
+        self._topology = [(attribute, attribute.Get(self.first_time)) for attribute in self._shape if _varies(attribute)]
 
     @property
     def first_time(self) -> float | Usd.TimeCode:
@@ -47,12 +49,14 @@ class PosedMesh:
         """
         points = self._points_at(time)
         if points is None or not len(points):
+            if self.ragged:
+                return np.zeros((0, 3))
             raise UnusableStageError(f"no points of {self.path} at time code {time:g}: export it again")
-        if len(points) != self.vertex_count:
+        if len(points) != self.vertex_count and not self.ragged:
             raise UnusableStageError(
                 f"{len(points)} points at time code {time:g} and {self.vertex_count} at first: {ONE_TOPOLOGY}"
             )
-        if any(attribute.Get(time) != first for attribute, first in self._topology):
+        if not self.ragged and any(attribute.Get(time) != first for attribute, first in self._topology):
             raise UnusableStageError(f"other faces at time code {time:g} than at first: {ONE_TOPOLOGY}")
         if self.skin:
             points = self.skin.shaped(points, time)
@@ -60,6 +64,21 @@ class PosedMesh:
         placed = np.array(transforms.GetLocalToWorldTransform(self._placed), np.float64)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.array(points, np.float64) @ placed[:3, :3] + placed[3, :3]
+
+    def faces(self, time: float | Usd.TimeCode) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of each face `(face,)`, and the vertices at them, counterclockwise from outside; none of a point cloud."""
+        sizes, corners = (np.array((attribute.Get(time) if attribute else None) or [], np.int64) for attribute in self._shape)
+        mesh = UsdGeom.Mesh(self.prim)
+        if mesh and mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded and sizes.sum() == len(corners):
+            last = np.cumsum(sizes) - 1
+            corners = corners[np.repeat(2 * last - sizes + 1, sizes) - np.arange(len(corners))]
+        return sizes, corners
+
+    def changes(self) -> bool:
+        """Whether its faces, or the number of its points, change between time samples."""
+        return bool(self._topology) or any(
+            len(self._points_at(time) or []) != self.vertex_count for time in self._points.GetTimeSamples()[:MOST_COMPARED]
+        )
 
     def points_are_ignored(self) -> bool:
         """Whether the points have time samples that the skin ignores."""
@@ -104,13 +123,14 @@ class PosedMesh:
     def _sample_times(self) -> np.ndarray:
         """Time samples of points, skin and all transforms above; attributes with one sample are constant."""
         points = [self._points] if self._rest is None else []
+        points += self._shape if self.ragged else ()
         return sample_times((*points, *(self.skin.attributes() if self.skin else ()), *transform_attributes(self._placed)))
 
 
 def sample_times(attributes: Iterable[Usd.Attribute]) -> np.ndarray:
     """Distinct time samples of attributes, ascending; attributes with one sample are constant."""
     found: set[float] = set()
-    for attribute in attributes:
+    for attribute in filter(None, attributes):
         times = attribute.GetTimeSamples()
         if attribute.HasSpline():
             times = [knot.GetTime() for knot in attribute.GetSpline().GetKnots().values()]

@@ -1,7 +1,7 @@
 """Facts about a stage for the user: animations, resting skeletons, hidden meshes, variants."""
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Usd
 
 from rigs.blender.in_blender.mesh_choice import listing
 from rigs.usd.choice import StageContents
@@ -69,11 +69,14 @@ def notes_of_variants(stage: Usd.Stage, meshes: list[PosedMesh]) -> list[str]:
 
 def faces(meshes: list[PosedMesh]) -> tuple[np.ndarray, np.ndarray]:
     """Corners of each face, and the vertices at them, of all meshes as one."""
-    sizes, corners, before = [], [], 0
-    for mesh in meshes:
-        shape, time = UsdGeom.Mesh(mesh.prim), mesh.first_time
-        sizes.append(np.array(shape.GetFaceVertexCountsAttr().Get(time) or [], np.int64))
-        corners.append(np.array(shape.GetFaceVertexIndicesAttr().Get(time) or [], np.int64))
-        corners[-1][corners[-1] >= 0] += before
-        before += mesh.vertex_count
-    return np.concatenate(sizes), np.concatenate(corners)
+    return joined_faces([mesh.faces(mesh.first_time) for mesh in meshes], [mesh.vertex_count for mesh in meshes])
+
+
+def joined_faces(shapes: list[tuple[np.ndarray, np.ndarray]], counts: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of each face, and the vertices at them, of meshes with so many vertices as one."""
+    before = 0
+    for (_, corners), count in zip(shapes, counts):
+        corners[corners >= 0] += before
+        before += count
+    sizes, corners = (np.concatenate(both) for both in zip(*shapes))
+    return sizes, corners

@@ -58,7 +58,20 @@ def value_of(argument: str) -> object:
 
 @pytest.mark.parametrize("name", ODD)
 @pytest.mark.parametrize(
-    "key", ["clip", "out", "capture", "bundle", "rig.file", "rig.folder", "+true_rig.folder", "hydra.run.dir"]
+    "key",
+    [
+        "clip",
+        "scan",
+        "markers",
+        "actor.neutral",
+        "out",
+        "capture",
+        "bundle",
+        "rig.file",
+        "rig.folder",
+        "+true_rig.folder",
+        "hydra.run.dir",
+    ],
 )
 def test_values_of_path_keys_are_text_as_typed(key, name):
     argument = with_quoted_paths([f"{key}={name}.npz"])[0]

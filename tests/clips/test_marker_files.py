@@ -92,6 +92,32 @@ def test_what_cannot_be_read_is_told_in_a_sentence(tmp_path, name, content, said
     assert "\n" not in str(error.value)
 
 
+def test_numbers_that_stand_for_nothing_are_gaps_and_said(tmp_path):
+    rows = "1,0,-9999,-9999,-9999\n2,0.1,1,2,-9999\n3,0.2,9999,-9999,9999\n"
+    (tmp_path / "a.csv").write_text("Frame,Time (s),nose_X,nose_Y,nose_Z\n" + rows)
+    clip = open_markers(str(tmp_path / "a.csv"))
+    assert np.isnan(clip.points[0]).all() and np.isfinite(clip.points[1:]).all() and clip.fps == 10
+    assert "Taken as gaps: 1 marker at -9999 on all axes." in clip.facts.notes
+
+
+def test_words_for_nothing_are_gaps_and_said(tmp_path):
+    rows = "0,1,2,3,-,-,-\n1,1,2,3,#N/A,NULL,n/a\n2,1,2,3,--,None,\n3,1,2,3,4,5,6\n"
+    (tmp_path / "a.csv").write_text("frame,nose.x,nose.y,nose.z,chin.x,chin.y,chin.z\n" + rows)
+    clip = open_markers(str(tmp_path / "a.csv"))
+    assert np.isnan(clip.points[:3, 1]).all() and clip.points[3, 1].tolist() == [4, 5, 6]
+    assert clip.facts.notes == ("Taken as gaps: 8 cells of '-', '#N/A', 'NULL', 'n/a', '--', 'None'.",)
+    head = "PathFileType\t4\nDataRate\tUnits\n30\tmm\nFrame#\tTime\tnose\t\t\n\n"
+    (tmp_path / "a.trc").write_text(head + "1\t0\t-\t-\t-\n2\t0.1\t1\t2\t3\n")
+    clip = open_markers(str(tmp_path / "a.trc"))
+    assert np.isnan(clip.points[0]).all() and "Taken as gaps: 3 cells of '-'." in clip.facts.notes
+    (tmp_path / "b.csv").write_text("frame,nose.x,nose.y,nose.z\n0,1,2,3\n-,1,2,3\n")
+    with pytest.raises(InputError, match="a gap in column 'frame'"):
+        open_markers(str(tmp_path / "b.csv"))
+    (tmp_path / "c.csv").write_text("frame,nose.x,nose.y,nose.z\n0,-,2,3\n1,up,2,3\n")
+    with pytest.raises(InputError, match="line 3, column nose.x: found 'up'"):
+        open_markers(str(tmp_path / "c.csv"))
+
+
 def test_a_file_that_is_not_there_and_markers_of_one_name_are_refused(tmp_path, points):
     with pytest.raises(InputError, match="no such file"):
         open_markers(str(tmp_path / "none.c3d"))

@@ -209,6 +209,26 @@ def test_the_rigs_own_mesh_is_taken_by_its_vertices(run, tmp_path):
     assert done.code == 0 and "read as the rig's own mesh, vertex by vertex" in done.text
 
 
+def test_a_cloud_of_as_many_points_in_another_order_is_a_scan(run, tmp_path):
+    rig = ToyRig(detail=3)
+    points = posed_mesh(rig, CONTROLS)[0]
+    np.save(tmp_path / "take.npy", np.random.default_rng(0).permutation(points)[None].astype(np.float32))
+    given = (
+        "invert",
+        "rig=toy",
+        "+rig.detail=3",
+        f"--config-dir={CONF}",
+        f"clip={tmp_path / 'take.npy'}",
+        "motion=keep",
+        *NO_LOOK,
+    )
+    done = run(*given, "out=got")
+    assert done.code == 0 and "points without faces, as many as rig 'toy' has vertices, but in another order" in done.text
+    assert "fitted by its surface" in done.text and "vertex by vertex" not in done.text
+    done = run(*given, "out=no", "correspondence=vertices")
+    assert done.code == 1 and "correspondence=surface fits a point cloud" in done.text
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
@@ -229,6 +249,16 @@ def test_scans_that_are_inside_out_are_said_to_be(run, tmp_path):
     write_ragged(tmp_path / "take.npz", [(points, faces[:, ::-1]) for points, faces in scans_of(ToyRig())], fps=30.0)
     done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got")
     assert done.code == 1 and "normals" in done.text
+    assert "the normals of its first scan point inwards" in done.text and not (tmp_path / "got").exists()
+
+
+def test_inches_are_told_from_centimetres_by_the_fit(run, tmp_path):
+    write_ragged(tmp_path / "take.npz", [(points / 25.4, faces) for points, faces in scans_of(ToyRig())], fps=30.0)
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got", *NO_LOOK)
+    assert done.code == 0 and "unit inch (guessed)" in done.text and "units of inches guessed" in done.text, done.text
+    assert "units of cm" not in done.text
+    rows = list(csv.DictReader((tmp_path / "got/scans.csv").read_text().splitlines()))
+    assert all(float(row["scan_to_rig_mm"]) < 0.1 for row in rows)
 
 
 def test_what_was_read_is_said_as_it_is(run, tmp_path):

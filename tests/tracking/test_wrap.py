@@ -41,6 +41,12 @@ def test_a_scan_of_something_else_is_refused():
         wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), TriangleMesh(hull.vertices, hull.faces))
 
 
+def test_a_scan_that_is_inside_out_is_refused():
+    rig, scan = ToyRig(detail=3), somebody(ToyRig(detail=3))
+    with pytest.raises(InputError, match="the normals of the scan point inwards"):
+        wrap(rig.rest_vertices.numpy(), rig.faces.numpy(), scan.reversed())
+
+
 def turned(rig: ToyRig, degrees: float) -> tuple[TriangleMesh, np.ndarray]:
     """The scan of `somebody`, turned further, and where the toy's vertices lie on it, about."""
     scan = somebody(rig)
@@ -68,9 +74,11 @@ def test_landmarks_bring_a_mesh_onto_a_scan_that_was_turned_by_150_degrees(run, 
     ]
     (tmp_path / "map.yaml").write_text("\n".join(["rig: toy", "markers:", *lines]))
     given = ("rig=toy", "+rig.detail=3", f"--config-dir={ROOT / 'tests/conf'}", f"scan={tmp_path / 'neutral.ply'}")
-    given = (*given, f"out={tmp_path / 'wrapped.obj'}", f"landmarks={tmp_path / 'map.yaml'}")
-    done = run("wrap", *given)
+    given = (*given, f"landmarks={tmp_path / 'map.yaml'}")
+    done = run("wrap", *given, f"out={tmp_path / 'wrapped.obj'}")
     assert done.code == 0 and "the landmarks lie" in done.text, done.text
+    done, made = run("wrap", *given, f"out={tmp_path / 'wrapped.obj'}"), (tmp_path / "wrapped.obj").read_bytes()
+    assert done.code == 1 and "it is there already" in done.text and (tmp_path / "wrapped.obj").read_bytes() == made
     for old, new, words in [
         ("point", "offset_mm: 0, pint", "expected vertex: NUMBER"),
         ("point: [", "point: [.nan, ", "expected its position in the scan"),
@@ -79,10 +87,10 @@ def test_landmarks_bring_a_mesh_onto_a_scan_that_was_turned_by_150_degrees(run, 
         ("point: [", "point: [9.0, 0.0, 0.0]} # [", "mm from the scan, expected near it"),
     ]:
         (tmp_path / "map.yaml").write_text("\n".join(["rig: toy", "markers:", *lines]).replace(old, new))
-        done = run("wrap", *given)
+        done = run("wrap", *given, f"out={tmp_path / 'again.obj'}")
         assert done.code == 1 and words in done.text and "Traceback" not in done.text, done.text
     (tmp_path / "map.yaml").write_text("\n".join(["markers:", *lines[:2]]))
-    done = run("wrap", *given)
+    done = run("wrap", *given, f"out={tmp_path / 'again.obj'}")
     assert done.code == 1 and "2 landmarks, expected 3 at least" in done.text
 
 

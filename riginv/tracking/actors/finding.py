@@ -8,7 +8,7 @@ from torch import Tensor
 
 from riginv.clips.clip import Clip
 from riginv.clips.options import ReadingOptions
-from riginv.errors import InputError
+from riginv.errors import InputError, counted
 from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
@@ -77,7 +77,7 @@ class _Finder:
         known = torch.isfinite(frames).all(dim=2, keepdim=True)
         mean = torch.where(known, frames, 0.0).sum(dim=0) / known.sum(dim=0).clamp_min(1)
         start = torch.where(known.any(dim=0), mean, self.rest)
-        show_lines([], [f"the actor's neutral is solved for with {len(frames)} frames spread over the clip"])
+        show_lines([], [f"the actor's neutral is solved for with {counted(len(frames), 'frame')} spread over the clip"])
         solver = self._solver(SPARSITY)
         found = solver.solve(frames, start, STEPS)
         steps = found.steps

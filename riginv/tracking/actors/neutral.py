@@ -17,7 +17,7 @@ from riginv.errors import InputError
 from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import RigBackend
 from riginv.tracking.rigid import fit_rigid
-from riginv.tracking.surfaces.scan_files import SUFFIXES, read_scan
+from riginv.tracking.surfaces.scan_files import SUFFIXES, holds_scans, read_scan
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.wrap import wrap
 
@@ -48,6 +48,8 @@ def read_neutral(path: str, rig: RigBackend, reading: ReadingOptions) -> GivenNe
         InputError: it cannot be read, holds several meshes, has the rig's vertices in another order, or cannot be wrapped.
     """
     source = Path(path).name
+    if holds_scans(path):
+        return _wrapped(path, rig, reading)
     try:
         clip, notes = open_clip(path, rig, replace(reading, fps=reading.fps or 1.0), FrameOptions())
     except TopologyError as error:

@@ -7,7 +7,7 @@ import torch
 from riginv.clips.clip import frames_named
 from riginv.clips.options import ReadingOptions
 from riginv.clips.units import ClipUnits
-from riginv.errors import InputError
+from riginv.errors import InputError, counted
 from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.runs.console import show_lines
@@ -59,7 +59,7 @@ def solve_actor(
     """
     settings = ScanOffsetSettings()
     targets = _spread_targets(solver, scans, units, rows, settings.frames, landmarks)
-    show_lines([], [f"the actor's neutral is solved for with {len(targets)} scans spread over the clip"])
+    show_lines([], [f"the actor's neutral is solved for with {counted(len(targets), 'scan')} spread over the clip"])
     found = ScanOffset(solver, settings).solve(targets)
     rig = solver.rig
     given = GivenNeutral(torch.from_numpy(found), SOLVE, [])

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from riginv.animation.animation import OUTSIDE_REACH, FrameErrors, MarkerErrors
 from riginv.animation.table import write_rows
-from riginv.errors import listed
+from riginv.errors import counted, listed
 from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import RigBackend
 from riginv.tracking.markers.placement import Placement
@@ -75,7 +75,7 @@ def marker_remarks(errors: FrameErrors) -> list[str]:
     for word, counts in (("exchanged back", "swapped"), ("left out", "stray")):
         some = sorted((marker for marker in errors.markers if getattr(marker, counts)), key=lambda one: -getattr(one, counts))
         if some:
-            names = listed(f"{marker.name} in {getattr(marker, counts)} frames" for marker in some)
+            names = listed(f"{marker.name} in {counted(getattr(marker, counts), 'frame')}" for marker in some)
             found.append(f"labels {word}: {names}")
     seen = sum(marker.seen for marker in errors.markers) / len(errors.markers)
     found.append(f"{seen:.0%} of the markers were observed; between them the mesh is the prior's guess: its error is not known")

@@ -79,6 +79,11 @@ class Aligner:
                 best = found
         return best
 
+    def from_centre(self, target: Target) -> Alignment:
+        """The alignment from the scan's centre alone, upright as it is read: fast, and enough to compare readings of a scan."""
+        scan = _Scan(target)
+        return self._refine(scan, self._centred(scan, np.eye(3)), False)
+
     def _by_landmarks(self, scan: "_Scan", target: Target) -> Alignment | None:
         """The alignment of the landmarks, or that after refinement, if it is better."""
         motion = None if target.landmarks is None else target.landmarks.motion(self.all_vertices)

@@ -18,6 +18,7 @@ from riginv.tracking.options import ControlOptions, TrackingOptions
 from riginv.tracking.priors.files import prior_or_default
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.clip import ScanSmoothness
+from riginv.tracking.surfaces.first_look import checked_units
 from riginv.tracking.surfaces.landmark_files import LandmarkTake, read_landmarks
 from riginv.tracking.surfaces.scan_files import open_scans
 from riginv.tracking.surfaces.scans import ScanSequence
@@ -76,24 +77,25 @@ def build_scan_parts(
     _check(options)
     scans = open_scans(path, rig, reading)
     units = resolve_scan_units(scans, rig, reading)
-    landmarks, landmark_notes = read_landmarks(options.landmarks, rig, reading, scans, units)
     prior, note = prior_or_default(options.prior, rig)
+    settings = ScanSettings(noise_mm=options.noise_of_measurements_mm)
+    how = prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy()
+    solver = ScanSolver(rig, *how)
+    units = checked_units(scans, units, reading, solver)
+    landmarks, landmark_notes = read_landmarks(options.landmarks, rig, reading, scans, units)
     numbers = scans.frame_numbers
     inside = frames_between(scans.path, numbers, frames.first, frames.last)
     kept = torch.tensor(numbers[inside])
     excluded = excluded_frames(scans.path, kept, frames.exclude)
     rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
-    settings = ScanSettings(noise_mm=options.noise_of_measurements_mm)
     actor = actor_of_scans(options.actor, reading, scans, units, rig)
-    how = prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy()
     if options.actor.neutral == SOLVE:
         none = Actor(rig.rest_vertices, torch.zeros_like(rig.rest_vertices), options.actor.scale, "")
         actor = solve_actor(ScanSolver(ActorRig(rig, none), *how), scans, units, rows, options.actor.scale, landmarks)
-    fitted = rig if actor is None else ActorRig(rig, actor)
     notes = [*scans.facts.notes, *units.notes, *landmark_notes, note]
     if actor is not None:
         notes += [*actor.notes, f"the actor is {actor.sentence}"]
-    solver = ScanSolver(fitted, *how)
+        solver = ScanSolver(ActorRig(rig, actor), *how)
     smoothness = ScanSmoothness() if options.method in (None, "clip") else None
     return ScanParts(scans, units, solver, rows, kept, smoothness, actor, landmarks, notes)
 

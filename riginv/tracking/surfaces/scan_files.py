@@ -1,4 +1,4 @@
-"""Readers of scans: OBJ, PLY and glTF files, ragged arrays, and clips of one topology."""
+"""Readers of scans: a mesh file for each frame, ragged arrays, and clips whose frames may each be another mesh."""
 
 import zipfile
 from pathlib import Path
@@ -9,29 +9,33 @@ from riginv.clips.array_facts import FACES, METADATA, frame_times
 from riginv.clips.arrays import VERTICES
 from riginv.clips.file_frames import vertices_of
 from riginv.clips.numbered import find_frames, is_pattern, visible_files
-from riginv.clips.open import open_sequence
+from riginv.clips.open import SEQUENCES, open_sequence
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts, StillMeshError
 from riginv.clips.units import ClipUnits
 from riginv.config.building import class_of
-from riginv.errors import InputError, in_short
+from riginv.errors import InputError, in_short, listed
 from riginv.meshes.mesh_file import MeshFile, note_on_objects
 from riginv.meshes.polygons import Polygons
-from riginv.meshes.reading import READERS, read_mesh
+from riginv.meshes.reading import READERS
+from riginv.meshes.stl import StlMesh
 from riginv.rig.interface import RigBackend
 from riginv.runs.array_files import BROKEN, DAMAGED_ZIP, check_npz
+from riginv.runs.files import read_bytes
 from riginv.tracking.surfaces.scans import Scan, ScanSequence
-from riginv.tracking.surfaces.units import resolve_scan_units
+from riginv.tracking.surfaces.units import resolve_neutral_units
 
-SUFFIXES = (".obj", ".ply", ".glb", ".gltf")  # of files that are a scan each
+STILLS = {**READERS, ".stl": StlMesh}
+CLIPS = (".usd", ".usda", ".usdc", ".usdz", ".abc")  # of files that are a scan each where a path names several
+SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", *CLIPS)  # of files that may be a scan each
 
 
 class FileScans(ScanSequence):
-    """OBJ, PLY or glTF files, one per frame, each with any number of points.
+    """Mesh files, one per frame, each with any number of points.
 
     Args:
         path: as in `find_frames`.
-        options: `missing_frames`, and `mesh`: the objects that are read; `readers` of glTF files.
+        options: `missing_frames`, and `mesh`: the objects that are read; `readers` of glTF, USD and Alembic files.
     """
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
@@ -59,15 +63,15 @@ class FileScans(ScanSequence):
 
 
 class MeshScans(ScanSequence):
-    """The meshes of a clip of one topology, which need not be the rig's."""
+    """The meshes of a clip, which need not be the rig's, nor one topology."""
 
     def __init__(self, sequence: MeshSequence) -> None:
         super().__init__(sequence.path, sequence.frame_numbers, sequence.facts, sequence.fps, sequence.unit_mm, sequence.up)
         self.sequence = sequence
-        self.faces = None if sequence.faces is None else triangulated(sequence.faces)
 
     def scan(self, index: int) -> Scan | None:
-        return Scan(self.sequence.read(index, index + 1)[0], self.faces)
+        points, polygons = self.sequence.mesh(index)
+        return Scan(points, None if polygons is None else triangulated(polygons))
 
 
 class RaggedArrays(ScanSequence):
@@ -115,7 +119,7 @@ class RaggedArrays(ScanSequence):
         return Scan(points, faces)
 
 
-def open_scans(path: str, rig: RigBackend, reading: ReadingOptions) -> ScanSequence:
+def open_scans(path: str, rig: RigBackend | None, reading: ReadingOptions) -> ScanSequence:
     """A clip of scans.
 
     Raises:
@@ -124,10 +128,10 @@ def open_scans(path: str, rig: RigBackend, reading: ReadingOptions) -> ScanSeque
     given = Path(path)
     if is_ragged(path):
         return RaggedArrays(given)
-    if given.suffix.lower() in READERS or holds_scans(path):
+    if given.suffix.lower() in STILLS or holds_scans(path):
         return FileScans(path, reading)
     try:
-        return MeshScans(open_sequence(path, rig, reading))
+        return MeshScans(open_sequence(path, rig, reading, as_scans=True))
     except StillMeshError:
         return FileScans(path, reading)
 
@@ -141,23 +145,30 @@ def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "s
     Raises:
         InputError: there are several files, or too few points.
     """
-    scans = FileScans(path, reading)
+    if not may_be_scan(path):
+        raise InputError(f"{key}={path}: a scan is a file that ends in {listed(SUFFIXES, None)}, or an .npz: export it as one")
+    scans = open_scans(path, rig, reading)
     if len(scans) != 1:
-        raise InputError(f"{key}={path}: {len(scans)} files, expected one scan of a neutral face")
+        raise InputError(f"{key}={path}: {len(scans)} scans, expected one, of a neutral face: give the file of that one")
     cleaned = scans.cleaned(0)
     if cleaned is None:
         raise InputError(f"{key}={path}: fewer than 50 points: there is nothing to fit")
-    return cleaned, resolve_scan_units(scans, rig, reading)
+    return cleaned, resolve_neutral_units(scans, rig, reading)
 
 
 def holds_scans(path: str) -> bool:
-    """Whether a path can only hold scans: ragged arrays, or a glTF file for each frame."""
+    """Whether a path can only hold scans: ragged arrays, an STL file, or a file for each frame of a format that holds clips."""
     given = Path(path)
     try:
         several = given.is_dir() or (is_pattern(path) and not given.exists())
     except OSError:  # its reader reports it
         return False
-    return is_ragged(path) or (several and _suffix(given) in set(SUFFIXES) - set(READERS))
+    return is_ragged(path) or given.suffix.lower() == ".stl" or (several and _suffix(given) not in SEQUENCES)
+
+
+def may_be_scan(path: str) -> bool:
+    """Whether a path is of a format that scans come in."""
+    return _suffix(Path(path)) in (*SUFFIXES, ".npz", ".npy", ".fbx", ".mdd", ".pc2")
 
 
 def is_ragged(path: str) -> bool:
@@ -177,13 +188,13 @@ def is_ragged(path: str) -> bool:
 def _read(path: Path, options: ReadingOptions) -> MeshFile:
     """The mesh in the file of one scan."""
     suffix = path.suffix.lower()
-    if suffix in READERS:
-        return read_mesh(path)
+    if suffix in STILLS:
+        return STILLS[suffix](path, read_bytes(path))
     known = options.readers.get(suffix[1:])
     if known is None:
-        raise InputError(f"{path}: a scan is a file that ends in {', '.join(READERS)}: export it as one of these")
+        raise InputError(f"{path}: a scan is a file that ends in {listed(SUFFIXES, None)}: export it as one of these")
     reader: type[MeshSequence] = class_of(known, kind=MeshSequence)
-    return reader.still(path)
+    return reader.still(path, options)
 
 
 def _suffix(given: Path) -> str:

@@ -126,7 +126,7 @@ def _check(scans: ScanSequence, solutions: list[SolvedScan], solver: ScanSolver,
     if all("lost" in solver.flags(solution) for solution in solutions):
         distance = min(solution.quality.explained for solution in solutions)
         raise InputError(
-            f"{scans.path}: none of its {len(solutions)} scans can be brought onto rig '{solver.rig.name}' (at most "
+            f"{scans.path}: none of its scans ({len(solutions)}) can be brought onto rig '{solver.rig.name}' (at most "
             f"{distance:.0%} of a scan's points come near it): is it a scan of this rig's actor, in units of {units.mm:g} mm, "
             f"with {units.up} up and normals that point outwards? set reading.unit and reading.up"
         )

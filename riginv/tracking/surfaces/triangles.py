@@ -56,6 +56,10 @@ class Surface(ABC):
         """The closest point of the surface to each query `(query, 3)`."""
 
     @abstractmethod
+    def reversed(self) -> "Surface":
+        """The surface with its other side out."""
+
+    @abstractmethod
     def samples(self, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """About `count` points `(sample, 3)` spread over the surface by area, and their normals."""
 
@@ -83,6 +87,9 @@ class TriangleMesh(Surface):
         crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.areas = 0.5 * np.linalg.norm(crossed, axis=1)
         self.normals = unit((faces_around(self.faces, len(self.points)) if around is None else around) @ crossed)
+
+    def reversed(self) -> "TriangleMesh":
+        return TriangleMesh(self.points, self.faces[:, ::-1])
 
     @cached_property
     def border_points(self) -> np.ndarray:
@@ -146,6 +153,9 @@ class PointCloud(Surface):
         self.normals = self._estimated(near) if normals is None else unit(np.asarray(normals, np.float64))
         offset = np.linalg.norm(self.points[near].mean(axis=1) - self.points, axis=1)
         self._border_points = offset > ONE_SIDED * distance[:, -1]
+
+    def reversed(self) -> "PointCloud":
+        return PointCloud(self.points, -self.normals)
 
     @property
     def border_points(self) -> np.ndarray:

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from riginv.animation.animation import Animation, FrameErrors
+from riginv.errors import counted
 from riginv.meshes.rendering import HEAT_STOPS
 from riginv.runs.files import write_text
 from riginv.tracking.viewer.scans import MAX_SCANS, Scans, drawn, scan_bytes
@@ -193,7 +194,7 @@ def _facts(animation: Animation, errors: FrameErrors, of_scans: bool) -> dict[st
     about = [
         f"rig {rig.name}",
         *made_by,
-        f"{len(animation):,} frames at {animation.fps:g} fps",
+        f"{counted(len(animation), 'frame')} at {animation.fps:g} fps",
         f"{len(rig.controls)} controls",
     ]
     if animation.keys is not None:

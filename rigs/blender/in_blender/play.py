@@ -13,7 +13,7 @@ import numpy as np
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # Blender does not add it
 from clip_frames import alembic_frames, archive_rate, fbx_frames, set_rate
 from mesh_choice import listing
-from scene_meshes import SceneMesh, SceneMeshes, faces, go_to
+from scene_meshes import SceneMesh, SceneMeshes, faces, go_to, joined
 from takes import Take, import_takes
 from worker import RefusedError, serve
 
@@ -32,6 +32,7 @@ class ClipScene:
         animation: str | int | None = None,
         fps: float | None = None,
         vertices: int | None = None,
+        ragged: bool = False,
     ) -> Answer:
         """Import the file into an empty scene, and choose its meshes.
 
@@ -41,7 +42,9 @@ class ClipScene:
             animation: name or number of a take of an FBX; None: the first that moves the meshes.
             fps: frames a second to play it at; None: the file's own.
             vertices: of the rig that the clip is for, where known.
+            ragged: whether each frame may be another mesh.
         """
+        self.ragged = ragged
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self.file, self.is_fbx, self.notes = file, file.lower().endswith(".fbx"), []
         self.takes: list[Take] = []
@@ -121,8 +124,13 @@ class ClipScene:
         return facts, {"frames": self.frames.numbers, "sizes": sizes, "corners": corners}
 
     def evaluate(self, names: list[str], controls: np.ndarray) -> Answer:
-        """The vertices of frames."""
+        """The vertices of frames; of a ragged clip of one frame, with its faces."""
         indices = controls[:, names.index("frame")].astype(np.int64).tolist()
+        if self.ragged:
+            go_to(self.frames.seconds[indices[0]] * self.clock)
+            points, shapes = zip(*(mesh.evaluated() for mesh in self.meshes))
+            sizes, corners = joined(shapes, [len(found) for found in points])
+            return {}, {"vertices": np.concatenate(points)[None], "sizes": sizes, "corners": corners}
         return {}, {"vertices": np.stack([self.frame(index) for index in indices])}
 
     def frame(self, index: int) -> np.ndarray:
@@ -130,10 +138,11 @@ class ClipScene:
         go_to(self.frames.seconds[index] * self.clock)
         points = [mesh.world_points() for mesh in self.meshes]
         for mesh, found in zip(self.meshes, points):
-            if len(found) != mesh.vertex_count:
+            if len(found) != mesh.vertex_count and not self.ragged:
                 raise RefusedError(
                     f"{self.file}: {len(found)} vertices of '{mesh.path}' in frame {self.frames.numbers[index]}, "
-                    f"{mesh.vertex_count} at first: all frames must be the same mesh"
+                    f"{mesh.vertex_count} at first: all frames must be the same mesh: export it again, or "
+                    f"correspondence=surface fits each as a scan"
                 )
         return np.concatenate(points)
 

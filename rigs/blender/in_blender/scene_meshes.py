@@ -5,6 +5,7 @@ import numpy as np
 from mesh_choice import choose_meshes, listing, unclear
 from worker import RefusedError
 
+Faces = tuple[np.ndarray, np.ndarray]
 LAST_FRAME = 1_048_574  # Blender's greatest frame number
 LOOKS = 24  # sampled frames to detect motion
 
@@ -24,14 +25,19 @@ class SceneMesh:
 
     def world_points(self) -> np.ndarray:
         """The vertices `(vertex, 3)` in the world at the present frame, y up, in Blender's units."""
+        return self.evaluated(False)[0]
+
+    def evaluated(self, with_faces: bool = True) -> tuple[np.ndarray, Faces]:
+        """As `world_points`, and its faces at the present frame, or none."""
         evaluated = self.thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
         mesh = evaluated.to_mesh()
         vertices = np.empty(len(mesh.vertices) * 3, np.float32)
         mesh.vertices.foreach_get("co", vertices)
+        faces = _faces_of(mesh) if with_faces else (np.empty(0, np.int32), np.empty(0, np.int32))
         evaluated.to_mesh_clear()
         world = np.array(evaluated.matrix_world, np.float64)
         x, y, z = (vertices.reshape(-1, 3).astype(np.float64) @ world[:3, :3].T + world[:3, 3]).T
-        return np.stack([x, z, -y], axis=1).astype(np.float32)
+        return np.stack([x, z, -y], axis=1).astype(np.float32), faces
 
 
 class SceneMeshes:
@@ -96,15 +102,20 @@ def go_to(frame: float) -> None:
     bpy.context.scene.frame_set(int(whole), subframe=max(0.0, float(frame - whole)))
 
 
-def faces(meshes: list[SceneMesh]) -> tuple[np.ndarray, np.ndarray]:
+def faces(meshes: list[SceneMesh]) -> Faces:
     """Corners of each face, and the vertices at them, of all meshes as one."""
-    all_sizes, all_corners, before = [], [], 0
-    for mesh in meshes:
-        data = mesh.thing.data
-        sizes, corners = np.empty(len(data.polygons), np.int32), np.empty(len(data.loops), np.int32)
-        data.polygons.foreach_get("loop_total", sizes)
-        data.loops.foreach_get("vertex_index", corners)
-        all_sizes.append(sizes)
-        all_corners.append(corners + before)
-        before += mesh.vertex_count
-    return np.concatenate(all_sizes), np.concatenate(all_corners)
+    return joined([_faces_of(mesh.thing.data) for mesh in meshes], [mesh.vertex_count for mesh in meshes])
+
+
+def joined(shapes: list[Faces], counts: list[int]) -> Faces:
+    """Corners of each face, and the vertices at them, of meshes with so many vertices as one."""
+    before = np.cumsum(counts) - counts
+    corners = [corners + start for (_, corners), start in zip(shapes, before)]
+    return np.concatenate([sizes for sizes, _ in shapes]), np.concatenate(corners)
+
+
+def _faces_of(data: bpy.types.Mesh) -> Faces:
+    sizes, corners = np.empty(len(data.polygons), np.int32), np.empty(len(data.loops), np.int32)
+    data.polygons.foreach_get("loop_total", sizes)
+    data.loops.foreach_get("vertex_index", corners)
+    return sizes, corners
