@@ -62,6 +62,8 @@ class MissingConfig(TrackingOptions):
             raise InputError(
                 f"method={self.method}: expected refined or levenberg_marquardt, which solve each frame to the end"
             )
+        if self.landmarks.is_given:
+            raise InputError("landmarks are for scans, which have no vertices to find shapes from: leave landmarks.* out")
         if not self.bundle and self.rig is None:
             raise InputError("the rig of the clip is not given: add rig=NAME, or bundle=DIR (a trained inverse)")
 

@@ -118,6 +118,7 @@ def test_a_clip_that_the_rig_makes_lacks_nothing(folders, run):
         (["rig=toy", "clip=a.npz", "method=clip"], "method=clip: expected refined or levenberg_marquardt"),
         (["rig=toy", "clip=a.npz", "method=refined"], "needs a trained network"),
         (["rig=toy", "clip=a.npz", "bundle=nowhere"], "nowhere"),
+        (["rig=toy", "clip=a.npz", "+landmarks.map=a.yaml", "+landmarks.clip=b.trc"], "landmarks are for scans"),
         (["rig=shapes", "rig.folder=nowhere", "clip=a.npz", "curves=b.npz"], "nowhere: no such folder"),
     ],
 )

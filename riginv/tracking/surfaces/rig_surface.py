@@ -105,13 +105,12 @@ class RigSurface:
             corners: indices of the vertices that each value depends on, `(value, corner)`.
             by_corners: its derivatives by these, `(value, corner, 3)`.
         """
-        count, each = len(corners), corners.shape[1] * 3
-        columns = (3 * corners[:, :, None] + np.arange(3)).reshape(-1)
-        values = by_corners.astype(np.float32).reshape(-1)
-        starts = torch.arange(0, count * each + 1, each)
-        matrix = torch.sparse_csr_tensor(
-            starts, torch.from_numpy(columns), torch.from_numpy(values), (count, len(self._rows)), check_invariants=False
-        )
+        columns = (3 * corners[:, :, None] + np.arange(3)).reshape(len(corners), -1)
+        values = by_corners.astype(np.float32).reshape(columns.shape)
+        used = values != 0  # vertices have one corner of weight 1 and two of weight 0
+        starts = torch.from_numpy(np.append(0, used.sum(axis=1).cumsum()))
+        entries = torch.from_numpy(columns[used]), torch.from_numpy(values[used])
+        matrix = torch.sparse_csr_tensor(starts, *entries, (len(corners), len(self._rows)), check_invariants=False)
         return matrix @ self._rows
 
 
