@@ -31,5 +31,5 @@ def test_a_folder_of_both_kinds_is_refused(tmp_path):
     meshes = performance(toy(), 2)
     write_obj(tmp_path / "a.1.obj", meshes[0], toy().faces.numpy())
     CLIPS["ply"](tmp_path / "a.2.ply", meshes, toy().faces.numpy())
-    with pytest.raises(InputError, match="not both"):
+    with pytest.raises(InputError, match="found both: .*names its OBJ files"):
         read_clip(tmp_path)
