@@ -165,5 +165,8 @@ def test_keys_that_lost_their_times_are_refused(tmp_path):
 def test_a_single_key_is_one_frame_and_said_to_be(tmp_path):
     clip, points, deltas = animated(tmp_path / "a.glb", np.array([2.0]), np.array([[0.5, 0.25]]), "LINEAR")
     assert clip.frame_numbers.tolist() == [60] and clip.facts.rate_source == "a guess"
-    assert "has keys at one time: that pose was read" in clip.facts.notes[0] and "its keys all stand at one time" in clip.facts.notes[1]
+    assert (
+        "has keys at one time: that pose was read" in clip.facts.notes[0]
+        and "its keys all stand at one time" in clip.facts.notes[1]
+    )
     assert np.abs(clip.read(0, 1)[0] - points - 0.5 * deltas[0] - 0.25 * deltas[1]).max() < 1e-6
