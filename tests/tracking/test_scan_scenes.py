@@ -216,6 +216,11 @@ def test_inspect_reads_a_clip_of_another_mesh_in_each_frame_as_scans(run, tmp_pa
     stage.Save()
     done = run("inspect", str(tmp_path / "take.usdc"))
     assert done.code == 0 and "kind            scans: meshes" in done.text and "1 frame: 3" in done.text, done.text
+    for number, (points, faces) in enumerate(scans):
+        trimesh.Trimesh(points, faces, process=False).export(tmp_path / f"scan.{number}.ply")
+    done = run("inspect", str(tmp_path / "scan.%d.ply"), "rig=toy", CONF)
+    words = ("kind     scans: meshes", "unit     mm (guessed)", "rig toy", "correspondence=surface")
+    assert done.code == 0 and all(word in done.text for word in words), done.text
 
 
 def test_wrap_reads_a_stage_and_inches(run, tmp_path, scans):
