@@ -59,7 +59,7 @@ class FileFrames(MeshSequence):
         first = self.frames.first.name
         if len(mesh.points) != self.points_in_file:
             raise InputError(
-                f"{path}: {len(mesh.points)} vertices, and {first} has {self.points_in_file}: all frames must be one mesh; {REMEDY}"
+                f"{path}: {len(mesh.points)} vertices, and {first} has {self.points_in_file}: all must be one mesh; {REMEDY}"
             )
         if mesh.face_bytes != self.face_bytes:
             found, expected = mesh.polygons(), self.first_faces

@@ -81,7 +81,7 @@ def kernels_for(*tensors: Tensor) -> Kernels | None:
 
 
 def is_transformed(tensors: Sequence[Tensor]) -> bool:
-    """Whether tensors are part of a traced program, of a vmap or of forward-mode differentiation, where kernels are not seen."""
+    """Whether tensors are part of a traced program, of a vmap or of forward-mode differentiation, which see no kernels."""
     if torch.compiler.is_compiling() or torch.jit.is_tracing() or torch._C._functorch.maybe_current_level() is not None:
         return True
     if not all(torch._C._has_storage(tensor) for tensor in tensors):  # torch.autograd's own vmap
