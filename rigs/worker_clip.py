@@ -93,7 +93,7 @@ class WorkerClip(MeshSequence):
         return cls(path, options, None if options.vertices is not None else len(rig.rest_vertices))
 
     @classmethod
-    def for_scans(cls, path: str, options: ReadingOptions) -> MeshSequence:
+    def for_scans(cls, path: str, options: ReadingOptions, rig: RigBackend | None) -> MeshSequence:
         return cls(path, options, ragged=True)
 
     @classmethod
