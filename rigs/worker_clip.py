@@ -94,7 +94,7 @@ class WorkerClip(MeshSequence):
 
     @classmethod
     def for_scans(cls, path: str, options: ReadingOptions, rig: RigBackend | None) -> MeshSequence:
-        return cls(path, options, ragged=True)
+        return cls(path, options, None if rig is None else len(rig.rest_vertices), ragged=True)
 
     @classmethod
     def still(cls, path: Path, options: ReadingOptions) -> MeshFile:

@@ -64,11 +64,11 @@ def new_stage(path: Path, **metadata):
     return stage
 
 
-def usd_mesh(stage, points, faces, time=None) -> None:
+def usd_mesh(stage, points, faces, time=None, path="/scan/head") -> None:
     """The mesh of a stage at a time."""
     from pxr import Usd, UsdGeom, Vt
 
-    mesh, at = UsdGeom.Mesh.Define(stage, "/scan/head"), Usd.TimeCode.Default() if time is None else time
+    mesh, at = UsdGeom.Mesh.Define(stage, path), Usd.TimeCode.Default() if time is None else time
     mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(np.asarray(points, np.float32)), at)
     mesh.CreateFaceVertexCountsAttr().Set([3] * len(faces), at)
     mesh.CreateFaceVertexIndicesAttr().Set(faces.ravel().tolist(), at)
@@ -99,6 +99,17 @@ def test_usd_whose_topology_changes_is_a_clip_of_scans(run, tmp_path, scans):
         assert said in done.text
     rows = (tmp_path / "got/scans.csv").read_text().splitlines()[1:]
     assert [float(row.split(",")[1]) < 0.15 for row in rows[:3]] == [True] * 3 and rows[3].endswith("no_scan")
+
+
+def test_of_several_meshes_the_one_with_the_rigs_vertices_is_read(tmp_path):
+    stage = new_stage(tmp_path / "take.usda")
+    rest, faces = RIG.rest_vertices.numpy(), RIG.faces.numpy()
+    for number in range(2):
+        usd_mesh(stage, rest[::-1] + number, len(rest) - 1 - faces, number, path="/head")
+        usd_mesh(stage, rest[:60] + number, faces[:1], number, path="/eyes")
+    stage.Save()
+    found = open_scans(str(tmp_path / "take.usda"), RIG, reading_options())
+    assert len(found.scan(1).points) == len(rest)
 
 
 def test_faces_of_left_handed_meshes_are_turned(tmp_path, scans):
