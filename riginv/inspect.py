@@ -120,13 +120,7 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
             show_rig(rig, config, Console())
         return
     if rig is None:
-        try:
-            show_sequence(*open_clip_without_rig(path, settings.reading, settings.frames), names)
-        except InputError as error:
-            if SURFACE not in str(error):  # a still mesh, a point cloud, or another mesh in each frame
-                raise
-            show_scans(path, settings.reading, rig)
-            show_lines([f"scans are fitted by their surface: riginv invert rig=NAME correspondence=surface ({error})"])
+        show_frames(settings, None, names)
         return
     try:
         clip, notes = open_clip(path, rig, settings.reading, settings.frames)
@@ -137,12 +131,27 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
     except InputError as misfit:
         if is_table:
             raise
-        show_sequence(*open_clip_without_rig(path, settings.reading, settings.frames), names)  # helps to see why
+        are_scans = show_frames(settings, rig, names)  # helps to see why
         show_rig(rig, config, Console())
+        if are_scans:
+            return
         raise misfit from None
     show_sequence(clip, notes, names)
     show_rig(rig, config, Console())
     show_lines([f"the clip fits rig '{rig.name}'"], console=Console())
+
+
+def show_frames(settings: InspectConfig, rig: RigBackend | None, names: int | None) -> bool:
+    """Print what a clip holds that is not read for a rig; returns whether these are scans, whose sizes `rig` tells."""
+    try:
+        show_sequence(*open_clip_without_rig(settings.clip, settings.reading, settings.frames), names)
+    except InputError as error:
+        if SURFACE not in str(error):  # a still mesh, a point cloud, or another mesh in each frame
+            raise
+        show_scans(settings.clip, settings.reading, rig)
+        show_lines([f"scans are fitted by their surface: riginv invert rig=NAME correspondence=surface ({error})"])
+        return True
+    return False
 
 
 def show_scans(path: str, reading: ReadingOptions, rig: RigBackend | None) -> None:

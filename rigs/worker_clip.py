@@ -93,8 +93,8 @@ class WorkerClip(MeshSequence):
         return cls(path, options, None if options.vertices is not None else len(rig.rest_vertices))
 
     @classmethod
-    def for_scans(cls, path: str, options: ReadingOptions) -> MeshSequence:
-        return cls(path, options, ragged=True)
+    def for_scans(cls, path: str, options: ReadingOptions, rig: RigBackend | None) -> MeshSequence:
+        return cls(path, options, None if rig is None else len(rig.rest_vertices), ragged=True)
 
     @classmethod
     def still(cls, path: Path, options: ReadingOptions) -> MeshFile:

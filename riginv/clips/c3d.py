@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from riginv.clips.markers import MarkerClip, is_unnamed, positive_rate, unit_in_mm, unnamed_note, without_gaps_at_zero
+from riginv.clips.markers import MarkerClip, is_unnamed, positive_rate, unit_in_mm, unnamed_note, without_gaps
 from riginv.clips.sequence import SourceFacts
 from riginv.errors import InputError, printable
 from riginv.runs.files import read_bytes
@@ -62,7 +62,7 @@ def read_c3d(path: Path) -> MarkerClip:
     if not columns:
         raise InputError(f"{path}: none of its {header.points} points has a name: label them, and export the take again")
     first, points, notes = _frames(path, data, header, values)
-    points, frame_notes = without_gaps_at_zero(points[:, columns])
+    points, frame_notes = without_gaps(points[:, columns])
     unnamed = unnamed_note(len(columns), header.points)
     unit, unit_notes = unit_in_mm(path, "".join(_texts(values, "POINT:UNITS")[:1]))
     facts = SourceFacts("C3D markers", rate_source="its header", notes=(*notes, *frame_notes, *unnamed, *unit_notes))

@@ -11,6 +11,8 @@ from riginv.errors import InputError, listed
 from riginv.meshes.mesh_file import MeshFile, note_on_objects
 from riginv.meshes.reading import read_mesh
 
+REMEDY = "export them again, or correspondence=surface fits each as a scan"
+
 
 class FileFrames(MeshSequence):
     """A sequence of files, one per frame; the vertex order of the files is kept.
@@ -57,15 +59,14 @@ class FileFrames(MeshSequence):
         first = self.frames.first.name
         if len(mesh.points) != self.points_in_file:
             raise InputError(
-                f"{path}: {len(mesh.points)} vertices, and {first} has {self.points_in_file}: all frames must be one mesh; "
-                "export them again, or correspondence=surface fits each as a scan"
+                f"{path}: {len(mesh.points)} vertices, and {first} has {self.points_in_file}: all must be one mesh; {REMEDY}"
             )
         if mesh.face_bytes != self.face_bytes:
             found, expected = mesh.polygons(), self.first_faces
             if found is not None and expected is not None and not found.same_as(expected):
                 raise InputError(
                     f"{path}: its {len(found)} faces are not the {len(expected)} of {first}: all frames must be the same mesh "
-                    f"with its vertices in the same order; export them again"
+                    f"with its vertices in the same order; {REMEDY}"
                 )
         return mesh.points if self.selected is None else mesh.points[self.selected]
 

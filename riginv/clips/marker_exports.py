@@ -20,7 +20,7 @@ from riginv.clips.markers import (
     unit_in_mm,
     unnamed_note,
     whole_numbers,
-    without_gaps_at_zero,
+    without_gaps,
 )
 from riginv.clips.sequence import SourceFacts
 from riginv.errors import InputError, printable
@@ -107,7 +107,7 @@ def _clip(path: Path, source: str, rows: Rows, first: int, named: list[tuple[str
     for index, (line, row) in enumerate(frames):
         for place, column in enumerate(columns):
             values[index, place] = number_or_gap(path, line, row[column] if column < len(row) else "", gaps)
-    points, notes = without_gaps_at_zero(values[:, 1:].reshape(len(frames), len(chosen), 3))
+    points, notes = without_gaps(values[:, 1:].reshape(len(frames), len(chosen), 3))
     unit_mm, unit_notes = unit_in_mm(path, unit)
     notes = (*gap_note(gaps), *notes, *unnamed_note(len(chosen), len(named)), *unit_notes)
     facts = SourceFacts(f"CSV markers ({source})", rate_source="its header", notes=notes)

@@ -22,7 +22,8 @@ SUFFIXES = (".c3d", ".trc", ".csv")
 AXIS = re.compile(r"(.+?)(?:[ ._:\-]t?| ?[(\[])([xyz])[)\]]?", re.IGNORECASE)  # `nose.x`, `nose:tx`, `nose (X)`
 UNNAMED = ("*", "unlabeled", "unlabelled")  # beginnings of the names of unnamed trajectories
 PLACEHOLDERS = (9999.0, 99999.0, 999999.0, 9999999.0)  # coordinates, of either sign, that stand for none
-TIMES = ("time", "seconds", "time (s)", "time [s]", "time_s", "timestamp")
+STAMP = "timestamp"  # a number, or a date, which is left out
+TIMES = ("time", "seconds", "time (s)", "time [s]", "time_s", STAMP)
 FRAMES = ("frame", "frame#", "field")
 UNIT_WORDS = {
     "mm": "mm",
@@ -116,15 +117,15 @@ def unnamed_note(named: int, points: int) -> tuple[str, ...]:
     return (f"{points - named} of {points} points have no name and were left out.",) if named < points else ()
 
 
-def without_gaps_at_zero(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+def without_gaps(points: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Points `(frame, marker, 3)` with NaN where one stands for a gap or is not finite, and notes on the former.
 
     At the origin, or at one of `PLACEHOLDERS` on all three axes, stands what is not known.
     """
-    at_zero, count = (points == 0).all(axis=2), int((points == 0).all(axis=2).sum())
+    at_zero = (points == 0).all(axis=2)
     placeholder = np.isin(np.abs(points), PLACEHOLDERS).all(axis=2) & (points == points[:, :, :1]).all(axis=2)
     gap = at_zero | placeholder | ~np.isfinite(points).all(axis=2)
-    notes = [f"Taken as gaps: {counted(count, 'marker')} at exactly 0, 0, 0."] if count else []
+    notes = [f"Taken as gaps: {counted(int(at_zero.sum()), 'marker')} at exactly 0, 0, 0."] if at_zero.any() else []
     if placeholder.any():
         value = float(points[placeholder][0, 0])
         notes.append(f"Taken as gaps: {counted(int(placeholder.sum()), 'marker')} at {value:g} on all axes.")
@@ -175,21 +176,17 @@ def read_trc(path: Path) -> MarkerClip:
             )
         for column, cell in enumerate(cells[:width]):
             values[row, column] = number_or_gap(path, line, cell, gaps)
-    counted = header.get("NumFrames", "")
-    if counted not in ("", str(len(rows))):
-        notes.append(f"its header promises {counted[:12]} frames, it has {len(rows)}.")
-    points, more = without_gaps_at_zero(values[:, 2:].reshape(len(rows), len(columns), 3))
+    promised = header.get("NumFrames", "")
+    if promised not in ("", str(len(rows))):
+        notes.append(f"its header promises {promised[:12]} frames, it has {len(rows)}.")
+    points, more = without_gaps(values[:, 2:].reshape(len(rows), len(columns), 3))
     times = FrameTimes(np.arange(len(rows))) if np.isnan(values[:, 0]).any() else FrameTimes(whole_numbers(path, values[:, 0]))
     rate, by_times = positive_rate(header.get("DataRate", "").replace(",", ".")), frames_from_times(values[:, 1], "times")
     if rate and by_times.fps and abs(by_times.fps / rate - 1) > 0.01:
         notes.append(f"DataRate is {rate:g}, and its times give {by_times.fps:g} frames a second: DataRate was taken.")
     unit, unit_notes = unit_in_mm(path, header.get("Units", ""))
     notes += [*gap_note(gaps), *more, *unit_notes]
-    facts = SourceFacts(
-        "TRC markers",
-        rate_source="DataRate" if rate else by_times.rate_source,
-        notes=tuple(notes),
-    )
+    facts = SourceFacts("TRC markers", rate_source="DataRate" if rate else by_times.rate_source, notes=tuple(notes))
     return MarkerClip(str(path), tuple(name for _, name in columns), points, times.numbers, facts, rate or by_times.fps, unit)
 
 
@@ -227,10 +224,11 @@ def read_marker_csv(path: Path) -> MarkerClip:
     columns = [found[axis] for found in axes.values() for axis in "xyz"]
     for column in columns:
         table.column(column)  # names the row of a fault
-    points, notes = without_gaps_at_zero(table.numbers[:, columns].reshape(len(table), len(axes), 3))
+    points, notes = without_gaps(table.numbers[:, columns].reshape(len(table), len(axes), 3))
     named = {title.lower(): column for column, title in enumerate(table.header)}
     frame = next((named[name] for name in FRAMES if name in named), None)
-    time = next((named[name] for name in TIMES if name in named), None)
+    dated = STAMP if named.get(STAMP) in table.faults else None
+    time = next((named[name] for name in TIMES if name in named and name != dated), None)
     for column in (column for column in (frame, time) if column is not None):
         if np.isnan(table.column(column)).any():
             raise InputError(f"{path}: a gap in column {table.header[column]!r}, expected a number in each row: fill it")

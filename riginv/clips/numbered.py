@@ -100,7 +100,7 @@ def _one_file(given: Path) -> FrameFiles:
     notes: tuple[str, ...] = ()
     if len(names) > 1:
         pattern = pattern_of(names, position)
-        notes = (f"One frame was read; {counted(len(names) - 1, 'more file')} beside it as {pattern}, which reads them all.",)
+        notes = (f"One frame was read; {pattern} reads {counted(len(names) - 1, 'more file')} beside it, too.",)
     number = name.number(position)
     return FrameFiles(np.array([number if abs(number) < LARGEST_NUMBER else 0]), [given], notes)
 

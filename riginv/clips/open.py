@@ -80,7 +80,7 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions, as
         reader_class: type[MeshSequence] = class_of(options.readers[suffix.removeprefix(".")], kind=MeshSequence)
         reader: Reader = reader_class
         if as_scans:
-            return reader_class.for_scans(path, options)
+            return reader_class.for_scans(path, options, rig)
         return reader(path, options) if rig is None else reader_class.for_rig(path, options, rig)
     suffixes = (*READERS, *(f".{name}" for name in options.readers), TABLE)
     raise InputError(

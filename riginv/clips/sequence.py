@@ -99,14 +99,17 @@ class MeshSequence(ABC):
         return reader(path, options)
 
     @classmethod
-    def for_scans(cls, path: str, options: ReadingOptions) -> "MeshSequence":
+    def for_scans(cls, path: str, options: ReadingOptions, rig: RigBackend | None) -> "MeshSequence":
         """Open a file whose frames may each be another mesh, where the format can hold such: `mesh` reads them.
+
+        Args:
+            rig: that scans are fitted with; other formats are read for it, as by `for_rig`. None: no rig.
 
         Raises:
             InputError: the file cannot be read.
         """
         reader: Reader = cls
-        return reader(path, options)
+        return reader(path, options) if rig is None else cls.for_rig(path, options, rig)
 
     @classmethod
     def still(cls, path: Path, options: ReadingOptions) -> MeshFile:

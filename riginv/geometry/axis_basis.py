@@ -47,10 +47,11 @@ class AxisBasisCache:
 
     def get(self, basis: Float[Tensor, "row vertex 3"], values: Tensor) -> AxisBasis | None:
         """That of a large basis, on a CPU; None for others, for values of another type, and where a program is traced."""
-        is_plain = not (torch.compiler.is_compiling() or torch.jit.is_tracing() or is_transformed((basis, values)))
-        if basis.numel() < MIN_NUMBERS or basis.device.type != "cpu" or basis.dtype != values.dtype or not is_plain:
+        is_other = basis.device.type != "cpu" or basis.dtype != values.dtype or is_transformed((basis, values))
+        if basis.numel() < MIN_NUMBERS or is_other:
             return None
-        if self.last is None or self.last[0] is not basis:
+        found = self.last  # read once: other threads may replace it
+        if found is None or found[0] is not basis:
             axes = axis_by_axis(basis)
-            self.last = basis, None if axes is None else AxisBasis(basis, axes)
-        return self.last[1]
+            found = self.last = basis, None if axes is None else AxisBasis(basis, axes)
+        return found[1]

@@ -27,7 +27,7 @@ class StlMesh(MeshFile):
     def __init__(self, path: Path, data: bytes) -> None:
         from trimesh.exchange.stl import load_stl  # takes long to import
 
-        text = data[:HEADER].lstrip().lower().startswith(b"solid")
+        text = data[:HEADER].lstrip().lower().startswith(b"solid") and b"\0" not in data[:HEADER]  # some binary files begin so
         count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
         if not text and (len(data) < HEADER or len(data) < HEADER + TRIANGLE * count):
             held = max(0, len(data) - HEADER) // TRIANGLE

@@ -119,9 +119,10 @@ class MeshSpace(nn.Module):
 
     def linear_map(self, basis: Float[Tensor, "coefficient vertex 3"]) -> Float[Tensor, "coefficient coordinate"]:
         """The mesh coordinates of each row of a basis; that of the last basis is kept, for the rigs that share it."""
-        if self._mapped is None or self._mapped[0] is not basis or self._mapped[1] is not self.directions:
-            self._mapped = basis, self.directions, inner_products(basis, self.directions)
-        return self._mapped[2]
+        found = self._mapped  # read once: other threads may replace it
+        if found is None or found[0] is not basis or found[1] is not self.directions:
+            found = self._mapped = basis, self.directions, inner_products(basis, self.directions)
+        return found[2]
 
     def encode(self, vertices: Float[Tensor, "batch vertex 3"]) -> Float[Tensor, "batch coordinate"]:
         """Meshes `(batch, vertex, 3)`, mm, to mesh coordinates `(batch, coordinate)`, by orthogonal projection."""

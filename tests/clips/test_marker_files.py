@@ -118,6 +118,13 @@ def test_words_for_nothing_are_gaps_and_said(tmp_path):
         open_markers(str(tmp_path / "c.csv"))
 
 
+def test_timestamps_are_times_or_dates(tmp_path):
+    for stamps, fps in (((0.0, 0.1), 10), ((1700000000000, 1700000000100), 10), (("2024-01-01T10:00:00", "10:00"), None)):
+        rows = "".join(f"{stamp},1,2,3\n" for stamp in stamps)
+        (tmp_path / "a.csv").write_text("timestamp,nose.x,nose.y,nose.z\n" + rows)
+        assert open_markers(str(tmp_path / "a.csv")).fps == fps
+
+
 def test_a_file_that_is_not_there_and_markers_of_one_name_are_refused(tmp_path, points):
     with pytest.raises(InputError, match="no such file"):
         open_markers(str(tmp_path / "none.c3d"))

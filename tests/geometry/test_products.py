@@ -3,6 +3,7 @@
 import pytest
 import torch
 from torch import nn
+from torch.autograd import forward_ad
 
 from riginv.geometry import products
 from riginv.geometry.kernels.library import kernels, pure_torch
@@ -72,6 +73,7 @@ def test_views_are_multiplied_as_they_are(counted):
 
 
 @needs_onednn
+@pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # which PyTorch's forward mode uses
 def test_what_onednn_does_not_take_is_left_to_pytorch(counted):
     weight = torch.randn(6, 5)
     linear(torch.randn(2, 5), weight)  # a few rows
@@ -80,7 +82,24 @@ def test_what_onednn_does_not_take_is_left_to_pytorch(counted):
     with torch.autocast("cpu", torch.bfloat16):
         assert linear(torch.randn(16, 5), weight).dtype == torch.bfloat16
     torch.func.vmap(lambda row: linear(row.expand(16, 5), weight))(torch.randn(4, 5))
+    for bias in (torch.tensor(1.0), torch.ones(1), torch.randn(16, 6)):  # they are broadcast
+        inputs = torch.randn(16, 5)
+        assert torch.equal(linear(inputs, weight, bias), nn.functional.linear(inputs, weight, bias))
+    with pytest.raises(RuntimeError, match="shapes cannot be multiplied"):
+        linear(torch.randn(16, 5), torch.randn(6, 4))
+    with forward_ad.dual_level():
+        bias = forward_ad.make_dual(torch.randn(6), torch.ones(6))
+        assert forward_ad.unpack_dual(linear(torch.randn(16, 5), weight, bias)).tangent is not None
     assert not counted
+
+
+@needs_onednn
+@pytest.mark.filterwarnings("ignore::torch.jit.TracerWarning", "ignore:.*torch.jit.trace:DeprecationWarning")
+def test_a_traced_layer_is_pytorchs_own(counted):
+    layer, inputs = Linear(5, 6), torch.randn(16, 5)
+    traced = torch.jit.trace(layer, inputs, check_trace=False)
+    assert not counted
+    torch.testing.assert_close(traced(2 * inputs), layer(2 * inputs), rtol=1e-5, atol=1e-5)
 
 
 @needs_onednn

@@ -14,8 +14,10 @@ from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.rig.subtree_jacobian import SubtreeJacobian
 from riginv.solvers.objective import Objective
+from riginv.tracking.surfaces.scan_files import open_scans
 from rigs.gltf import GltfRig
 from tests.rigs.test_gltf_joints import dancer
+from tests.support.clips import reading_options
 from tests.support.creatures import CREATURES, Creature, fox, write_creature
 
 
@@ -180,3 +182,9 @@ def test_a_root_that_turns_several_times_has_a_continuous_curve(tmp_path):
     assert error < 2e-6 and converged == 1
     turning = controls[:, :3]
     assert turning.diff(dim=0).abs().max() < 60 and (turning[-1] - turning[0]).abs().max() > 800
+
+
+def test_scans_of_a_rigs_own_file_are_in_its_unit(fox_file):
+    rig = GltfRig(fox_file, joints=True, unit_mm=10.0)
+    scans = open_scans(fox_file, rig, reading_options())
+    assert scans.unit_mm == 10.0 and len(scans) == 12

@@ -93,7 +93,7 @@ def test_the_controls_of_another_actor_are_found(how, moving, run, rig, tmp_path
         (["actor.neutral={mixed}"], "from the rig on average, expected at most"),
         (["actor.neutral={other}"], "cannot be brought onto the mesh"),
         (["actor.neutral={few}"], "fewer than 50 points"),
-        (["actor.neutral={npz}"], "a scan is an OBJ, PLY or glTF file, which is wrapped"),
+        (["actor.neutral={npz}"], "rig's skin lies on the scan, expected 50% or more"),
         (["actor.neutral={nan}"], "not finite"),
         (["actor.neutral=solve", "actor.neutral_frames=[1]"], "are both given"),
         (["actor.neutral_frames=[900]"], "actor.neutral_frames names 900"),

@@ -64,11 +64,11 @@ def new_stage(path: Path, **metadata):
     return stage
 
 
-def usd_mesh(stage, points, faces, time=None) -> None:
+def usd_mesh(stage, points, faces, time=None, path="/scan/head") -> None:
     """The mesh of a stage at a time."""
     from pxr import Usd, UsdGeom, Vt
 
-    mesh, at = UsdGeom.Mesh.Define(stage, "/scan/head"), Usd.TimeCode.Default() if time is None else time
+    mesh, at = UsdGeom.Mesh.Define(stage, path), Usd.TimeCode.Default() if time is None else time
     mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(np.asarray(points, np.float32)), at)
     mesh.CreateFaceVertexCountsAttr().Set([3] * len(faces), at)
     mesh.CreateFaceVertexIndicesAttr().Set(faces.ravel().tolist(), at)
@@ -99,6 +99,17 @@ def test_usd_whose_topology_changes_is_a_clip_of_scans(run, tmp_path, scans):
         assert said in done.text
     rows = (tmp_path / "got/scans.csv").read_text().splitlines()[1:]
     assert [float(row.split(",")[1]) < 0.15 for row in rows[:3]] == [True] * 3 and rows[3].endswith("no_scan")
+
+
+def test_of_several_meshes_the_one_with_the_rigs_vertices_is_read(tmp_path):
+    stage = new_stage(tmp_path / "take.usda")
+    rest, faces = RIG.rest_vertices.numpy(), RIG.faces.numpy()
+    for number in range(2):
+        usd_mesh(stage, rest[::-1] + number, len(rest) - 1 - faces, number, path="/head")
+        usd_mesh(stage, rest[:60] + number, faces[:1], number, path="/eyes")
+    stage.Save()
+    found = open_scans(str(tmp_path / "take.usda"), RIG, reading_options())
+    assert len(found.scan(1).points) == len(rest)
 
 
 def test_faces_of_left_handed_meshes_are_turned(tmp_path, scans):
@@ -165,10 +176,13 @@ def test_stl_files_are_scans(run, tmp_path, scans):
         np.testing.assert_allclose(merged.points[merged.faces], expected.points[expected.faces], rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.parametrize("data", [b"", b"hello", bytes(80) + b"\xff\xff\0\0", b"solid x\nfacet normal 0 0", bytes(84)])
+CUT = b"solid".ljust(80, b"\0") + b"\x02\0\0\0" + bytes(50)  # binary, of two triangles
+
+
+@pytest.mark.parametrize("data", [b"", b"hello", bytes(80) + b"\xff\xff\0\0", b"solid x\nfacet normal 0 0", bytes(84), CUT])
 def test_damaged_stl_files_are_refused(tmp_path, data):
     (tmp_path / "scan.stl").write_bytes(data)
-    with pytest.raises(InputError, match=r"scan\.stl"):
+    with pytest.raises(InputError, match="1 triangles, its header promises 2" if data is CUT else r"scan\.stl"):
         open_scans(str(tmp_path / "scan.stl"), RIG, reading_options()).scan(0)
 
 
@@ -216,6 +230,11 @@ def test_inspect_reads_a_clip_of_another_mesh_in_each_frame_as_scans(run, tmp_pa
     stage.Save()
     done = run("inspect", str(tmp_path / "take.usdc"))
     assert done.code == 0 and "kind            scans: meshes" in done.text and "1 frame: 3" in done.text, done.text
+    for number, (points, faces) in enumerate(scans):
+        trimesh.Trimesh(points, faces, process=False).export(tmp_path / f"scan.{number}.ply")
+    done = run("inspect", str(tmp_path / "scan.%d.ply"), "rig=toy", CONF)
+    words = ("kind     scans: meshes", "unit     mm (guessed)", "rig toy", "correspondence=surface")
+    assert done.code == 0 and all(word in done.text for word in words), done.text
 
 
 def test_wrap_reads_a_stage_and_inches(run, tmp_path, scans):

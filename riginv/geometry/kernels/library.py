@@ -69,7 +69,7 @@ def pure_torch() -> Iterator[None]:
 
 def kernels_for(*tensors: Tensor) -> Kernels | None:
     """The kernels, if they can take these tensors: on a CPU, all of float32 or all of float64, indices of int64; else None."""
-    if _pure.get() or torch.compiler.is_compiling() or is_transformed(tensors):
+    if _pure.get() or is_transformed(tensors):
         return None
     dtype = tensors[0].dtype
     for tensor in tensors:
@@ -81,8 +81,8 @@ def kernels_for(*tensors: Tensor) -> Kernels | None:
 
 
 def is_transformed(tensors: Sequence[Tensor]) -> bool:
-    """Whether tensors are part of a vmap or of forward-mode differentiation, which kernels do not support."""
-    if torch._C._functorch.maybe_current_level() is not None:
+    """Whether tensors are part of a traced program, of a vmap or of forward-mode differentiation, which see no kernels."""
+    if torch.compiler.is_compiling() or torch.jit.is_tracing() or torch._C._functorch.maybe_current_level() is not None:
         return True
     if not all(torch._C._has_storage(tensor) for tensor in tensors):  # torch.autograd's own vmap
         return True

@@ -17,7 +17,7 @@ from riginv.errors import InputError
 from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import RigBackend
 from riginv.tracking.rigid import fit_rigid
-from riginv.tracking.surfaces.scan_files import SUFFIXES, holds_scans, read_scan
+from riginv.tracking.surfaces.scan_files import holds_scans, read_scan
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.wrap import wrap
 
@@ -55,8 +55,6 @@ def read_neutral(path: str, rig: RigBackend, reading: ReadingOptions) -> GivenNe
     except TopologyError as error:
         if error.same_count:
             raise InputError(f"actor.neutral={error}") from None
-        if Path(path).suffix.lower() not in SUFFIXES:
-            raise InputError(f"actor.neutral={error}; a scan is an OBJ, PLY or glTF file, which is wrapped") from None
         return _wrapped(path, rig, reading)
     except StillMeshError:
         return _wrapped(path, rig, reading)

@@ -10,7 +10,7 @@ from riginv.errors import counted
 from riginv.rig.interface import RigBackend
 from riginv.rig.size import extent
 from riginv.tracking.surfaces.scans import ScanSequence
-from riginv.tracking.surfaces.units import resolve_scan_units
+from riginv.tracking.surfaces.units import in_inches, resolve_scan_units
 
 SAMPLED_FRAMES = 24  # read at most
 
@@ -50,7 +50,10 @@ def scan_rows(scans: ScanSequence, reading: ReadingOptions, rig: RigBackend | No
         ("unit", unit_text(units.mm if units.unit_source else None, units.unit_source)),
         ("up", f"{units.up} ({units.up_source})"),
     ]
-    return [(name, text) for name, text in rows if text], [*scans.facts.notes, *units.notes]
+    notes = [*scans.facts.notes, *units.notes]
+    if rig is not None and in_inches(units, reading, "") is not None:
+        notes.append("it may be in inches, too: riginv.invert compares both on the first scan, and says which it takes")
+    return [(name, text) for name, text in rows if text], notes
 
 
 def _range(counts: list[int]) -> str:
