@@ -41,7 +41,7 @@ def near(fit: SurfaceFit, seed: int = 0) -> Linearised:
     state = State(
         torch.full((7,), 0.45, dtype=torch.float64), Motion.identity().after(np.full(3, 0.01), np.ones(3), np.zeros(3))
     )
-    posed = fit.surface.posed(fit.coefficients(state.units))
+    posed = fit.posed(state)
     return Linearised(fit, state, match(fit.surface, posed, target, state.motion, 10.0, 60.0))
 
 

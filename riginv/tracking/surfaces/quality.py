@@ -35,7 +35,7 @@ class Quality(NamedTuple):
 
 def quality(fit: SurfaceFit, target: Target, state: State) -> Quality:
     """The quality of a state as a fit to a scan."""
-    posed = fit.surface.posed(fit.coefficients(state.units))
+    posed = fit.posed(state)
     pairs = match(fit.surface, posed, target, state.motion, SCALE_MM, DEGREES)
     return quality_of_pairs(fit, pairs, state)
 

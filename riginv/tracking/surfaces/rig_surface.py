@@ -73,9 +73,9 @@ class RigSurface:
         return self.posed(coefficients)
 
     @torch.no_grad()
-    def posed(self, coefficients: Tensor) -> Posed:
-        """The rig's surface at coefficients `(coefficient,)`."""
-        return Posed(coefficients, TriangleMesh(self.vertices(coefficients), self.faces, self.border, self._around))
+    def posed(self, coefficients: Tensor, near: TriangleMesh | None = None) -> Posed:
+        """The rig's surface at coefficients `(coefficient,)`; `near`: as it was before, perhaps with a search tree."""
+        return Posed(coefficients, TriangleMesh(self.vertices(coefficients), self.faces, self.border, self._around, near))
 
     @torch.no_grad()
     def vertices(self, coefficients: Tensor) -> np.ndarray:
