@@ -90,9 +90,9 @@ class TriangleMesh(Surface):
         crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.areas = 0.5 * np.linalg.norm(crossed, axis=1)
         self.normals = unit((faces_around(self.faces, len(self.points)) if around is None else around) @ crossed)
-        base = near and (near._base or near)
+        base: TriangleMesh | None = near and (near._base or near)
         is_near = base is not None and ((self.points - base.points) ** 2).sum(axis=1).max() < REUSE_MM**2
-        self._base = base if is_near else None
+        self._base: TriangleMesh | None = base if is_near else None
 
     def reversed(self) -> "TriangleMesh":
         return TriangleMesh(self.points, self.faces[:, ::-1])
