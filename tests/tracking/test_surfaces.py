@@ -58,6 +58,20 @@ def test_the_closest_point_is_the_closest(rig):
     np.testing.assert_allclose(found, hits.points, atol=1e-6)
 
 
+def test_a_mesh_near_another_shares_its_tree_and_finds_the_same(rig):
+    first, moved = resampled(rig, CONTROLS), resampled(rig, CONTROLS + 0.005)
+    queries = moved.points[::3] + 0.4 * moved.normals[::3]
+    exact = moved.closest(queries)
+    near = TriangleMesh(moved.points, moved.faces, near=first)
+    shared = near.closest(queries)
+    assert "_tree" not in vars(near)
+    np.testing.assert_allclose(shared.distance, exact.distance, atol=0.01)
+    np.testing.assert_allclose(shared.points, exact.points, atol=0.05)
+    far = TriangleMesh(moved.points + 1.5, moved.faces, near=near)
+    np.testing.assert_allclose(far.closest(queries + 1.5).distance, exact.distance, atol=1e-9)
+    assert "_tree" in vars(far)
+
+
 def test_hits_at_the_edge_of_an_open_surface_are_on_its_border():
     square = TriangleMesh(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     hits = square.closest(np.array([[0.5, 0.4, 1], [2, 0.5, 0], [-1, -1, 0], [0.5, 0.5, 1]]))

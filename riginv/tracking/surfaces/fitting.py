@@ -53,6 +53,7 @@ class Schedule:
 
 
 FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
+FROM_POSE = Schedule(first_scale_mm=5.0, sides_at=(2, 6, 10))  # at 20 mm a fit leaves the pose that it starts from
 FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, converged=0.01)
 FINISH = Schedule(steps=10, first_scale_mm=0.5, converged=0.002)
 
