@@ -32,7 +32,7 @@ def test_the_field_moves_points_as_its_columns_say(solver):
     target = solver.target(resampled(solver.rig, solver.rig.neutral_controls))
     state, field = State(solver.start, Motion.identity()), torch.linspace(-3, 3, 60, dtype=torch.float64)
     fit = solver.fit(target)
-    posed = fit.surface.posed(fit.coefficients(state.units))
+    posed = fit.posed(state)
     pairs = match(fit.surface, posed, target, state.motion, 5.0, 60.0)
     moved = search.neutral(field) - search.neutral(torch.zeros(60, dtype=torch.float64))
     at_points = (pairs.barycentric[..., None] * moved[pairs.corners]).sum(axis=1)

@@ -41,7 +41,7 @@ def near(fit: SurfaceFit, seed: int = 0) -> Linearised:
     state = State(
         torch.full((7,), 0.45, dtype=torch.float64), Motion.identity().after(np.full(3, 0.01), np.ones(3), np.zeros(3))
     )
-    posed = fit.surface.posed(fit.coefficients(state.units))
+    posed = fit.posed(state)
     return Linearised(fit, state, match(fit.surface, posed, target, state.motion, 10.0, 60.0))
 
 
@@ -56,6 +56,20 @@ def test_the_closest_point_is_the_closest(rig):
         assert distance <= np.linalg.norm(spread - query, axis=1).min() + 1e-9
     found = (hits.barycentric[..., None] * mesh.points[hits.corners]).sum(axis=1)
     np.testing.assert_allclose(found, hits.points, atol=1e-6)
+
+
+def test_a_mesh_near_another_shares_its_tree_and_finds_the_same(rig):
+    first, moved = resampled(rig, CONTROLS), resampled(rig, CONTROLS + 0.005)
+    queries = moved.points[::3] + 0.4 * moved.normals[::3]
+    exact = moved.closest(queries)
+    near = TriangleMesh(moved.points, moved.faces, near=first)
+    shared = near.closest(queries)
+    assert "_tree" not in vars(near)
+    np.testing.assert_allclose(shared.distance, exact.distance, atol=0.01)
+    np.testing.assert_allclose(shared.points, exact.points, atol=0.05)
+    far = TriangleMesh(moved.points + 1.5, moved.faces, near=near)
+    np.testing.assert_allclose(far.closest(queries + 1.5).distance, exact.distance, atol=1e-9)
+    assert "_tree" in vars(far)
 
 
 def test_hits_at_the_edge_of_an_open_surface_are_on_its_border():

@@ -106,7 +106,7 @@ class ScanOffset:
         own, slope = torch.diag(self.stiffness), self.stiffness * field
         blocks, gradients, couplings = [], [], []
         for fit, target, state in zip(fits, targets, states):
-            posed = fit.surface.posed(fit.coefficients(state.units))
+            posed = fit.posed(state)
             pairs = match(fit.surface, posed, target, state.motion, scale_mm, self.settings.schedule.degrees)
             near, columns = Linearised(fit, state, pairs), self._columns(pairs)
             weighted = near.weights[:, None] * columns

@@ -123,7 +123,7 @@ class _Window:
         fit = self.solver.fit(target, found)
         schedule = self.solver.settings.from_near
         scale = max(schedule.last_scale_mm, SCALE * float(np.nan_to_num(found.quality.scan_mm)))
-        posed = fit.surface.posed(fit.coefficients(found.state.units))
+        posed = fit.posed(found.state)
         pairs = match(fit.surface, posed, target, found.state.motion, scale, schedule.degrees)
         landmarks = target.landmark_term(fit.surface, posed, found.state.motion, scale)
         return eliminate_motion(fit, Linearised(fit, found.state, pairs, landmarks))

@@ -12,7 +12,8 @@ from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.surfaces.landmarks import LandmarkTerm
 from riginv.tracking.surfaces.matching import Pairs, Target, as_tensor, match
 from riginv.tracking.surfaces.motion import Motion
-from riginv.tracking.surfaces.rig_surface import RigSurface
+from riginv.tracking.surfaces.rig_surface import Posed, RigSurface
+from riginv.tracking.surfaces.triangles import TriangleMesh
 
 START_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-6, 1e3
 TRIES = 3  # of increasing damping per linearisation
@@ -52,6 +53,7 @@ class Schedule:
 
 
 FROM_SCRATCH = Schedule(sides_at=(2, 6, 10, 16))
+FROM_POSE = Schedule(first_scale_mm=5.0, sides_at=(2, 6, 10))  # at 20 mm a fit leaves the pose that it starts from
 FROM_NEAR = Schedule(steps=5, first_scale_mm=3.0, factor=0.5, converged=0.01)
 FINISH = Schedule(steps=10, first_scale_mm=0.5, converged=0.002)
 
@@ -87,7 +89,12 @@ class SurfaceFit:
         prior: on the controls; `base` is added to it.
         moves: whether rigid motion is estimated.
         base: ridge, mm^2 for a control that leaves neutral by its whole range.
+
+    Attributes:
+        near: the rig's last pose: poses near each other share a search tree.
     """
+
+    near: TriangleMesh | None = None
 
     def __init__(self, rig: RigSurface, prior: GaussianPrior | None, moves: bool = True, base: float = 1e-6) -> None:
         self.surface, self.moves = rig, moves
@@ -124,7 +131,7 @@ class SurfaceFit:
         self, target: Target, state: State, scale_mm: float, schedule: Schedule, damping: float
     ) -> tuple[State, float, float, float]:
         """One step: the new state, the largest change of a control, the next damping, and the typical distance."""
-        posed = self.surface.posed(self.coefficients(state.units))
+        posed = self.posed(state)
         pairs = match(self.surface, posed, target, state.motion, scale_mm, schedule.degrees)
         near = Linearised(self, state, pairs, target.landmark_term(self.surface, posed, state.motion, scale_mm))
         before = near.normal.cost + float(self.prior.cost(state.units[None]))
@@ -144,7 +151,7 @@ class SurfaceFit:
         kinks = (self.neutral > 0) & (self.neutral < 1) & ((state.units - self.neutral).abs() < KINK_OFFSET)
         if not bool(kinks.any()):
             return state
-        posed, scale_mm = self.surface.posed(self.coefficients(state.units)), max(SIDES_MM, schedule.last_scale_mm)
+        posed, scale_mm = self.posed(state), max(SIDES_MM, schedule.last_scale_mm)
         pairs = match(self.surface, posed, target, state.motion, scale_mm, schedule.degrees)
         landmarks = target.landmark_term(self.surface, posed, state.motion, scale_mm)
         sides = [torch.where(kinks, self.neutral + offset, state.units) for offset in (KINK_OFFSET, -KINK_OFFSET)]
@@ -153,6 +160,12 @@ class SurfaceFit:
         up, down = -rise, fall
         units = torch.where(kinks & (up > 0) & (up >= down), sides[0], state.units)
         return State(torch.where(kinks & (down > 0) & (down > up), sides[1], units), state.motion)
+
+    def posed(self, state: State) -> Posed:
+        """The rig's surface at a state, without rigid motion."""
+        posed = self.surface.posed(self.coefficients(state.units), self.near)
+        self.near = posed.mesh
+        return posed
 
     def coefficients(self, units: Tensor) -> Tensor:
         """The rig's coefficients `(coefficient,)`."""

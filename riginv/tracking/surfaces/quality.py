@@ -7,7 +7,7 @@ import numpy as np
 from riginv.tracking.surfaces.fitting import State, SurfaceFit
 from riginv.tracking.surfaces.matching import Pairs, Target, match
 
-SCALE_MM = 3.0  # at which distances saturate in the objective
+SCALE_MM = 1.0  # at which distances saturate in the objective: with 3, what the rig cannot make decides
 EXPLAINED_MM = 2.0  # distance of explained points of the scan from the rig
 SEEN_MM = 5.0  # distance of covered points of the rig from the scan
 DEGREES = 60.0
@@ -35,7 +35,7 @@ class Quality(NamedTuple):
 
 def quality(fit: SurfaceFit, target: Target, state: State) -> Quality:
     """The quality of a state as a fit to a scan."""
-    posed = fit.surface.posed(fit.coefficients(state.units))
+    posed = fit.posed(state)
     pairs = match(fit.surface, posed, target, state.motion, SCALE_MM, DEGREES)
     return quality_of_pairs(fit, pairs, state)
 

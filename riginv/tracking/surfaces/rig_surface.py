@@ -73,15 +73,17 @@ class RigSurface:
         return self.posed(coefficients)
 
     @torch.no_grad()
-    def posed(self, coefficients: Tensor) -> Posed:
-        """The rig's surface at coefficients `(coefficient,)`."""
-        return Posed(coefficients, TriangleMesh(self.vertices(coefficients), self.faces, self.border, self._around))
+    def posed(self, coefficients: Tensor, near: TriangleMesh | None = None) -> Posed:
+        """The rig's surface at coefficients `(coefficient,)`; `near`: as it was before, perhaps with a search tree."""
+        return Posed(coefficients, TriangleMesh(self.vertices(coefficients), self.faces, self.border, self._around, near))
 
     @torch.no_grad()
     def vertices(self, coefficients: Tensor) -> np.ndarray:
         """The rig's vertices `(vertex, 3)` at coefficients `(coefficient,)`, mm."""
-        moved = ((coefficients - self._neutral) @ self._basis).view(-1, 3)
-        return (self._rest + moved).numpy()
+        change = coefficients - self._neutral
+        used = change.nonzero()[:, 0]
+        moved = weighted_rows(self._basis, used, change[used], torch.tensor([0, len(used)]))
+        return (self._rest + moved.view(-1, 3)).numpy()
 
     @torch.no_grad()
     def linearise(self, controls: Tensor) -> tuple[Tensor, Jacobian]:
@@ -109,9 +111,18 @@ class RigSurface:
         values = by_corners.astype(np.float32).reshape(columns.shape)
         used = values != 0  # vertices have one corner of weight 1 and two of weight 0
         starts = torch.from_numpy(np.append(0, used.sum(axis=1).cumsum()))
-        entries = torch.from_numpy(columns[used]), torch.from_numpy(values[used])
-        matrix = torch.sparse_csr_tensor(starts, *entries, (len(corners), len(self._rows)), check_invariants=False)
-        return matrix @ self._rows
+        return weighted_rows(self._rows, torch.from_numpy(columns[used]), torch.from_numpy(values[used]), starts)
+
+
+def weighted_rows(matrix: Tensor, rows: Tensor, weights: Tensor, starts: Tensor) -> Tensor:
+    """Weighted sums of rows of a matrix `(row, column)`: four times as fast as sparse matrices of PyTorch.
+
+    Args:
+        rows, weights: indices of rows, and their weights, `(entry,)`, sum after sum.
+        starts: the first entry of each sum, and the number of entries, `(sum + 1,)`.
+    """
+    sums = torch.nn.functional.embedding_bag
+    return sums(rows, matrix, starts, mode="sum", per_sample_weights=weights, include_last_offset=True)
 
 
 def exposure(points: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from riginv.solvers.objective import GaussianPrior
 from riginv.tracking.priors.performances import STRONG, PoseLibrary
 from riginv.tracking.priors.prior import ControlPrior, independent_measurements
 from riginv.tracking.surfaces.alignment import Aligner
-from riginv.tracking.surfaces.fitting import FINISH, FROM_NEAR, FROM_SCRATCH, Schedule, State, SurfaceFit
+from riginv.tracking.surfaces.fitting import FINISH, FROM_NEAR, FROM_POSE, FROM_SCRATCH, Schedule, State, SurfaceFit
 from riginv.tracking.surfaces.landmarks import Landmarks
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion
@@ -32,9 +32,10 @@ class ScanSettings:
         fine_samples: of the scan in the last steps, where more of them lower the effect of noise.
         noise_mm: standard deviation of the residual between the scan and the rig's best mesh, which weights the prior.
         base: mm^2 for a control that leaves neutral by its whole range, beside the prior.
-        from_scratch, from_near, finish: the steps of a fit.
+        from_scratch, from_pose, from_near, finish: the steps of a fit.
         explained: fraction of explained points below which further starts are tried.
-        starts: number of these for each ranking of poses: near the solution, near the prior's mean, with hidden parts shown.
+        starts: number of these for each ranking of poses: near the solution, and near the prior's mean.
+        hidden_starts: for each ranking of poses with hidden parts shown.
         seen: the fraction of the rig's skin below which a frame is flagged as `little_seen`.
         lost_mm: mean distance of a scan from the rig above which a frame is flagged as `lost`.
         unexplained: the fraction of a scan's points, explained, below which a frame is flagged as `unexplained`.
@@ -46,10 +47,12 @@ class ScanSettings:
     noise_mm: float = 0.1
     base: float = 1e-6
     from_scratch: Schedule = FROM_SCRATCH
+    from_pose: Schedule = FROM_POSE
     from_near: Schedule = FROM_NEAR
     finish: Schedule = FINISH
     explained: float = 0.98
     starts: int = 1
+    hidden_starts: int = 4
     seen: float = 0.25
     lost_mm: float = 1.0
     unexplained: float = 0.95
@@ -161,15 +164,16 @@ class ScanSolver:
     def _restart(self, fit: SurfaceFit, target: Target, best: SolvedScan) -> SolvedScan:
         motion, found = best.state.motion, best.quality
         fresh = self.library.around(self.start)
-        ranked = [(self.library.around(best.state.units), fresh), (fresh, fresh)]
+        few, more = self.settings.starts, self.settings.hidden_starts
+        ranked = [(self.library.around(best.state.units), fresh, few), (fresh, fresh, few)]
         for number in self.hidden:  # no derivative leads to them, and what they hide must give way, such as a jaw
             shown = self.start.clone()
             shown[number] = STRONG if self.fit_neutral[number] < 1 else 1 - STRONG
             poses = self.library.around(shown)
-            ranked.append((poses, poses))
-        for poses, starts in ranked:
-            for number in promising_starts(fit, target, motion, found, poses, self.settings.starts):
-                best = self._better(best, self._try(fit, target, State(starts[number], motion), self.settings.from_scratch))
+            ranked.append((poses, poses, more))
+        for poses, starts, count in ranked:
+            for number in promising_starts(fit, target, motion, found, poses, count):
+                best = self._better(best, self._try(fit, target, State(starts[number], motion), self.settings.from_pose))
         return replace(best, restarted=True)
 
     def _try(self, fit: SurfaceFit, target: Target, start: State, schedule: Schedule) -> SolvedScan:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 EDGE = 1e-4  # the barycentric coordinate below which a point lies on an edge
 NEIGHBOURS = 16  # points that a normal is estimated from
+REUSE_MM = 1.0  # displacement of a mesh's points up to which its search tree is used again
 ONE_SIDED = 0.35  # distance of a point from the mean of its neighbours, relative to the farthest, at the border of a cloud
 
 
@@ -71,6 +72,7 @@ class TriangleMesh(Surface):
         points: `(point, 3)`, mm.
         faces: `(face, 3)`.
         border, around: `border_edges(faces)` and `faces_around(faces, len(points))`, if they are known already.
+        near: a mesh of the same faces, whose search tree is used again if no point is further than `REUSE_MM` from there.
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class TriangleMesh(Surface):
         faces: np.ndarray,
         border: np.ndarray | None = None,
         around: "scipy.sparse.csr_array | None" = None,
+        near: "TriangleMesh | None" = None,
     ) -> None:
         self.points = np.ascontiguousarray(points, np.float64)
         self.faces = np.ascontiguousarray(faces, np.int64)
@@ -87,6 +90,9 @@ class TriangleMesh(Surface):
         crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.areas = 0.5 * np.linalg.norm(crossed, axis=1)
         self.normals = unit((faces_around(self.faces, len(self.points)) if around is None else around) @ crossed)
+        base: TriangleMesh | None = near and (near._base or near)
+        is_near = base is not None and ((self.points - base.points) ** 2).sum(axis=1).max() < REUSE_MM**2
+        self._base: TriangleMesh | None = base if is_near else None
 
     def reversed(self) -> "TriangleMesh":
         return TriangleMesh(self.points, self.faces[:, ::-1])
@@ -108,18 +114,28 @@ class TriangleMesh(Surface):
         tree.init(self.points, self.faces)
         return tree
 
+    def _find(self, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The faces of the closest points, and their barycentric coordinates."""
+        _, face, found = self._tree.squared_distance(self.points, self.faces, queries)
+        face = face.reshape(-1)
+        return face, barycentric(found, self.points[self.faces[face]])
+
     def closest(self, queries: np.ndarray) -> Hits:
         queries = np.ascontiguousarray(queries, np.float64)
-        squared, face, found = self._tree.squared_distance(self.points, self.faces, queries)
-        face = face.reshape(-1)
+        if self._base is None:
+            face, weights = self._find(queries)
+        else:  # queries are moved as their closest points of the other mesh are away from here
+            face, weights = self._base._find(queries)
+            moved = (weights[..., None] * (self.points - self._base.points)[self.faces[face]]).sum(axis=1)
+            face, weights = self._base._find(queries - moved)
         corners = self.faces[face]
-        weights = barycentric(found, self.points[corners])
+        found = (weights[..., None] * self.points[corners]).sum(axis=1)
         normals = unit((weights[..., None] * self.normals[corners]).sum(axis=1))
         on_edge = weights < EDGE
         at_corner = on_edge.sum(axis=1) == 2
         nearest = corners[np.arange(len(corners)), weights.argmax(axis=1)]
         on_border = (on_edge & self.border[face]).any(axis=1) | (at_corner & self.border_points[nearest])
-        return Hits(found, normals, np.sqrt(np.maximum(squared.reshape(-1), 0)), on_border, corners, weights)
+        return Hits(found, normals, np.linalg.norm(queries - found, axis=1), on_border, corners, weights)
 
     def samples(self, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         face, weights = self.sample_barycentric(count, seed)

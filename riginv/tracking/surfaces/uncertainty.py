@@ -30,7 +30,7 @@ class Uncertainty(NamedTuple):
 def uncertainty(solver: ScanSolver, target: Target, found: SolvedScan) -> Uncertainty:
     """The uncertainty of a solution: a Gaussian posterior of the controls."""
     fit, schedule = solver.fit(target), solver.settings.from_near
-    posed = fit.surface.posed(fit.coefficients(found.state.units))
+    posed = fit.posed(found.state)
     scale = max(schedule.last_scale_mm, 5 * found.quality.scan_mm)
     near = Linearised(fit, found.state, match(fit.surface, posed, target, found.state.motion, scale, schedule.degrees))
     each = solver.variance_per_measurement(target)
