@@ -26,7 +26,7 @@ def linear(inputs: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor
         weight: `(output, input)`.
         bias: `(output,)`.
     """
-    if torch.compiler.is_compiling() or len(inputs) < MIN_ROWS or not _by_onednn(inputs, weight, bias):
+    if not _by_onednn(inputs, weight, bias):
         return torch.nn.functional.linear(inputs, weight, bias)
     if torch.is_grad_enabled() and any(each is not None and each.requires_grad for each in (inputs, weight, bias)):
         return _Linear.apply(inputs, weight, bias)
@@ -61,11 +61,13 @@ def _product(inputs: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
 
 def _by_onednn(inputs: Tensor, weight: Tensor, bias: Tensor | None) -> bool:
     """Whether oneDNN multiplies these tensors, and faster; PyTorch broadcasts biases, and says which sizes do not fit."""
-    if not prefers_onednn() or inputs.dtype != torch.float32 or inputs.dim() != 2 or weight.dim() != 2 or not weight.numel():
+    given = (inputs, weight) if bias is None else (inputs, weight, bias)
+    if not prefers_onednn() or kernels_for(*given) is None:  # before sizes are compared, which a traced program would keep
+        return False
+    if inputs.dtype != torch.float32 or inputs.dim() != 2 or weight.dim() != 2 or not weight.numel() or len(inputs) < MIN_ROWS:
         return False
     fits = inputs.shape[1] == weight.shape[1] and (bias is None or bias.shape == weight.shape[:1])
-    given = (inputs, weight) if bias is None else (inputs, weight, bias)
-    return fits and kernels_for(*given) is not None and not torch.is_autocast_enabled("cpu")
+    return fits and not torch.is_autocast_enabled("cpu")
 
 
 @functools.cache

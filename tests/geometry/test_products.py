@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch import nn
 from torch.autograd import forward_ad
+from torch.fx.experimental.proxy_tensor import make_fx
 
 from riginv.geometry import products
 from riginv.geometry.kernels.library import kernels, pure_torch
@@ -109,6 +110,16 @@ def test_layers_use_it_and_keep_the_names_of_their_weights(counted):
     inputs = torch.randn(16, 5)
     torch.testing.assert_close(layer(inputs), plain(inputs), rtol=1e-5, atol=1e-5)
     assert len(counted) == 1
+
+
+@needs_onednn
+def test_a_program_traced_for_any_batch_takes_any(counted):
+    weight = torch.randn(6, 5)
+    program = make_fx(lambda rows: linear(rows, weight), tracing_mode="symbolic", _allow_non_fake_inputs=True)
+    traced = program(torch.randn(16, 5))
+    assert not counted and all("mkldnn" not in str(node.target) for node in traced.graph.nodes)
+    rows = next(iter(traced.graph.nodes)).meta["val"].shape[0].node
+    assert not [str(guard.expr) for guard in rows.shape_env.guards if str(rows.expr) in str(guard.expr)]
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,8 @@ def is_transformed(tensors: Sequence[Tensor]) -> bool:
     """Whether tensors are part of a traced program, of a vmap or of forward-mode differentiation, which see no kernels."""
     if torch.compiler.is_compiling() or torch.jit.is_tracing() or torch._C._functorch.maybe_current_level() is not None:
         return True
+    if torch._C._len_torch_dispatch_stack():  # make_fx, and tensors without values
+        return True
     if not all(torch._C._has_storage(tensor) for tensor in tensors):  # torch.autograd's own vmap
         return True
     return forward_ad._current_level >= 0 and any(forward_ad.unpack_dual(tensor).tangent is not None for tensor in tensors)
