@@ -113,9 +113,9 @@ def test_of_several_meshes_the_one_with_the_rigs_vertices_is_read(tmp_path):
 
 
 def test_faces_of_left_handed_meshes_are_turned(tmp_path, scans):
+    stage, (points, faces) = new_stage(tmp_path / "left.usda"), scans[0]
     from pxr import UsdGeom
 
-    stage, (points, faces) = new_stage(tmp_path / "left.usda"), scans[0]
     usd_mesh(stage, points, faces[:, ::-1])
     UsdGeom.Mesh.Get(stage, "/scan/head").CreateOrientationAttr("leftHanded")
     stage.Save()
