@@ -19,6 +19,8 @@ from typing import TypeVar
 import psutil
 import torch
 
+from riginv.errors import counted
+
 THREADS_VARIABLE = "RIGINV_THREADS"  # environment variable: fixes the number of threads
 LIMIT = "OMP_NUM_THREADS"  # an upper limit, where it is set
 SECONDS = 2.0  # between two looks at what other processes do
@@ -144,12 +146,11 @@ class Workers:
 
     def describe(self) -> str:
         """The number of threads and how it was chosen, in a few words."""
-        threads = f"{self.count} thread{'s' if self.count > 1 else ''}"
+        threads = counted(self.count, "thread")
         if self.chosen is not None:
             return f"{threads}, as configured"
-        cores = f"{self.cores.count} core{'s' if self.cores.count > 1 else ''}"
-        counted = f" (free cores are counted every {SECONDS:g} s)" if self.counts_cores else ""
-        return f"{threads} of {cores}{counted}"
+        how = f" (free cores are counted every {SECONDS:g} s)" if self.counts_cores else ""
+        return f"{threads} of {counted(self.cores.count, 'core')}{how}"
 
     def _threads(self) -> ThreadPoolExecutor:
         if self._pool is None:

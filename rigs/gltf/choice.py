@@ -16,8 +16,6 @@ MOVES = 1e-5  # fraction of the meshes' size that a vertex must move
 LOOKS = 48  # most sampled poses, beside those farthest from the first
 COMPARED = 10  # other animations, of which those that move other parts are looked for
 
-STILL = "does not move the meshes that were read: all frames are one pose"
-
 
 class Chosen(NamedTuple):
     """Animations that are read.
@@ -89,9 +87,11 @@ def choice_notes(file: GltfFile, meshes: PosedMeshes, chosen: Chosen) -> list[st
     """Notes for the user: animations that were not read, and whether anything moves."""
     names, read = animation_names(file), chosen.numbers[0]
     text = f"Animation {read + 1}" + f", '{names[read]}'," * (names[read] != unnamed(read))
-    keys = {float(time) for channel in chosen.channels for time in channel.times} if not chosen.moves else set()
-    reason = "has keys at one time: that pose was read" if len(keys) == 1 else STILL
-    notes = [] if chosen.moves else [f"{text} {reason}."]
+    notes = []
+    if not chosen.moves:
+        times = {float(time) for channel in chosen.channels for time in channel.times}
+        still = "does not move the meshes that were read: all frames are one pose"
+        notes.append(f"{text} {'has keys at one time: that pose was read' if len(times) == 1 else still}.")
     if chosen.requested or len(names) == 1:
         return notes
     others = [number for number in range(len(names)) if number != read]

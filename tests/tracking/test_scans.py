@@ -79,6 +79,16 @@ def test_files_of_different_meshes_are_one_clip(tmp_path):
     assert [len(scans.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans_of(ToyRig())]
 
 
+def test_a_scan_that_is_asked_for_again_is_read_once(tmp_path, monkeypatch):
+    for number in (1, 2):
+        write_ply(tmp_path / f"scan.{number}.ply", np.random.default_rng(number).normal(0, 50, (60, 3)), None)
+    scans, read = FileScans(str(tmp_path / "scan.%d.ply"), ReadingOptions()), []
+    monkeypatch.setattr(scans, "scan", lambda index: read.append(index) or FileScans.scan(scans, index))
+    found = [scans.cleaned(index).points for index in (0, 0, 1, 0)]
+    assert read == [0, 1, 0] and (found[0] == found[1]).all() and (found[0] == found[3]).all()
+    assert not np.array_equal(found[0], found[2])
+
+
 def test_polygons_become_fans():
     polygons = Polygons(np.array([4, 3, 2]), np.array([0, 1, 2, 3, 4, 5, 6, 7, 8]))
     assert triangulated(polygons).tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]

@@ -66,6 +66,8 @@ class Scan(NamedTuple):
 class ScanSequence(ABC):
     """A sequence of scans; one is in memory at a time. Attributes as in `MeshSequence`."""
 
+    _last: tuple[int, Scan | None] | None = None  # the index that was cleaned last, and its scan: the first is asked for often
+
     def __init__(
         self,
         path: str | Path,
@@ -89,8 +91,13 @@ class ScanSequence(ABC):
         Raises:
             InputError: as `scan`.
         """
-        scan = self.scan(index) if index >= 0 else None
-        return None if scan is None else scan.cleaned()
+        if index < 0:
+            return None
+        last = self._last  # read once: other threads may replace it
+        if last is None or last[0] != index:
+            scan = self.scan(index)
+            last = self._last = index, None if scan is None else scan.cleaned()
+        return last[1]
 
     @abstractmethod
     def scan(self, index: int) -> Scan | None:
