@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from riginv.clips.open import open_sequence
+from riginv.clips.sequence import ScansError
 from riginv.errors import InputError
 from riginv.tracking.surfaces.scan_files import FileScans, MeshScans, open_scans, read_scan
 from riginv.tracking.surfaces.scans import Scan
@@ -133,6 +135,44 @@ def test_point_clouds_of_a_stage_are_scans(tmp_path, scans):
     found = open_scans(str(tmp_path / "cloud.usda"), RIG, reading_options())
     assert [len(found.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans]
     assert found.scan(0).faces is None
+    scan, _ = read_scan(str(one_cloud(tmp_path, scans[0][0])), replace(reading_options(), fps=1.0), RIG)
+    assert len(scan.points) == len(scans[0][0])
+
+
+def one_cloud(folder: Path, points: np.ndarray) -> Path:
+    """A stage with a point cloud that does not move."""
+    from pxr import UsdGeom, Vt
+
+    stage = new_stage(folder / "one cloud.usda")
+    cloud = UsdGeom.Points.Define(stage, "/points")
+    cloud.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
+    stage.Save()
+    return folder / "one cloud.usda"
+
+
+def test_clouds_of_equally_many_points_are_not_interpolated(tmp_path, scans):
+    """Frame 1 has no sample: it holds that of frame 0, whose points are not those of frame 2 in another place."""
+    stage = new_stage(tmp_path / "cloud.usda")
+    from pxr import UsdGeom, Vt
+
+    attribute, points = UsdGeom.Points.Define(stage, "/points").CreatePointsAttr(), scans[0][0].astype(np.float32)
+    for time, order in ((0, slice(None)), (2, slice(None, None, -1)), (3, slice(None))):
+        attribute.Set(Vt.Vec3fArray.FromNumpy(points[order]), time)
+    stage.Save()
+    found = open_scans(str(tmp_path / "cloud.usda"), RIG, reading_options())
+    np.testing.assert_array_equal(found.scan(1).points, points)
+    assert any("1 of 4 frames have no sample of their own: they hold the one before" in note for note in found.facts.notes)
+
+
+def test_a_stage_with_a_skeleton_alone_is_no_scan(tmp_path):
+    stage = new_stage(tmp_path / "bones.usda")
+    from pxr import UsdSkel
+
+    UsdSkel.Skeleton.Define(stage, "/skeleton").CreateJointsAttr(["hips"])
+    stage.Save()
+    with pytest.raises(InputError, match="bones.usda: .* It has a skeleton, .* leave out correspondence=surface") as refused:
+        open_scans(str(tmp_path / "bones.usda"), RIG, reading_options())
+    assert not isinstance(refused.value, ScansError)
 
 
 def test_a_stage_for_each_scan_is_a_clip(run, tmp_path, scans):
@@ -235,6 +275,24 @@ def test_inspect_reads_a_clip_of_another_mesh_in_each_frame_as_scans(run, tmp_pa
     done = run("inspect", str(tmp_path / "scan.%d.ply"), "rig=toy", CONF)
     words = ("kind     scans: meshes", "unit     mm (guessed)", "rig toy", "correspondence=surface")
     assert done.code == 0 and all(word in done.text for word in words), done.text
+
+
+def test_what_can_be_read_as_scans_is_refused_as_such(tmp_path, scans):
+    """As a clip of the rig; the class tells it, which comes out of the process that reads stages, too."""
+    for number, (points, faces) in enumerate(scans):
+        trimesh.Trimesh(points[number:], faces[:1], process=False).export(tmp_path / f"scan.{number}.ply")
+    trimesh.Trimesh(*scans[0], process=False).export(tmp_path / "still.glb")
+    stage = new_stage(tmp_path / "clip.usda")
+    usd_mesh(stage, *scans[0], 0)
+    usd_mesh(stage, scans[1][0][1:], scans[1][1], 1)
+    stage.Save()
+    for path in ("scan.%d.ply", "still.glb", "clip.usda", one_cloud(tmp_path, scans[0][0])):
+        with pytest.raises(ScansError, match="correspondence=surface"):
+            open_sequence(str(tmp_path / path), None, reading_options()).read(0, 2)
+    (tmp_path / "no.usda").write_text("#usda 1.0\n")
+    with pytest.raises(InputError, match="expected one mesh, and it has none") as refused:
+        open_sequence(str(tmp_path / "no.usda"), None, reading_options())
+    assert not isinstance(refused.value, ScansError)
 
 
 def test_wrap_reads_a_stage_and_inches(run, tmp_path, scans):

@@ -11,7 +11,7 @@ from PIL import Image
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import Polygons
 from riginv.errors import InputError
-from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, triangulated
+from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.conftest import ROOT
@@ -91,7 +91,7 @@ def test_a_scan_that_is_asked_for_again_is_read_once(tmp_path, monkeypatch):
 
 def test_polygons_become_fans():
     polygons = Polygons(np.array([4, 3, 2]), np.array([0, 1, 2, 3, 4, 5, 6, 7, 8]))
-    assert triangulated(polygons).tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
+    assert polygons.fans().tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
 
 
 def test_a_scan_is_cleaned_of_what_cannot_be_used():

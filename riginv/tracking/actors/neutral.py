@@ -10,7 +10,7 @@ from torch import Tensor
 from riginv.clips.clip import Clip, frames_named
 from riginv.clips.open import open_clip
 from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.sequence import StillMeshError
+from riginv.clips.sequence import ScansError
 from riginv.clips.topology import TopologyError
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
@@ -56,7 +56,7 @@ def read_neutral(path: str, rig: RigBackend, reading: ReadingOptions) -> GivenNe
         if error.same_count:
             raise InputError(f"actor.neutral={error}") from None
         return _wrapped(path, rig, reading)
-    except StillMeshError:
+    except ScansError:
         return _wrapped(path, rig, reading)
     if len(clip) != 1:
         raise InputError(

@@ -11,7 +11,7 @@ from riginv.clips.file_frames import vertices_of
 from riginv.clips.numbered import find_frames, is_pattern, visible_files
 from riginv.clips.open import SEQUENCES, open_sequence
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts, StillMeshError
+from riginv.clips.sequence import MAX_VERTICES, MeshSequence, ScansError, SourceFacts
 from riginv.clips.units import ClipUnits
 from riginv.config.building import class_of
 from riginv.errors import InputError, in_short, listed
@@ -59,7 +59,7 @@ class FileScans(ScanSequence):
         if self.options.mesh_names and mesh.objects:
             selected = vertices_of(mesh, self.options.mesh_names)
             points, polygons = points[selected], None if polygons is None else polygons.among(selected)
-        return Scan(points, None if polygons is None else triangulated(polygons))
+        return Scan(points, None if polygons is None else polygons.fans())
 
 
 class MeshScans(ScanSequence):
@@ -71,7 +71,7 @@ class MeshScans(ScanSequence):
 
     def scan(self, index: int) -> Scan | None:
         points, polygons = self.sequence.mesh(index)
-        return Scan(points, None if polygons is None else triangulated(polygons))
+        return Scan(points, None if polygons is None else polygons.fans())
 
 
 class RaggedArrays(ScanSequence):
@@ -132,7 +132,7 @@ def open_scans(path: str, rig: RigBackend | None, reading: ReadingOptions) -> Sc
         return FileScans(path, reading)
     try:
         return MeshScans(open_sequence(path, rig, reading, as_scans=True))
-    except StillMeshError:
+    except ScansError:
         return FileScans(path, reading)
 
 
@@ -203,15 +203,6 @@ def _suffix(given: Path) -> str:
         found = {file.suffix.lower() for file in visible_files(given)}
         return next((suffix for suffix in SUFFIXES if suffix in found), SUFFIXES[0])
     return given.suffix.lower()
-
-
-def triangulated(polygons: Polygons) -> np.ndarray:
-    """Triangle fans `(face, 3)` of polygons; those of fewer than three corners give none."""
-    starts = np.cumsum(polygons.sizes) - polygons.sizes
-    count = np.maximum(polygons.sizes - 2, 0)
-    first = np.repeat(starts, count)
-    along = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    return np.stack([polygons.corners[first + step] for step in (0 * along, along + 1, along + 2)], axis=1)
 
 
 def _load(path: Path) -> dict[str, np.ndarray]:
