@@ -6,9 +6,10 @@
     python benchmarks/scans.py AURA a                  another rig: the folder of Meta's Aura (benchmarks/aura_rig.py)
 
 TAKE.csv is a Live Link Face recording, whose 52 curves are added linearly to the default face: meshes near the rig's reach, but
-not in it. So are the curves of Aura's own animation to its 72 shapes; EXACT=1 plays them by Aura's logic, which leaves an optimum
-of nearly 0. The prior is learned from the take's first half; frames of the second half are judged by their true vertices, in
-the rig's own frame, over all of them (8,447 of the face). `x` is over the best same-topology answer (Levenberg-Marquardt from three starts).
+not in it. So are the curves of Aura's own animation to its 72 shapes; EXACT=1 plays them by Aura's logic, with an optimum of
+nearly 0. The prior is learned from the take's first half; frames of the second half are judged by their true vertices, in
+the rig's own frame, over all of them (8,447 of the face). `x` is over the best same-topology answer (Levenberg-Marquardt from
+three starts).
 Scans keep 40 % of the faces, no vertex, and only what 24 cameras before the face see.
 
 a           as they are, prior from the other half of the take

@@ -1,6 +1,5 @@
 """Scans in the files of other programs: USD and Alembic whose topology changes, STL, a scene for each scan."""
 
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,46 +7,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from riginv.clips.open import open_sequence
 from riginv.clips.sequence import ScansError
 from riginv.errors import InputError
 from riginv.tracking.surfaces.scan_files import FileScans, MeshScans, open_scans, read_scan
 from riginv.tracking.surfaces.scans import Scan
 from tests.conftest import ROOT
-from tests.support.blends import blender
 from tests.support.clips import reading_options
-from tests.support.scans import write_ragged
+from tests.support.scans import new_stage, usd_mesh, write_alembic
 from tests.support.toys import ToyRig
 from tests.tracking.test_scans import NO_LOOK, scans_of
 
 CONF = f"--config-dir={ROOT / 'tests/conf'}"
 RIG = ToyRig()
-MAKE = """
-import os, sys, bpy, numpy as np
-data = np.load(sys.argv[-1])
-folder = os.path.dirname(sys.argv[-1])
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
-scene.render.fps, scene.frame_start, scene.frame_end = 25, 1, 3
-points = data["points"]
-mesh = bpy.data.meshes.new("head")
-mesh.from_pydata((points[:, [0, 2, 1]] * [1, -1, 1]).tolist(), [], data["faces"].tolist())
-head = bpy.data.objects.new("head", mesh)
-scene.collection.objects.link(head)
-less = head.modifiers.new("less", "DECIMATE")
-for frame, ratio in enumerate((1.0, 0.8, 0.6), start=1):
-    less.ratio = ratio
-    less.keyframe_insert("ratio", frame=frame)
-bpy.ops.wm.alembic_export(filepath=folder + "/ragged.abc", start=1, end=3, as_background_job=False)
-found = {}
-for frame in (1, 2, 3):
-    scene.frame_set(frame)
-    shown = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
-    found[f"points{frame}"] = np.array([vertex.co[:] for vertex in shown.vertices])
-    found[f"faces{frame}"] = np.array([face.vertices[:] for face in shown.polygons])
-np.savez(folder + "/expected.npz", **found)
-os._exit(0)
-"""
 
 
 @pytest.fixture
@@ -55,25 +26,15 @@ def scans() -> list[tuple[np.ndarray, np.ndarray]]:
     return scans_of(RIG)
 
 
-def new_stage(path: Path, **metadata):
-    pytest.importorskip("pxr", reason="usd-core is not installed")
-    from pxr import Usd, UsdGeom
+def one_cloud(folder: Path, points: np.ndarray) -> Path:
+    """A stage with a point cloud that does not move."""
+    from pxr import UsdGeom, Vt
 
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageMetersPerUnit(stage, metadata.get("metres", 0.001))
-    UsdGeom.SetStageUpAxis(stage, metadata.get("up", "Y"))
-    stage.SetTimeCodesPerSecond(30)
-    return stage
-
-
-def usd_mesh(stage, points, faces, time=None, path="/scan/head") -> None:
-    """The mesh of a stage at a time."""
-    from pxr import Usd, UsdGeom, Vt
-
-    mesh, at = UsdGeom.Mesh.Define(stage, path), Usd.TimeCode.Default() if time is None else time
-    mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(np.asarray(points, np.float32)), at)
-    mesh.CreateFaceVertexCountsAttr().Set([3] * len(faces), at)
-    mesh.CreateFaceVertexIndicesAttr().Set(faces.ravel().tolist(), at)
+    stage = new_stage(folder / "one cloud.usda")
+    cloud = UsdGeom.Points.Define(stage, "/points")
+    cloud.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
+    stage.Save()
+    return folder / "one cloud.usda"
 
 
 def closeness(scans, expected) -> None:
@@ -139,17 +100,6 @@ def test_point_clouds_of_a_stage_are_scans(tmp_path, scans):
     assert len(scan.points) == len(scans[0][0])
 
 
-def one_cloud(folder: Path, points: np.ndarray) -> Path:
-    """A stage with a point cloud that does not move."""
-    from pxr import UsdGeom, Vt
-
-    stage = new_stage(folder / "one cloud.usda")
-    cloud = UsdGeom.Points.Define(stage, "/points")
-    cloud.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
-    stage.Save()
-    return folder / "one cloud.usda"
-
-
 def test_clouds_of_equally_many_points_are_not_interpolated(tmp_path, scans):
     """Frame 1 has no sample: it holds that of frame 0, whose points are not those of frame 2 in another place."""
     stage = new_stage(tmp_path / "cloud.usda")
@@ -188,11 +138,7 @@ def test_a_stage_for_each_scan_is_a_clip(run, tmp_path, scans):
 
 
 def test_alembic_whose_topology_changes_is_a_clip_of_scans(tmp_path, scans):
-    np.savez(tmp_path / "mesh.npz", points=scans[0][0], faces=scans[0][1])
-    (tmp_path / "make.py").write_text(MAKE)
-    command = [blender(), str(tmp_path / "make.py"), str(tmp_path / "mesh.npz")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    write_alembic(tmp_path, *scans[0])
     found, expected = open_scans(str(tmp_path / "ragged.abc"), RIG, reading_options()), np.load(tmp_path / "expected.npz")
     assert isinstance(found, MeshScans) and found.fps == 25 and found.frame_numbers.tolist() == [1, 2, 3]
     closeness(
@@ -241,58 +187,6 @@ def test_one_reader_serves_clips_and_neutrals(tmp_path, scans):
     np.savez(tmp_path / "two.npz", **several | {"faces": np.tile(faces, (2, 1)), "face_offsets": np.arange(3) * len(faces)})
     with pytest.raises(InputError, match="2 scans, expected one"):
         read_scan(str(tmp_path / "two.npz"), reading_options(), RIG)
-
-
-def test_inspect_says_what_scans_a_path_holds(run, tmp_path, scans):
-    write_ragged(tmp_path / "meshes.npz", scans)
-    clouds = [(points, None) for points, _ in scans]
-    write_ragged(tmp_path / "clouds.npz", clouds, normals=np.concatenate([points for points, _ in scans]), fps=25.0)
-    (tmp_path / "folder é (1)").mkdir()
-    for number, (points, faces) in enumerate(scans):
-        trimesh.Trimesh(points / 1000, faces, process=False).export(tmp_path / f"folder é (1)/scan.{number}.glb")
-    expected = {
-        "meshes.npz": ("kind     scans: meshes", "940 to 960 a frame", "of the faces", "unit     not known", "3 frames 0 to 2"),
-        "clouds.npz": ("kind     scans: point clouds", "482 in each frame", "in the file", "25 frames a second"),
-        "folder é (1)": ("scans (GLB)", "unit     m (as the file says)"),
-    }
-    for name, words in expected.items():
-        done = run("inspect", str(tmp_path / name))
-        assert done.code == 0 and all(word in done.text for word in words), done.text
-    done = run("inspect", str(tmp_path / "meshes.npz"), "rig=toy", CONF)
-    assert done.code == 0 and "unit     mm (guessed)" in done.text
-
-
-def test_inspect_reads_a_clip_of_another_mesh_in_each_frame_as_scans(run, tmp_path, scans):
-    stage = new_stage(tmp_path / "take.usdc")
-    for number, (points, faces) in enumerate(scans):
-        usd_mesh(stage, points, faces, number)
-    usd_mesh(stage, np.zeros((0, 3)), np.zeros((0, 3), int), 3)
-    stage.Save()
-    done = run("inspect", str(tmp_path / "take.usdc"))
-    assert done.code == 0 and "kind            scans: meshes" in done.text and "1 frame: 3" in done.text, done.text
-    for number, (points, faces) in enumerate(scans):
-        trimesh.Trimesh(points, faces, process=False).export(tmp_path / f"scan.{number}.ply")
-    done = run("inspect", str(tmp_path / "scan.%d.ply"), "rig=toy", CONF)
-    words = ("kind     scans: meshes", "unit     mm (guessed)", "rig toy", "correspondence=surface")
-    assert done.code == 0 and all(word in done.text for word in words), done.text
-
-
-def test_what_can_be_read_as_scans_is_refused_as_such(tmp_path, scans):
-    """As a clip of the rig; the class tells it, which comes out of the process that reads stages, too."""
-    for number, (points, faces) in enumerate(scans):
-        trimesh.Trimesh(points[number:], faces[:1], process=False).export(tmp_path / f"scan.{number}.ply")
-    trimesh.Trimesh(*scans[0], process=False).export(tmp_path / "still.glb")
-    stage = new_stage(tmp_path / "clip.usda")
-    usd_mesh(stage, *scans[0], 0)
-    usd_mesh(stage, scans[1][0][1:], scans[1][1], 1)
-    stage.Save()
-    for path in ("scan.%d.ply", "still.glb", "clip.usda", one_cloud(tmp_path, scans[0][0])):
-        with pytest.raises(ScansError, match="correspondence=surface"):
-            open_sequence(str(tmp_path / path), None, reading_options()).read(0, 2)
-    (tmp_path / "no.usda").write_text("#usda 1.0\n")
-    with pytest.raises(InputError, match="expected one mesh, and it has none") as refused:
-        open_sequence(str(tmp_path / "no.usda"), None, reading_options())
-    assert not isinstance(refused.value, ScansError)
 
 
 def test_wrap_reads_a_stage_and_inches(run, tmp_path, scans):

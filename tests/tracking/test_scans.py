@@ -255,22 +255,6 @@ def test_what_cannot_be_meant_ends_in_one_sentence(run, tmp_path, more, said):
     assert not (tmp_path / "got").exists()
 
 
-def test_scans_that_are_inside_out_are_said_to_be(run, tmp_path):
-    write_ragged(tmp_path / "take.npz", [(points, faces[:, ::-1]) for points, faces in scans_of(ToyRig())], fps=30.0)
-    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got")
-    assert done.code == 1 and "normals" in done.text
-    assert "the normals of its first scan point inwards" in done.text and not (tmp_path / "got").exists()
-
-
-def test_inches_are_told_from_centimetres_by_the_fit(run, tmp_path):
-    write_ragged(tmp_path / "take.npz", [(points / 25.4, faces) for points, faces in scans_of(ToyRig())], fps=30.0)
-    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got", *NO_LOOK)
-    assert done.code == 0 and "unit inch (guessed)" in done.text and "units of inches guessed" in done.text, done.text
-    assert "units of cm" not in done.text
-    rows = list(csv.DictReader((tmp_path / "got/scans.csv").read_text().splitlines()))
-    assert all(float(row["scan_to_rig_mm"]) < 0.1 for row in rows)
-
-
 def test_what_was_read_is_said_as_it_is(run, tmp_path):
     lying = [(points[:, [0, 2, 1]] * [1, -1, 1] + [900, 0, 0], faces) for points, faces in scans_of(ToyRig())]
     write_ragged(tmp_path / "take.npz", lying, frame_numbers=np.array([10, 12, 16]))
