@@ -11,7 +11,7 @@ from PIL import Image
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import Polygons
 from riginv.errors import InputError
-from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays
+from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, open_scans
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.conftest import ROOT
@@ -75,8 +75,12 @@ def test_a_face_that_uses_no_vertex_is_refused(tmp_path):
 def test_files_of_different_meshes_are_one_clip(tmp_path):
     for number, (points, faces) in enumerate(scans_of(ToyRig())):
         write_ply(tmp_path / f"scan.{number:03d}.ply", points, faces)
-    scans = FileScans(str(tmp_path / "scan.%03d.ply"), ReadingOptions())
-    assert [len(scans.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans_of(ToyRig())]
+    for path in (tmp_path / "scan.%03d.ply", tmp_path):
+        scans = open_scans(str(path), ToyRig(), ReadingOptions())
+        assert [len(scans.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans_of(ToyRig())]
+    write_ply(tmp_path / "scan.003.obj", *scans_of(ToyRig())[0])
+    with pytest.raises(InputError, match=r"scans that end in \.obj, \.ply, expected one kind: '.*/\*\.obj' names one"):
+        open_scans(str(tmp_path), ToyRig(), ReadingOptions())
 
 
 def test_a_scan_that_is_asked_for_again_is_read_once(tmp_path, monkeypatch):

@@ -40,6 +40,7 @@ class FileScans(ScanSequence):
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
         suffix = _suffix(Path(path))
+        _check_kinds(Path(path))
         self.frames = find_frames(path, suffix, options.missing_frames == "bridge")
         self.options, first = options, _read(self.frames.first, options)
         notes = (*self.frames.notes, *first.notes, *options.unused(suffix[1:].upper(), not first.objects))
@@ -128,7 +129,7 @@ def open_scans(path: str, rig: RigBackend | None, reading: ReadingOptions) -> Sc
     given = Path(path)
     if is_ragged(path):
         return RaggedArrays(given)
-    if given.suffix.lower() in STILLS or holds_scans(path):
+    if given.suffix.lower() in STILLS or _names_several(given):
         return FileScans(path, reading)
     try:
         return MeshScans(open_sequence(path, rig, reading, as_scans=True))
@@ -159,11 +160,16 @@ def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "s
 def holds_scans(path: str) -> bool:
     """Whether a path can only hold scans: ragged arrays, an STL file, or a file for each frame of a format that holds clips."""
     given = Path(path)
+    are_files = _names_several(given) and _suffix(given) not in SEQUENCES
+    return are_files or given.suffix.lower() == ".stl" or is_ragged(path)
+
+
+def _names_several(given: Path) -> bool:
+    """Whether a path is a folder, or a pattern of files."""
     try:
-        several = given.is_dir() or (is_pattern(path) and not given.exists())
+        return given.is_dir() or (is_pattern(str(given)) and not given.exists())
     except OSError:  # its reader reports it
         return False
-    return is_ragged(path) or given.suffix.lower() == ".stl" or (several and _suffix(given) not in SEQUENCES)
 
 
 def may_be_scan(path: str) -> bool:
@@ -195,6 +201,14 @@ def _read(path: Path, options: ReadingOptions) -> MeshFile:
         raise InputError(f"{path}: a scan is a file that ends in {listed(SUFFIXES, None)}: export it as one of these")
     reader: type[MeshSequence] = class_of(known, kind=MeshSequence)
     return reader.still(path, options)
+
+
+def _check_kinds(given: Path) -> None:
+    """Raise InputError for a folder that holds scans in files of several kinds."""
+    kinds = sorted(set(SUFFIXES) & {file.suffix.lower() for file in visible_files(given)}) if given.is_dir() else []
+    if len(kinds) > 1:
+        found = listed(kinds, None)
+        raise InputError(f"{given}: scans that end in {found}, expected one kind: '{given}/*{kinds[0]}' names one")
 
 
 def _suffix(given: Path) -> str:
