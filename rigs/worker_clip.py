@@ -1,6 +1,7 @@
 """Clips that a worker process reads: Blender's formats and USD."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,14 +62,12 @@ class WorkerClip(MeshSequence):
         except (WorkerRefusedError, PoseLostError) as error:
             self.pool.close()
             raise self._error(error) from None
-        sizes, corners = arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64)
-        if (sizes < 0).any() or sizes.sum() != len(corners):
-            raise InputError(f"{path}: its faces need {sizes.sum()} corners and have {len(corners)}: export it again")
+        polygons = self._polygons(arrays)
         super().__init__(
             path,
             arrays["frames"],
             max(facts["vertices"], int(ragged)),  # a scan may be empty
-            Polygons(sizes, corners) if len(sizes) else None,
+            polygons if len(polygons) else None,
             facts["fps"],
             facts["unit_mm"],
             facts["up"],
@@ -111,9 +110,15 @@ class WorkerClip(MeshSequence):
             arrays = self.pool.pose(["frame"], np.array([index], np.float32))
         except (WorkerRefusedError, PoseLostError) as error:
             raise self._error(error) from None
-        polygons = Polygons(arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64))
+        polygons = self._polygons(arrays)
         polygons.check(self.path, len(arrays["vertices"][0]))
         return arrays["vertices"][0], polygons if len(polygons) else None
+
+    def _polygons(self, arrays: Mapping[str, np.ndarray]) -> Polygons:
+        sizes, corners = arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64)
+        if (sizes < 0).any() or sizes.sum() != len(corners):
+            raise InputError(f"{self.path}: its faces need {sizes.sum()} corners and have {len(corners)}: export it again")
+        return Polygons(sizes, corners)
 
     def read(self, start: int, stop: int) -> np.ndarray:
         try:

@@ -114,6 +114,19 @@ def test_clouds_of_equally_many_points_are_not_interpolated(tmp_path, scans):
     assert any("1 of 4 frames have no sample of their own: they hold the one before" in note for note in found.facts.notes)
 
 
+def test_faces_that_lack_corners_in_a_later_frame_are_refused(tmp_path, scans):
+    from pxr import UsdGeom
+
+    stage = new_stage(tmp_path / "take.usda")
+    for number, (points, faces) in enumerate(scans):
+        usd_mesh(stage, points, faces, number)
+    UsdGeom.Mesh.Get(stage, "/scan/head").GetFaceVertexIndicesAttr().Set(scans[2][1].ravel().tolist()[:-1], 2)
+    stage.Save()
+    found = open_scans(str(tmp_path / "take.usda"), RIG, reading_options())
+    with pytest.raises(InputError, match=f"take.usda: its faces need {3 * len(scans[2][1])} corners and have"):
+        found.scan(2)
+
+
 def test_a_stage_with_a_skeleton_alone_is_no_scan(tmp_path):
     stage = new_stage(tmp_path / "bones.usda")
     from pxr import UsdSkel
