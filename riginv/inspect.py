@@ -21,7 +21,7 @@ from riginv.clips.marker_exports import read_export
 from riginv.clips.markers import SUFFIXES, MarkerClip, holds_markers, open_markers, read_marker_csv
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.sequence import StillMeshError
+from riginv.clips.sequence import ScansError
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.errors import InputError, counted, printable
@@ -39,7 +39,6 @@ from riginv.tracking.surfaces.inspection import scan_rows
 from riginv.tracking.surfaces.scan_files import holds_scans, open_scans
 
 STORE = "zarr.json"
-SURFACE = "correspondence=surface"  # readers recommend it for what can be read as scans
 Row = tuple[str, str]
 
 
@@ -124,10 +123,6 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
         return
     try:
         clip, notes = open_clip(path, rig, settings.reading, settings.frames)
-    except StillMeshError as misfit:
-        show_scans(path, settings.reading, rig)
-        show_rig(rig, config, Console())
-        raise misfit from None
     except InputError as misfit:
         if is_table:
             raise
@@ -145,9 +140,7 @@ def show_frames(settings: InspectConfig, rig: RigBackend | None, names: int | No
     """Print what a clip holds that is not read for a rig; returns whether these are scans, whose sizes `rig` tells."""
     try:
         show_sequence(*open_clip_without_rig(settings.clip, settings.reading, settings.frames), names)
-    except InputError as error:
-        if SURFACE not in str(error):  # a still mesh, a point cloud, or another mesh in each frame
-            raise
+    except ScansError as error:  # a still mesh, a point cloud, or another mesh in each frame
         show_scans(settings.clip, settings.reading, rig)
         show_lines([f"scans are fitted by their surface: riginv invert rig=NAME correspondence=surface ({error})"])
         return True

@@ -208,8 +208,9 @@ def invert_surface(settings: InvertConfig, rig: LinearRig, true_rig: RigBackend,
             files += write_scan_table(folder, track, numbers)
             if parts.actor is not None:
                 files += write_actor(folder, parts.actor, rig.faces, settings.look.sheet)
-            shown, views = replace(animation, rig=posed_actor(true_rig, parts.actor)), ScanViews(parts, track)
-            looks = (settings.look, source_of(described), views.nearest, progress.advance, views.drawn)
+            views = ScanViews(parts, track, posed_actor(true_rig, parts.actor))
+            shown = replace(animation, rig=views.rig)
+            looks = (settings.look, source_of(described), views.nearest, progress.advance, views.scans)
             names, view_notes = write_look(folder, shown, errors, *looks)
     rows = ("scan's points from the rig", "rig's skin from the scan")
     remarks = [*remarks_of(track), *curve_notes, *view_notes]

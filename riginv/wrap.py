@@ -57,18 +57,14 @@ def run(config: DictConfig) -> None:
     scan, units = read_scan(settings.scan, replace(settings.reading, fps=settings.reading.fps or 1.0), rig)
     show_lines([], units.notes, console=Console())
     surface = scan.surface(units.mm, units.axes.double().numpy())
-    landmarks = landmarks_of_scan(Path(settings.landmarks), rig, scan.points, units) if settings.landmarks else None
+    landmarks = landmarks_of_scan(settings.landmarks, rig, scan.points, units)
     found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface, WrapSettings(), landmarks)
     write_text(out, obj_text(found.vertices, rig.faces.cpu().numpy()))
     picture = out.with_suffix(".png")
     with atomic_write(picture) as file:
         distance_map(rig, found, surface).save(file, format="PNG")
     mean = float(np.nanmean(found.distance_mm))
-    lines: list[str] = []
-    if landmarks is not None:
-        away = np.linalg.norm(landmarks.on(found.vertices) - landmarks.points, axis=1)
-        names = landmarks.placement.names
-        lines.append(f"  the landmarks lie {away.mean():.3g} mm from the mesh's, {names[away.argmax()]!r} {away.max():.3g} mm")
+    lines = [] if landmarks is None else [f"  {landmarks.away_from(found.vertices)}"]
     lines += [
         f"  {found.usable:.1%} of the outer skin lies on the scan, at {mean:.3g} mm on average; scale {found.scale:.3f}",
         f"  {out}, {picture}",

@@ -1,13 +1,14 @@
 """Clips that a worker process reads: Blender's formats and USD."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, Polygons, SourceFacts
+from riginv.clips.sequence import MeshSequence, Polygons, ScansError, SourceFacts
 from riginv.errors import InputError
 from riginv.meshes.mesh_file import MeshFile
 from riginv.rig.interface import RigBackend
@@ -60,15 +61,13 @@ class WorkerClip(MeshSequence):
             facts, arrays = self.pool.describe()
         except (WorkerRefusedError, PoseLostError) as error:
             self.pool.close()
-            raise self._failure(error) from None
-        sizes, corners = arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64)
-        if (sizes < 0).any() or sizes.sum() != len(corners):
-            raise InputError(f"{path}: its faces need {sizes.sum()} corners and have {len(corners)}: export it again")
+            raise self._error(error) from None
+        polygons = self._polygons(arrays)
         super().__init__(
             path,
             arrays["frames"],
             max(facts["vertices"], int(ragged)),  # a scan may be empty
-            Polygons(sizes, corners) if len(sizes) else None,
+            polygons if len(polygons) else None,
             facts["fps"],
             facts["unit_mm"],
             facts["up"],
@@ -110,16 +109,22 @@ class WorkerClip(MeshSequence):
         try:
             arrays = self.pool.pose(["frame"], np.array([index], np.float32))
         except (WorkerRefusedError, PoseLostError) as error:
-            raise self._failure(error) from None
-        polygons = Polygons(arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64))
+            raise self._error(error) from None
+        polygons = self._polygons(arrays)
         polygons.check(self.path, len(arrays["vertices"][0]))
         return arrays["vertices"][0], polygons if len(polygons) else None
+
+    def _polygons(self, arrays: Mapping[str, np.ndarray]) -> Polygons:
+        sizes, corners = arrays["sizes"].astype(np.int64), arrays["corners"].astype(np.int64)
+        if (sizes < 0).any() or sizes.sum() != len(corners):
+            raise InputError(f"{self.path}: its faces need {sizes.sum()} corners and have {len(corners)}: export it again")
+        return Polygons(sizes, corners)
 
     def read(self, start: int, stop: int) -> np.ndarray:
         try:
             return self.pool.evaluate(["frame"], np.arange(start, stop, dtype=np.float32)[:, None])
         except (WorkerRefusedError, PoseLostError) as error:
-            raise self._failure(error) from None
+            raise self._error(error) from None
 
     @abstractmethod
     def _source(self, path: str, options: ReadingOptions) -> Source:
@@ -129,8 +134,12 @@ class WorkerClip(MeshSequence):
             InputError: the file or the program is missing, or the file is of another format.
         """
 
+    def _error(self, error: WorkerRefusedError | PoseLostError) -> InputError:
+        are_scans = isinstance(error, WorkerRefusedError) and error.are_scans
+        return (ScansError if are_scans else InputError)(self._failure(error))
+
     @abstractmethod
-    def _failure(self, error: Exception) -> InputError:
+    def _failure(self, error: Exception) -> str:
         """The message for a worker that refuses the file, or that is lost."""
 
 

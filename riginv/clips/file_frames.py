@@ -6,7 +6,7 @@ import numpy as np
 
 from riginv.clips.numbered import find_frames
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, SourceFacts
+from riginv.clips.sequence import MeshSequence, ScansError, SourceFacts
 from riginv.errors import InputError, listed
 from riginv.meshes.mesh_file import MeshFile, note_on_objects
 from riginv.meshes.reading import read_mesh
@@ -58,13 +58,13 @@ class FileFrames(MeshSequence):
         mesh = read_mesh(path)
         first = self.frames.first.name
         if len(mesh.points) != self.points_in_file:
-            raise InputError(
+            raise ScansError(
                 f"{path}: {len(mesh.points)} vertices, and {first} has {self.points_in_file}: all must be one mesh; {REMEDY}"
             )
         if mesh.face_bytes != self.face_bytes:
             found, expected = mesh.polygons(), self.first_faces
             if found is not None and expected is not None and not found.same_as(expected):
-                raise InputError(
+                raise ScansError(
                     f"{path}: its {len(found)} faces are not the {len(expected)} of {first}: all frames must be the same mesh "
                     f"with its vertices in the same order; {REMEDY}"
                 )

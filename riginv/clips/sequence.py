@@ -39,8 +39,8 @@ class SourceFacts:
     notes: tuple[str, ...] = ()
 
 
-class StillMeshError(InputError):
-    """A file that could hold an animation holds none."""
+class ScansError(InputError):
+    """A file cannot be read as a clip of one mesh, and can as a clip of scans (`correspondence=surface`)."""
 
 
 Reader = Callable[[str, ReadingOptions], "MeshSequence"]  # opens a path

@@ -48,8 +48,8 @@ class Polygons:
         return np.unique(both, axis=0)
 
     def fans(self) -> np.ndarray:
-        """Triangles `(triangle, 3)`: each face as a fan around its first corner; all need at least 3 corners."""
-        triangles = self.sizes - 2
+        """Triangles `(triangle, 3)`: each face as a fan around its first corner; none of faces of fewer than 3 corners."""
+        triangles = np.maximum(self.sizes - 2, 0)
         starts = np.repeat(np.cumsum(self.sizes) - self.sizes, triangles)
         step = 1 + np.arange(len(starts)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
         return self.corners[np.stack([starts, starts + step, starts + step + 1], axis=1)]

@@ -30,7 +30,15 @@ class WorkerLostError(Exception):
 
 
 class WorkerRefusedError(Exception):
-    """A worker cannot meet a request, and is ready for the next one; the message is for the user."""
+    """A worker cannot meet a request, and is ready for the next one; the message is for the user.
+
+    Attributes:
+        are_scans: whether the file can be read as a clip of scans.
+    """
+
+    def __init__(self, message: str, are_scans: bool = False) -> None:
+        super().__init__(message)
+        self.are_scans = are_scans
 
 
 def write_message(stream: IO[bytes], header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
@@ -138,7 +146,7 @@ class WorkerProcess:
         finally:
             watchdog.cancel()
         if "error" in answer:
-            raise WorkerRefusedError(answer["error"])
+            raise WorkerRefusedError(answer["error"], answer.get("are_scans") is True)
         if "fault" in answer:
             raise RuntimeError(f"a worker failed at {dict(header)}:\n{answer['fault']}")
         return answer, found

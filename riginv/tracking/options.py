@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from riginv.config.values import Bound, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from riginv.errors import InputError
 
+SOLVE = "solve"  # actor.neutral, in place of a file
 Method = Literal["network", "refined", "levenberg_marquardt", "clip"]
 Globs = Annotated[Sequence[str], Bound("a list of names or globs, such as [jaw*]", lambda value: True)]
 Frames = Annotated[Sequence[int | str], Bound("a list of frames, such as [1,120-135]", lambda value: True)]
@@ -70,19 +71,23 @@ class ActorOptions:
     Attributes:
         neutral: file of its neutral, a mesh of the rig's topology or a scan; `solve`: found together with the controls.
         neutral_frames: frames of the clip at which the actor is neutral; their mean is taken.
+        landmarks: of a scan as neutral: a map of markers with the position of each in the scan.
         scale: size of its displacements relative to the rig's.
 
     Raises:
-        InputError: both neutrals are given.
+        InputError: both neutrals are given, or landmarks or a scale without one.
     """
 
     neutral: str | None = None
     neutral_frames: Frames = ()
+    landmarks: str | None = None
     scale: Annotated[float, Bound("a factor from 0.2 to 5", lambda value: 0.2 <= value <= 5)] = 1.0
 
     def __post_init__(self) -> None:
         if self.neutral and self.neutral_frames:
             raise InputError(f"actor.neutral={self.neutral} and actor.neutral_frames are both given: leave one of them out")
+        if self.landmarks and self.neutral in (None, "", SOLVE):
+            raise InputError(f"actor.landmarks={self.landmarks} are those of a scan: give actor.neutral=SCAN beside it")
         if self.scale != 1 and not self.is_given:
             raise InputError(f"actor.scale={self.scale:g} needs a neutral: give actor.neutral or actor.neutral_frames")
 

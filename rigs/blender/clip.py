@@ -33,10 +33,10 @@ class BlenderClip(WorkerClip):
         command = script_command(find_interpreter(options.interpreter, "reading.interpreter"), "play.py")
         return Source(command, TIMEOUT_S, file, FORMATS[file.suffix.lower()])
 
-    def _failure(self, error: Exception) -> InputError:
+    def _failure(self, error: Exception) -> str:
         text = " ".join(str(error).split())
         refused = isinstance(error, WorkerRefusedError) and Path(self.path).name in text
-        return InputError(text if refused else f"{self.path}: Blender cannot read it: {text}")
+        return text if refused else f"{self.path}: Blender cannot read it: {text}"
 
 
 def _check(path: str, file: Path) -> None:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from riginv.clips.sequence import StillMeshError
+from riginv.clips.sequence import ScansError
 from riginv.errors import InputError, listed
 from rigs.gltf.animation import CUBIC, Channel
 from rigs.gltf.channels import animation_names, read_channels, unnamed
@@ -47,7 +47,7 @@ def choose_animation(file: GltfFile, meshes: PosedMeshes, requested: Any) -> Cho
     """
     names = animation_names(file)
     if not names:
-        raise StillMeshError(
+        raise ScansError(
             f"{file.path}: no animation in it: export it with its animation, or give another clip "
             f"(correspondence=surface fits a still mesh as a scan)"
         )

@@ -7,7 +7,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from rigs.blender.in_blender.mesh_choice import choose_meshes, listing, unclear
 from rigs.usd.posed_mesh import PosedMesh
 from rigs.usd.skins import PROXIES, Skins, editable
-from rigs.usd.stage_clock import UnusableStageError
+from rigs.usd.stage_clock import UnusableAsClipError, UnusableStageError
 
 MOST_PRIMS = 300_000  # limit for nested instances
 
@@ -66,14 +66,16 @@ class StageContents:
         """Paths of the joints of a skeleton or a SkelAnimation."""
         return {str(joint) for joint in self.stage.GetPrimAtPath(path).GetAttribute("joints").Get() or []}
 
-    def without_meshes(self, notes: Sequence[str]) -> str:
-        """The message for a stage that has no mesh."""
-        more = ""
+    def without_meshes(self, notes: Sequence[str]) -> UnusableStageError:
+        """The error for a stage that has no mesh."""
+        more, kind = "", UnusableStageError
         if self.animation_paths and not self.skeleton_paths:
             more = " It has SkelAnimations and no Skeleton, whose rest pose they need: export both in one stage."
         if self.cloud_paths:
-            more += " It has point clouds: correspondence=surface reads them as scans."
-        return f"expected one mesh, and it has none.{more} {' '.join(notes)}".strip()
+            more, kind = f"{more} It has point clouds: correspondence=surface reads them as scans.", UnusableAsClipError
+        elif self.ragged and self.skeleton_paths:
+            more = " It has a skeleton, which moves a rig's joints and has no surface: leave out correspondence=surface."
+        return kind(f"expected one mesh, and it has none.{more} {' '.join(notes)}".strip())
 
     def _animation_path(self, requested: str | int) -> Sdf.Path:
         listed = listing([str(path) for path in self.animation_paths])

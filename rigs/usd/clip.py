@@ -58,11 +58,11 @@ class UsdClip(WorkerClip):
             raise InputError(f"{path}: no such file; clip=PATH names a clip")
         return Source([sys.executable, str(SCRIPT)], TIMEOUT_S, Path(path).absolute(), "USD")
 
-    def _failure(self, error: Exception) -> InputError:
+    def _failure(self, error: Exception) -> str:
         text = (
             str(error) if isinstance(error, WorkerRefusedError) else f"{self.path}: the process that reads USD is lost: {error}"
         )
-        return InputError(" ".join(text.split()))
+        return " ".join(text.split())
 
 
 def _bones(path: str, options: ReadingOptions, rig: RigBackend) -> MeshSequence | None:

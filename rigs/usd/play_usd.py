@@ -14,14 +14,14 @@ from pxr import Tf, Usd, UsdGeom
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # where `rigs` is; the worker's own code needs no riginv
 
-from rigs.blender.in_blender.mesh_choice import listing
-from rigs.blender.in_blender.worker import RefusedError, serve
+from rigs.blender.in_blender.mesh_choice import joined, listing
+from rigs.blender.in_blender.worker import RefusedError, RefusedScansError, serve
 from rigs.usd.choice import StageContents, all_prims, chosen_meshes
 from rigs.usd.frame_grid import frame_grid
 from rigs.usd.layers import limit_memory, refuse_layers_elsewhere
 from rigs.usd.skins import repair_bindings
 from rigs.usd.stage_clock import StageClock, UnusableStageError
-from rigs.usd.stage_facts import animations, faces, joined_faces, notes_of_skins, notes_of_variants, notes_of_visibility
+from rigs.usd.stage_facts import animations, faces, notes_of_skins, notes_of_variants, notes_of_visibility
 
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
 MEMORY = 4 << 30  # limit in bytes
@@ -81,7 +81,8 @@ class OpenedStage:
         try:
             yield
         except UnusableStageError as error:
-            raise RefusedError(f"{self.file}: {error}") from None
+            refused = RefusedScansError if error.are_scans else RefusedError
+            raise refused(f"{self.file}: {error}") from None
         except DAMAGED as error:
             raise RefusedError(
                 f"{self.file}: USD cannot {what} it ({type(error).__name__}): damaged, or no USD; export it again"
@@ -113,7 +114,7 @@ class UsdScene(OpenedStage):
         self.open(file, ragged)
         with self.refusing("open"):
             if not self.contents.mesh_paths:
-                raise UnusableStageError(self.contents.without_meshes(self.notes))
+                raise self.contents.without_meshes(self.notes)
             if animation is not None:
                 self.contents.bind_animation(animation)
             self.meshes = chosen_meshes(self.contents, meshes or [], vertices, self.notes)
@@ -155,7 +156,7 @@ class UsdScene(OpenedStage):
                 return {}, {"vertices": np.stack([np.concatenate(self.frame(index)) for index in indices])}
             points, time = self.frame(indices[0]), float(self.grid.times[indices[0]])
             shapes = [mesh.faces(time) if len(found) else NO_FACES for mesh, found in zip(self.meshes, points)]
-            sizes, corners = joined_faces(shapes, [len(found) for found in points])
+            sizes, corners = joined(shapes, [len(found) for found in points])
         return {}, {"vertices": np.concatenate(points)[None], "sizes": sizes, "corners": corners}
 
     def frame(self, index: int) -> list[np.ndarray]:

@@ -6,10 +6,9 @@ import numpy as np
 from pxr import Usd, UsdGeom, Vt
 
 from rigs.usd.skins import Skin
-from rigs.usd.stage_clock import MOST_FRAMES, UnusableStageError
+from rigs.usd.stage_clock import MOST_FRAMES, UnusableAsClipError, UnusableStageError
 
 LOOKS = 64  # sampled times to detect motion
-MOST_COMPARED = 16  # samples whose number of points is compared
 ONE_TOPOLOGY = "all frames must be the same mesh: export it again, or correspondence=surface fits each as a scan"
 
 
@@ -53,11 +52,11 @@ class PosedMesh:
                 return np.zeros((0, 3))
             raise UnusableStageError(f"no points of {self.path} at time code {time:g}: export it again")
         if len(points) != self.vertex_count and not self.ragged:
-            raise UnusableStageError(
+            raise UnusableAsClipError(
                 f"{len(points)} points at time code {time:g} and {self.vertex_count} at first: {ONE_TOPOLOGY}"
             )
         if not self.ragged and any(attribute.Get(time) != first for attribute, first in self._topology):
-            raise UnusableStageError(f"other faces at time code {time:g} than at first: {ONE_TOPOLOGY}")
+            raise UnusableAsClipError(f"other faces at time code {time:g} than at first: {ONE_TOPOLOGY}")
         if self.skin:
             points = self.skin.shaped(points, time)
             points = self.skin.posed(points, time) if self.skin.has_joints else points
@@ -75,10 +74,8 @@ class PosedMesh:
         return sizes, corners
 
     def changes(self) -> bool:
-        """Whether its faces, or the number of its points, change between time samples."""
-        return bool(self._topology) or any(
-            len(self._points_at(time) or []) != self.vertex_count for time in self._points.GetTimeSamples()[:MOST_COMPARED]
-        )
+        """Whether a point may be another one in each time sample: where its faces change, and in point clouds."""
+        return bool(self._topology) or not self.prim.IsA(UsdGeom.Mesh)
 
     def points_are_ignored(self) -> bool:
         """Whether the points have time samples that the skin ignores."""

@@ -24,6 +24,14 @@ DRIFT = 0.1  # greatest drift in frames between a measured and a common rate
 class UnusableStageError(Exception):
     """A stage cannot be read; the message is for the user, without the file's name."""
 
+    are_scans = False
+
+
+class UnusableAsClipError(UnusableStageError):
+    """A stage cannot be read as a clip of one mesh, and can as a clip of scans."""
+
+    are_scans = True
+
 
 @dataclass(frozen=True)
 class StageClock:

@@ -3,7 +3,7 @@
 import numpy as np
 from pxr import Usd
 
-from rigs.blender.in_blender.mesh_choice import listing
+from rigs.blender.in_blender.mesh_choice import joined, listing
 from rigs.usd.choice import StageContents
 from rigs.usd.posed_mesh import PosedMesh
 
@@ -69,14 +69,4 @@ def notes_of_variants(stage: Usd.Stage, meshes: list[PosedMesh]) -> list[str]:
 
 def faces(meshes: list[PosedMesh]) -> tuple[np.ndarray, np.ndarray]:
     """Corners of each face, and the vertices at them, of all meshes as one."""
-    return joined_faces([mesh.faces(mesh.first_time) for mesh in meshes], [mesh.vertex_count for mesh in meshes])
-
-
-def joined_faces(shapes: list[tuple[np.ndarray, np.ndarray]], counts: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of each face, and the vertices at them, of meshes with so many vertices as one."""
-    before = 0
-    for (_, corners), count in zip(shapes, counts):
-        corners[corners >= 0] += before
-        before += count
-    sizes, corners = (np.concatenate(both) for both in zip(*shapes))
-    return sizes, corners
+    return joined([mesh.faces(mesh.first_time) for mesh in meshes], [mesh.vertex_count for mesh in meshes])

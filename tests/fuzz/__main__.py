@@ -9,6 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import pytest
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -33,8 +34,12 @@ def main() -> int:
             folder = Path(place) / str(number)
             folder.mkdir()
             cases = max(1, given.cases // SHARE) if name in IN_PROCESSES else given.cases
-            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-                tallies.append(survive(name, READERS[name](folder), cases, given.seed))
+            try:
+                with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+                    tallies.append(survive(name, READERS[name](folder), cases, given.seed))
+            except pytest.skip.Exception as reason:
+                console.print(f"{name}: {reason}", markup=False, highlight=False)
+                continue
             for crash in tallies[-1].crashes[:3]:
                 console.print(f"{name}: {crash}", markup=False, highlight=False)
     console.print(table_of(tallies))

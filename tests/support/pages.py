@@ -21,7 +21,7 @@ def read_page(path: Path) -> Page:
     """Read a page; its scans are unpacked as scene.js does."""
     parts = dict(re.findall(r'<script type="[^"]*" id="(\w+)">(.*?)</script>', path.read_text(encoding="utf-8"), re.DOTALL))
     facts, data = json.loads(parts["facts"]), gzip.decompress(base64.b64decode(parts["scans"]))
-    points, triangles = np.array(facts["scans"]).reshape(-1, 2).sum(axis=0)
+    points, triangles, _ = np.array(facts["scans"]).reshape(-1, 3).sum(axis=0)
     kinds = [("<i2", 3 * points), ("<u2", points), ("<u2", 3 * triangles), ("i1", 3 * points)]
     arrays, start = [], 0
     for kind, count in kinds:
@@ -30,7 +30,7 @@ def read_page(path: Path) -> Page:
     assert start == len(data)
     positions, distances, faces, _ = arrays
     scans, p, f = [], 0, 0
-    for count, number in facts["scans"]:
+    for count, number, _ in facts["scans"]:
         away = np.where(distances[p : p + count] == 65_535, np.nan, distances[p : p + count] * facts["step"])
         corners = faces[3 * f : 3 * (f + number)].reshape(-1, 3)
         scans.append((facts["step"] * positions[3 * p : 3 * (p + count)].reshape(-1, 3), corners, away))

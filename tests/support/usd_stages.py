@@ -152,7 +152,7 @@ class SameProcess:
         try:
             return ask()
         except RefusedError as error:
-            raise WorkerRefusedError(str(error)) from None
+            raise WorkerRefusedError(str(error), error.are_scans) from None
 
 
 def opened(path: Path, vertices: int | None = None, **options: Any) -> UsdClip:

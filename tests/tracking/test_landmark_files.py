@@ -8,8 +8,10 @@ import pytest
 import torch
 
 from riginv.tracking.markers.map_file import write_map
+from riginv.tracking.markers.views import RigWithMarkers
 from tests.conftest import ROOT
 from tests.support.markers import placed, write_c3d, write_csv, write_trc
+from tests.support.pages import read_page
 from tests.support.scans import resampled, write_ragged
 from tests.support.toys import ToyRig
 
@@ -34,9 +36,9 @@ def clip(tmp_path):
     return tmp_path, placement.names, points
 
 
-def invert(run, folder, *more: str):
+def invert(run, folder, *more: str, look=NO_LOOK):
     given = (f"clip={folder}/clip.npz", f"landmarks.map={folder}/map.yaml", *more)
-    return run("invert", "rig=toy", "+rig.detail=3", f"--config-dir={CONF}", "out=got", *given, *NO_LOOK)
+    return run("invert", "rig=toy", "+rig.detail=3", f"--config-dir={CONF}", "out=got", *given, *look)
 
 
 @pytest.mark.parametrize("kind", ["trc", "csv", "c3d"])
@@ -109,3 +111,21 @@ def test_a_landmark_in_the_wrong_place_is_flagged(run, clip):
     assert done.code == 0 and f"'{names[4]}' 2" in done.text and "far_landmarks" in done.text, done.text
     rows = list(csv.DictReader((folder / "got/scans.csv").read_text().splitlines()))
     assert all("far_landmarks" in row["flags"] and float(row["scan_to_rig_mm"]) < 0.1 for row in rows)
+
+
+def test_landmarks_are_balls_on_the_page_with_their_residuals(run, clip):
+    """The scale of the colours stays that of the surface, though a landmark is 15 mm off."""
+    folder, names, points = clip
+    points[:, 4] += 15.0
+    points[1, 2] = np.nan
+    done = invert(run, folder, f"landmarks.clip={write_trc(folder / 'take.trc', names, points)}", look=())
+    assert done.code == 0 and (folder / "got/frames.png").exists(), done.text
+    page, rig = read_page(folder / "got/look.html"), ToyRig(detail=3)
+    balls = RigWithMarkers(rig, placed(rig, 5))
+    corners = len(balls.balls)
+    assert page.facts["vertices"] == len(balls.rest_vertices) and page.facts["top_mm"] < 2
+    assert [counts[2] for counts in page.facts["scans"]] == [5 * corners, 4 * corners, 5 * corners]
+    first, rows = page.scans[0], list(csv.DictReader((folder / "got/scans.csv").read_text().splitlines()))
+    distance = first[2][-5 * corners :].reshape(5, corners)
+    assert np.ptp(distance, axis=1).max() == 0 and 10 < distance[4, 0] < 30 and distance[:4].max() < 2
+    assert distance[:, 0].mean() == pytest.approx(float(rows[0]["landmarks_mm"]), abs=0.05)

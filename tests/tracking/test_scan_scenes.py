@@ -1,6 +1,5 @@
 """Scans in the files of other programs: USD and Alembic whose topology changes, STL, a scene for each scan."""
 
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,44 +7,18 @@ import numpy as np
 import pytest
 import trimesh
 
+from riginv.clips.sequence import ScansError
 from riginv.errors import InputError
 from riginv.tracking.surfaces.scan_files import FileScans, MeshScans, open_scans, read_scan
 from riginv.tracking.surfaces.scans import Scan
 from tests.conftest import ROOT
-from tests.support.blends import blender
 from tests.support.clips import reading_options
-from tests.support.scans import write_ragged
+from tests.support.scans import new_stage, usd_mesh, write_alembic
 from tests.support.toys import ToyRig
 from tests.tracking.test_scans import NO_LOOK, scans_of
 
 CONF = f"--config-dir={ROOT / 'tests/conf'}"
 RIG = ToyRig()
-MAKE = """
-import os, sys, bpy, numpy as np
-data = np.load(sys.argv[-1])
-folder = os.path.dirname(sys.argv[-1])
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
-scene.render.fps, scene.frame_start, scene.frame_end = 25, 1, 3
-points = data["points"]
-mesh = bpy.data.meshes.new("head")
-mesh.from_pydata((points[:, [0, 2, 1]] * [1, -1, 1]).tolist(), [], data["faces"].tolist())
-head = bpy.data.objects.new("head", mesh)
-scene.collection.objects.link(head)
-less = head.modifiers.new("less", "DECIMATE")
-for frame, ratio in enumerate((1.0, 0.8, 0.6), start=1):
-    less.ratio = ratio
-    less.keyframe_insert("ratio", frame=frame)
-bpy.ops.wm.alembic_export(filepath=folder + "/ragged.abc", start=1, end=3, as_background_job=False)
-found = {}
-for frame in (1, 2, 3):
-    scene.frame_set(frame)
-    shown = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
-    found[f"points{frame}"] = np.array([vertex.co[:] for vertex in shown.vertices])
-    found[f"faces{frame}"] = np.array([face.vertices[:] for face in shown.polygons])
-np.savez(folder + "/expected.npz", **found)
-os._exit(0)
-"""
 
 
 @pytest.fixture
@@ -53,25 +26,15 @@ def scans() -> list[tuple[np.ndarray, np.ndarray]]:
     return scans_of(RIG)
 
 
-def new_stage(path: Path, **metadata):
-    pytest.importorskip("pxr", reason="usd-core is not installed")
-    from pxr import Usd, UsdGeom
+def one_cloud(folder: Path, points: np.ndarray) -> Path:
+    """A stage with a point cloud that does not move."""
+    from pxr import UsdGeom, Vt
 
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageMetersPerUnit(stage, metadata.get("metres", 0.001))
-    UsdGeom.SetStageUpAxis(stage, metadata.get("up", "Y"))
-    stage.SetTimeCodesPerSecond(30)
-    return stage
-
-
-def usd_mesh(stage, points, faces, time=None, path="/scan/head") -> None:
-    """The mesh of a stage at a time."""
-    from pxr import Usd, UsdGeom, Vt
-
-    mesh, at = UsdGeom.Mesh.Define(stage, path), Usd.TimeCode.Default() if time is None else time
-    mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(np.asarray(points, np.float32)), at)
-    mesh.CreateFaceVertexCountsAttr().Set([3] * len(faces), at)
-    mesh.CreateFaceVertexIndicesAttr().Set(faces.ravel().tolist(), at)
+    stage = new_stage(folder / "one cloud.usda")
+    cloud = UsdGeom.Points.Define(stage, "/points")
+    cloud.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
+    stage.Save()
+    return folder / "one cloud.usda"
 
 
 def closeness(scans, expected) -> None:
@@ -133,6 +96,46 @@ def test_point_clouds_of_a_stage_are_scans(tmp_path, scans):
     found = open_scans(str(tmp_path / "cloud.usda"), RIG, reading_options())
     assert [len(found.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans]
     assert found.scan(0).faces is None
+    scan, _ = read_scan(str(one_cloud(tmp_path, scans[0][0])), replace(reading_options(), fps=1.0), RIG)
+    assert len(scan.points) == len(scans[0][0])
+
+
+def test_clouds_of_equally_many_points_are_not_interpolated(tmp_path, scans):
+    """Frame 1 has no sample: it holds that of frame 0, whose points are not those of frame 2 in another place."""
+    stage = new_stage(tmp_path / "cloud.usda")
+    from pxr import UsdGeom, Vt
+
+    attribute, points = UsdGeom.Points.Define(stage, "/points").CreatePointsAttr(), scans[0][0].astype(np.float32)
+    for time, order in ((0, slice(None)), (2, slice(None, None, -1)), (3, slice(None))):
+        attribute.Set(Vt.Vec3fArray.FromNumpy(points[order]), time)
+    stage.Save()
+    found = open_scans(str(tmp_path / "cloud.usda"), RIG, reading_options())
+    np.testing.assert_array_equal(found.scan(1).points, points)
+    assert any("1 of 4 frames have no sample of their own: they hold the one before" in note for note in found.facts.notes)
+
+
+def test_faces_that_lack_corners_in_a_later_frame_are_refused(tmp_path, scans):
+    from pxr import UsdGeom
+
+    stage = new_stage(tmp_path / "take.usda")
+    for number, (points, faces) in enumerate(scans):
+        usd_mesh(stage, points, faces, number)
+    UsdGeom.Mesh.Get(stage, "/scan/head").GetFaceVertexIndicesAttr().Set(scans[2][1].ravel().tolist()[:-1], 2)
+    stage.Save()
+    found = open_scans(str(tmp_path / "take.usda"), RIG, reading_options())
+    with pytest.raises(InputError, match=f"take.usda: its faces need {3 * len(scans[2][1])} corners and have"):
+        found.scan(2)
+
+
+def test_a_stage_with_a_skeleton_alone_is_no_scan(tmp_path):
+    stage = new_stage(tmp_path / "bones.usda")
+    from pxr import UsdSkel
+
+    UsdSkel.Skeleton.Define(stage, "/skeleton").CreateJointsAttr(["hips"])
+    stage.Save()
+    with pytest.raises(InputError, match="bones.usda: .* It has a skeleton, .* leave out correspondence=surface") as refused:
+        open_scans(str(tmp_path / "bones.usda"), RIG, reading_options())
+    assert not isinstance(refused.value, ScansError)
 
 
 def test_a_stage_for_each_scan_is_a_clip(run, tmp_path, scans):
@@ -148,11 +151,7 @@ def test_a_stage_for_each_scan_is_a_clip(run, tmp_path, scans):
 
 
 def test_alembic_whose_topology_changes_is_a_clip_of_scans(tmp_path, scans):
-    np.savez(tmp_path / "mesh.npz", points=scans[0][0], faces=scans[0][1])
-    (tmp_path / "make.py").write_text(MAKE)
-    command = [blender(), str(tmp_path / "make.py"), str(tmp_path / "mesh.npz")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    write_alembic(tmp_path, *scans[0])
     found, expected = open_scans(str(tmp_path / "ragged.abc"), RIG, reading_options()), np.load(tmp_path / "expected.npz")
     assert isinstance(found, MeshScans) and found.fps == 25 and found.frame_numbers.tolist() == [1, 2, 3]
     closeness(
@@ -201,40 +200,6 @@ def test_one_reader_serves_clips_and_neutrals(tmp_path, scans):
     np.savez(tmp_path / "two.npz", **several | {"faces": np.tile(faces, (2, 1)), "face_offsets": np.arange(3) * len(faces)})
     with pytest.raises(InputError, match="2 scans, expected one"):
         read_scan(str(tmp_path / "two.npz"), reading_options(), RIG)
-
-
-def test_inspect_says_what_scans_a_path_holds(run, tmp_path, scans):
-    write_ragged(tmp_path / "meshes.npz", scans)
-    clouds = [(points, None) for points, _ in scans]
-    write_ragged(tmp_path / "clouds.npz", clouds, normals=np.concatenate([points for points, _ in scans]), fps=25.0)
-    (tmp_path / "folder é (1)").mkdir()
-    for number, (points, faces) in enumerate(scans):
-        trimesh.Trimesh(points / 1000, faces, process=False).export(tmp_path / f"folder é (1)/scan.{number}.glb")
-    expected = {
-        "meshes.npz": ("kind     scans: meshes", "940 to 960 a frame", "of the faces", "unit     not known", "3 frames 0 to 2"),
-        "clouds.npz": ("kind     scans: point clouds", "482 in each frame", "in the file", "25 frames a second"),
-        "folder é (1)": ("scans (GLB)", "unit     m (as the file says)"),
-    }
-    for name, words in expected.items():
-        done = run("inspect", str(tmp_path / name))
-        assert done.code == 0 and all(word in done.text for word in words), done.text
-    done = run("inspect", str(tmp_path / "meshes.npz"), "rig=toy", CONF)
-    assert done.code == 0 and "unit     mm (guessed)" in done.text
-
-
-def test_inspect_reads_a_clip_of_another_mesh_in_each_frame_as_scans(run, tmp_path, scans):
-    stage = new_stage(tmp_path / "take.usdc")
-    for number, (points, faces) in enumerate(scans):
-        usd_mesh(stage, points, faces, number)
-    usd_mesh(stage, np.zeros((0, 3)), np.zeros((0, 3), int), 3)
-    stage.Save()
-    done = run("inspect", str(tmp_path / "take.usdc"))
-    assert done.code == 0 and "kind            scans: meshes" in done.text and "1 frame: 3" in done.text, done.text
-    for number, (points, faces) in enumerate(scans):
-        trimesh.Trimesh(points, faces, process=False).export(tmp_path / f"scan.{number}.ply")
-    done = run("inspect", str(tmp_path / "scan.%d.ply"), "rig=toy", CONF)
-    words = ("kind     scans: meshes", "unit     mm (guessed)", "rig toy", "correspondence=surface")
-    assert done.code == 0 and all(word in done.text for word in words), done.text
 
 
 def test_wrap_reads_a_stage_and_inches(run, tmp_path, scans):

@@ -11,7 +11,7 @@ from PIL import Image
 from riginv.clips.options import ReadingOptions
 from riginv.clips.sequence import Polygons
 from riginv.errors import InputError
-from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, triangulated
+from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, open_scans
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.conftest import ROOT
@@ -75,8 +75,12 @@ def test_a_face_that_uses_no_vertex_is_refused(tmp_path):
 def test_files_of_different_meshes_are_one_clip(tmp_path):
     for number, (points, faces) in enumerate(scans_of(ToyRig())):
         write_ply(tmp_path / f"scan.{number:03d}.ply", points, faces)
-    scans = FileScans(str(tmp_path / "scan.%03d.ply"), ReadingOptions())
-    assert [len(scans.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans_of(ToyRig())]
+    for path in (tmp_path / "scan.%03d.ply", tmp_path):
+        scans = open_scans(str(path), ToyRig(), ReadingOptions())
+        assert [len(scans.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans_of(ToyRig())]
+    write_ply(tmp_path / "scan.003.obj", *scans_of(ToyRig())[0])
+    with pytest.raises(InputError, match=r"scans that end in \.obj, \.ply, expected one kind: '.*/\*\.obj' names one"):
+        open_scans(str(tmp_path), ToyRig(), ReadingOptions())
 
 
 def test_a_scan_that_is_asked_for_again_is_read_once(tmp_path, monkeypatch):
@@ -91,7 +95,7 @@ def test_a_scan_that_is_asked_for_again_is_read_once(tmp_path, monkeypatch):
 
 def test_polygons_become_fans():
     polygons = Polygons(np.array([4, 3, 2]), np.array([0, 1, 2, 3, 4, 5, 6, 7, 8]))
-    assert triangulated(polygons).tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
+    assert polygons.fans().tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
 
 
 def test_a_scan_is_cleaned_of_what_cannot_be_used():
@@ -253,22 +257,6 @@ def test_what_cannot_be_meant_ends_in_one_sentence(run, tmp_path, more, said):
     done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got", *more)
     assert done.code == 1 and said in done.text and "Traceback" not in done.text
     assert not (tmp_path / "got").exists()
-
-
-def test_scans_that_are_inside_out_are_said_to_be(run, tmp_path):
-    write_ragged(tmp_path / "take.npz", [(points, faces[:, ::-1]) for points, faces in scans_of(ToyRig())], fps=30.0)
-    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got")
-    assert done.code == 1 and "normals" in done.text
-    assert "the normals of its first scan point inwards" in done.text and not (tmp_path / "got").exists()
-
-
-def test_inches_are_told_from_centimetres_by_the_fit(run, tmp_path):
-    write_ragged(tmp_path / "take.npz", [(points / 25.4, faces) for points, faces in scans_of(ToyRig())], fps=30.0)
-    done = run("invert", "rig=toy", f"--config-dir={CONF}", f"clip={tmp_path / 'take.npz'}", "out=got", *NO_LOOK)
-    assert done.code == 0 and "unit inch (guessed)" in done.text and "units of inches guessed" in done.text, done.text
-    assert "units of cm" not in done.text
-    rows = list(csv.DictReader((tmp_path / "got/scans.csv").read_text().splitlines()))
-    assert all(float(row["scan_to_rig_mm"]) < 0.1 for row in rows)
 
 
 def test_what_was_read_is_said_as_it_is(run, tmp_path):

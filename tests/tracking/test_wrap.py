@@ -6,14 +6,16 @@ import torch
 import trimesh
 
 from riginv.errors import InputError
+from riginv.tracking.markers.placement import Placement
 from riginv.tracking.surfaces.landmarks import Landmarks
 from riginv.tracking.surfaces.motion import Motion
 from riginv.tracking.surfaces.triangles import TriangleMesh
 from riginv.tracking.surfaces.wrap import wrap
 from tests.conftest import ROOT
-from tests.support.markers import placed
+from tests.support.markers import placed, write_trc
 from tests.support.scans import write_ply
 from tests.support.toys import ToyRig
+from tests.tracking.test_scans import NO_LOOK
 
 
 def somebody(rig: ToyRig) -> TriangleMesh:
@@ -56,6 +58,38 @@ def turned(rig: ToyRig, degrees: float) -> tuple[TriangleMesh, np.ndarray]:
     return TriangleMesh(points, scan.faces), points[: len(rig.rest_vertices)]  # subdivision keeps the vertices first
 
 
+def map_lines(placement: Placement, points: np.ndarray) -> list[str]:
+    """The markers of a map with the position of each in a scan."""
+    places = zip(placement.names, placement.corners.tolist(), placement.barycentric.tolist(), points.tolist())
+    return [f"  {name}: {{triangle: {where}, barycentric: {weights}, point: {at}}}" for name, where, weights, at in places]
+
+
+def test_landmarks_bring_a_neutral_onto_a_scan_that_was_turned(run, tmp_path):
+    """Of a scan that serves as actor.neutral, and of frames of the clip, which is of scans that are turned alike."""
+    rig = ToyRig(detail=3)
+    scan, truth = turned(rig, 150.0)
+    placement = placed(rig, 6)
+    points = placement.points(torch.from_numpy(truth)).numpy()
+    lines = ["rig: toy", "markers:", *map_lines(placement, points)]
+    (tmp_path / "map.yaml").write_text("\n".join(lines))
+    write_ply(tmp_path / "neutral.ply", scan.points, scan.faces)
+    take = write_trc(tmp_path / "take.trc", placement.names, points[None])
+    common = ("rig=toy", "+rig.detail=3", f"--config-dir={ROOT / 'tests/conf'}", f"clip={tmp_path / 'scan.%d.ply'}", *NO_LOOK)
+    write_ply(tmp_path / "scan.1.ply", scan.points, scan.faces)
+    of_clip = (f"landmarks.map={tmp_path / 'map.yaml'}", f"landmarks.clip={take}", "reading.unit=mm")
+    shape = rig.rest_vertices.numpy() * [1.0, 1.12, 0.95]  # of somebody, without the bend
+    for name, given in {
+        "file": (f"actor.neutral={tmp_path / 'neutral.ply'}", f"actor.landmarks={tmp_path / 'map.yaml'}"),
+        "frames": ("actor.neutral_frames=[1]",),
+    }.items():
+        done = run("invert", *common, *of_clip, f"out={name}", *given)
+        assert done.code == 0 and "the landmarks lie" in done.text and "from the mesh's" in done.text, done.text
+        with np.load(tmp_path / name / "actor.npz") as actor:
+            found = actor["neutral"]
+        away = {side: np.linalg.norm(found - found.mean(0) - 1.1 * side * shape, axis=1).mean() for side in (1.0, -1.0)}
+        assert away[1.0] < 8 < away[-1.0], away
+
+
 def test_landmarks_bring_a_mesh_onto_a_scan_that_was_turned_by_150_degrees(run, tmp_path):
     rig = ToyRig(detail=3)
     scan, truth = turned(rig, 150.0)
@@ -68,10 +102,7 @@ def test_landmarks_bring_a_mesh_onto_a_scan_that_was_turned_by_150_degrees(run, 
     assert found.usable > 0.97 and np.nanmean(found.distance_mm) < 0.25
 
     write_ply(tmp_path / "neutral.ply", scan.points / 1000, scan.faces)  # in metres
-    lines = [
-        f"  {name}: {{triangle: {where}, barycentric: {weights}, point: {(at / 1000).tolist()}}}"
-        for name, where, weights, at in zip(placement.names, placement.corners.tolist(), placement.barycentric.tolist(), points)
-    ]
+    lines = map_lines(placement, points / 1000)
     (tmp_path / "map.yaml").write_text("\n".join(["rig: toy", "markers:", *lines]))
     given = ("rig=toy", "+rig.detail=3", f"--config-dir={ROOT / 'tests/conf'}", f"scan={tmp_path / 'neutral.ply'}")
     given = (*given, f"landmarks={tmp_path / 'map.yaml'}")

@@ -10,7 +10,6 @@ from torch import Tensor
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.tracking.fixed_controls import FixedControlsRig
 
-SOLVE = "solve"  # the setting, in place of a file
 FEW = 6  # frames
 
 

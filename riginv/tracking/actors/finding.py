@@ -14,12 +14,12 @@ from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.console import show_lines
 from riginv.solvers.offset import OffsetSolver
-from riginv.tracking.actors.actor import SOLVE, Actor, ActorRig, solved_notes
+from riginv.tracking.actors.actor import Actor, ActorRig, solved_notes
 from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, neutral_of_frames, read_neutral
 from riginv.tracking.alternation import MIN_KNOWN
 from riginv.tracking.assembly import build_solver
 from riginv.tracking.constraints import resolve_constraints
-from riginv.tracking.options import TrackingOptions
+from riginv.tracking.options import SOLVE, TrackingOptions
 from riginv.tracking.regions import vertex_weights
 from riginv.tracking.rigid import fit_rigid
 from riginv.tracking.stability import has_root_controls, stability_weights
@@ -52,7 +52,7 @@ def find_actor(
     if given.neutral == SOLVE:
         return finder.solved()
     if given.neutral:
-        neutral = read_neutral(given.neutral, true_rig, reading)
+        neutral = read_neutral(given, true_rig, reading)
     else:
         neutral = neutral_of_frames(clip, list(given.neutral_frames), finder.stability)
     return finder.aligned(neutral)

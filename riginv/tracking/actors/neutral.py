@@ -10,13 +10,16 @@ from torch import Tensor
 from riginv.clips.clip import Clip, frames_named
 from riginv.clips.open import open_clip
 from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.sequence import StillMeshError
+from riginv.clips.sequence import ScansError
 from riginv.clips.topology import TopologyError
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.geometry.kinematics import remove_motion
 from riginv.rig.interface import RigBackend
+from riginv.tracking.options import ActorOptions
 from riginv.tracking.rigid import fit_rigid
+from riginv.tracking.surfaces.landmark_files import landmarks_of_scan
+from riginv.tracking.surfaces.landmarks import Landmarks
 from riginv.tracking.surfaces.scan_files import holds_scans, read_scan
 from riginv.tracking.surfaces.scans import Scan
 from riginv.tracking.surfaces.wrap import wrap
@@ -41,22 +44,22 @@ class GivenNeutral(NamedTuple):
     is_aligned: bool = False
 
 
-def read_neutral(path: str, rig: RigBackend, reading: ReadingOptions) -> GivenNeutral:
-    """The neutral in a file: a mesh of the rig's topology, or a scan, which is wrapped.
+def read_neutral(options: ActorOptions, rig: RigBackend, reading: ReadingOptions) -> GivenNeutral:
+    """The neutral in a file: a mesh of the rig's topology, or a scan, which is wrapped, as what has landmarks is.
 
     Raises:
         InputError: it cannot be read, holds several meshes, has the rig's vertices in another order, or cannot be wrapped.
     """
-    source = Path(path).name
-    if holds_scans(path):
-        return _wrapped(path, rig, reading)
+    path = str(options.neutral)
+    if options.landmarks or holds_scans(path):
+        return _wrapped(path, rig, reading, options.landmarks)
     try:
         clip, notes = open_clip(path, rig, replace(reading, fps=reading.fps or 1.0), FrameOptions())
     except TopologyError as error:
         if error.same_count:
             raise InputError(f"actor.neutral={error}") from None
         return _wrapped(path, rig, reading)
-    except StillMeshError:
+    except ScansError:
         return _wrapped(path, rig, reading)
     if len(clip) != 1:
         raise InputError(
@@ -65,16 +68,17 @@ def read_neutral(path: str, rig: RigBackend, reading: ReadingOptions) -> GivenNe
     found = clip.vertices(0, 1)[0]
     if not bool(torch.isfinite(found).all()):
         raise InputError(f"actor.neutral={path}: vertices that are not finite numbers: export it again")
-    return GivenNeutral(found, source, [f"actor.neutral: {note}" for note in notes])
+    return GivenNeutral(found, Path(path).name, [f"actor.neutral: {note}" for note in notes])
 
 
-def _wrapped(path: str, rig: RigBackend, reading: ReadingOptions) -> GivenNeutral:
+def _wrapped(path: str, rig: RigBackend, reading: ReadingOptions, landmarks: str | None = None) -> GivenNeutral:
     scan, units = read_scan(path, reading, rig, "actor.neutral")
-    vertices, note = wrapped(scan, units, rig, f"actor.neutral={path}")
+    known = landmarks_of_scan(landmarks, rig, scan.points, units)
+    vertices, note = wrapped(scan, units, rig, f"actor.neutral={path}", known)
     return GivenNeutral(vertices, f"{Path(path).name}, wrapped", [note, *units.notes], True)
 
 
-def wrapped(scan: Scan, units: ClipUnits, rig: RigBackend, key: str) -> tuple[Tensor, str]:
+def wrapped(scan: Scan, units: ClipUnits, rig: RigBackend, key: str, landmarks: Landmarks | None) -> tuple[Tensor, str]:
     """A rig's mesh with the shape of a scan, in the rig's space, `(vertex, 3)`, mm, and a note.
 
     Args:
@@ -85,7 +89,7 @@ def wrapped(scan: Scan, units: ClipUnits, rig: RigBackend, key: str) -> tuple[Te
     """
     surface = scan.surface(units.mm, units.axes.double().numpy())
     try:
-        found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface)
+        found = wrap(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), surface, landmarks=landmarks)
     except InputError as error:
         raise InputError(f"{key}: {error}") from None
     if found.usable < LEAST_USABLE:
@@ -94,6 +98,8 @@ def wrapped(scan: Scan, units: ClipUnits, rig: RigBackend, key: str) -> tuple[Te
             f"give a scan of the whole face at rest"
         )
     note = f"{key}: a scan, wrapped: {found.usable:.0%} of the skin lies on it; {found.scale:.3g} times the rig's size"
+    if landmarks is not None:
+        note += f"; {landmarks.away_from(found.vertices)}"
     return torch.from_numpy(found.scale * found.local).to(rig.dtype), note
 
 

@@ -11,10 +11,10 @@ from riginv.errors import InputError, counted
 from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 from riginv.runs.console import show_lines
-from riginv.tracking.actors.actor import SOLVE, Actor, solved_notes
+from riginv.tracking.actors.actor import Actor, solved_notes
 from riginv.tracking.actors.neutral import GivenNeutral, in_rig_space, read_neutral, wrapped
 from riginv.tracking.actors.scan_offset import ScanOffset, ScanOffsetSettings
-from riginv.tracking.options import ActorOptions
+from riginv.tracking.options import SOLVE, ActorOptions
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.landmark_files import LandmarkTake
 from riginv.tracking.surfaces.matching import Target
@@ -24,16 +24,24 @@ from riginv.tracking.surfaces.solving import ScanSolver
 
 @torch.no_grad()
 def actor_of_scans(
-    options: ActorOptions, reading: ReadingOptions, scans: ScanSequence, units: ClipUnits, rig: LinearRig
+    options: ActorOptions,
+    reading: ReadingOptions,
+    scans: ScanSequence,
+    units: ClipUnits,
+    rig: LinearRig,
+    landmarks: LandmarkTake | None,
 ) -> Actor | None:
     """The actor of a clip of scans whose neutral is given; None where the options name none, or it is to be solved for.
+
+    Args:
+        landmarks: of the clip, for `neutral_frames`; None: none.
 
     Raises:
         InputError: the neutral cannot be read, or cannot be wrapped.
     """
     if not options.is_given or options.neutral == SOLVE:
         return None
-    given = read_neutral(options.neutral, rig, reading) if options.neutral else _of_frames(options, scans, units, rig)
+    given = read_neutral(options, rig, reading) if options.neutral else _of_frames(options, scans, units, rig, landmarks)
     neutral = in_rig_space(given, rig.rest_vertices, stability_weights(rig), True)
     return Actor(neutral, neutral - rig.rest_vertices, options.scale, given.source, tuple(given.notes))
 
@@ -95,7 +103,9 @@ def _spread_targets(
     return targets
 
 
-def _of_frames(options: ActorOptions, scans: ScanSequence, units: ClipUnits, rig: LinearRig) -> GivenNeutral:
+def _of_frames(
+    options: ActorOptions, scans: ScanSequence, units: ClipUnits, rig: LinearRig, landmarks: LandmarkTake | None
+) -> GivenNeutral:
     frames = list(options.neutral_frames)
     key = f"actor.neutral_frames={frames}"
     rows = frames_named(scans.path, torch.tensor(scans.frame_numbers), frames, "actor.neutral_frames").nonzero()[:, 0]
@@ -104,7 +114,7 @@ def _of_frames(options: ActorOptions, scans: ScanSequence, units: ClipUnits, rig
         cleaned = scans.cleaned(row)
         if cleaned is None:
             raise InputError(f"{key}: frame {scans.frame_numbers[row]} of {scans.path} has no scan of 50 points or more")
-        vertices, note = wrapped(cleaned, units, rig, key)
+        vertices, note = wrapped(cleaned, units, rig, key, None if landmarks is None else landmarks.at(row))
         found.append(vertices)
         notes.append(note)
     text = ", ".join(str(frame) for frame in frames)

@@ -30,6 +30,10 @@ class RigWithMarkers(RigBackend):
         rig: the rig.
         placement: of the markers.
         detail: subdivisions of a ball.
+
+    Attributes:
+        balls: the corners of a ball around the origin, `(corner, 3)`, mm.
+        ball_faces: its triangles `(face, 3)`.
     """
 
     balls: Tensor
@@ -40,12 +44,13 @@ class RigWithMarkers(RigBackend):
         rest = rig.rest_vertices
         ball = trimesh.creation.icosphere(detail, radius=BALL * float((rest.amax(dim=0) - rest.amin(dim=0)).max()))
         count, size = len(placement), len(ball.vertices)
-        triangles = torch.from_numpy(ball.faces).to(rig.faces) + len(rest) + size * torch.arange(count)[:, None, None]
+        ball_faces = torch.from_numpy(ball.faces).to(rig.faces)
+        triangles = ball_faces + len(rest) + size * torch.arange(count)[:, None, None]
         balls = torch.from_numpy(ball.vertices).to(rest)
         vertices = with_balls(rest[None], placement.points(rest)[None], balls)[0]
         super().__init__(rig.name, rig.controls, vertices, torch.cat([rig.faces, triangles.flatten(0, 1)]))
         self.register_buffer("balls", balls, persistent=False)
-        self.source, self.placement = rig, placement
+        self.source, self.placement, self.ball_faces = rig, placement, ball_faces
 
     def forward(self, controls: Tensor) -> Tensor:
         mesh = self.source(controls)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from riginv.errors import InputError
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion, fit_motion
 from riginv.tracking.surfaces.triangles import TriangleMesh
@@ -83,6 +84,17 @@ class Aligner:
         """The alignment from the scan's centre alone, upright as it is read: fast, and enough to compare readings of a scan."""
         scan = _Scan(target)
         return self._refine(scan, self._centred(scan, np.eye(3)), False)
+
+    def refuse_inwards(self, target: Target, aligned: Alignment, normals: str) -> None:
+        """Raise InputError where a scan that is not aligned well fits with its `normals` reversed, which are so named."""
+        if aligned.distance_mm <= FAIR_MM:
+            return
+        other = self.align(Target(target.surface.reversed(), target.points, -target.normals))
+        if other.distance_mm < min(GOOD_MM, BETTER * aligned.distance_mm):
+            raise InputError(
+                f"{normals} point inwards: reversed it fits the mesh; flip them (the order of each face's corners), and export "
+                f"it again"
+            )
 
     def _by_landmarks(self, scan: "_Scan", target: Target) -> Alignment | None:
         """The alignment of the landmarks, or that after refinement, if it is better."""

@@ -1,6 +1,6 @@
 """The parts of an inversion of scans, built from its options."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -12,9 +12,9 @@ from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.units import ClipUnits
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
-from riginv.tracking.actors.actor import SOLVE, Actor, ActorRig
+from riginv.tracking.actors.actor import Actor, ActorRig
 from riginv.tracking.actors.scans import actor_of_scans, solve_actor
-from riginv.tracking.options import ControlOptions, TrackingOptions
+from riginv.tracking.options import SOLVE, ControlOptions, TrackingOptions
 from riginv.tracking.priors.files import prior_or_default
 from riginv.tracking.stability import stability_weights
 from riginv.tracking.surfaces.clip import ScanSmoothness
@@ -79,8 +79,7 @@ def build_scan_parts(
     units = resolve_scan_units(scans, rig, reading)
     prior, note = prior_or_default(options.prior, rig)
     settings = ScanSettings(noise_mm=options.noise_of_measurements_mm)
-    how = prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy()
-    solver = ScanSolver(rig, *how)
+    solver = ScanSolver(rig, prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy())
     units = checked_units(scans, units, reading, solver)
     landmarks, landmark_notes = read_landmarks(options.landmarks, rig, reading, scans, units)
     numbers = scans.frame_numbers
@@ -88,14 +87,14 @@ def build_scan_parts(
     kept = torch.tensor(numbers[inside])
     excluded = excluded_frames(scans.path, kept, frames.exclude)
     rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
-    actor = actor_of_scans(options.actor, reading, scans, units, rig)
+    actor = actor_of_scans(options.actor, reading, scans, units, rig, landmarks)
     if options.actor.neutral == SOLVE:
         none = Actor(rig.rest_vertices, torch.zeros_like(rig.rest_vertices), options.actor.scale, "")
-        actor = solve_actor(ScanSolver(ActorRig(rig, none), *how), scans, units, rows, options.actor.scale, landmarks)
+        actor = solve_actor(replace(solver, rig=ActorRig(rig, none)), scans, units, rows, options.actor.scale, landmarks)
     notes = [*scans.facts.notes, *units.notes, *landmark_notes, note]
     if actor is not None:
         notes += [*actor.notes, f"the actor is {actor.sentence}"]
-        solver = ScanSolver(ActorRig(rig, actor), *how)
+        solver = replace(solver, rig=ActorRig(rig, actor))
     smoothness = ScanSmoothness() if options.method in (None, "clip") else None
     return ScanParts(scans, units, solver, rows, kept, smoothness, actor, landmarks, notes)
 

@@ -48,15 +48,19 @@ class LandmarkTake:
         return np.linalg.norm(ours - motion.undo(self.points[index]), axis=1)
 
 
-def landmarks_of_scan(path: Path, rig: RigBackend, cloud: np.ndarray, units: ClipUnits) -> Landmarks:
-    """The landmarks of one scan: a map whose markers have positions, too.
+def landmarks_of_scan(named: str | None, rig: RigBackend, cloud: np.ndarray, units: ClipUnits) -> Landmarks | None:
+    """The landmarks of one scan: a map whose markers have positions, too; None where no file is named.
 
     Args:
+        named: the map's path.
         cloud: the points of the scan, `(point, 3)`, in its own unit and axes, as the positions are.
 
     Raises:
         InputError: the map is damaged, has fewer than three landmarks, or they do not lie on the scan.
     """
+    if not named:
+        return None
+    path = Path(named)
     placement = read_map(path, rig)
     if len(placement) < FEWEST:
         raise InputError(f"{path}: {len(placement)} landmarks, expected {FEWEST} at least: add more")

@@ -50,6 +50,12 @@ class Landmarks:
         """The landmarks `(landmark, 3)` on a mesh `(vertex, 3)`, mm."""
         return self.placement.points(torch.from_numpy(vertices)).double().numpy()
 
+    def away_from(self, vertices: np.ndarray) -> str:
+        """How far the landmarks lie from those of a mesh in the scan's frame `(vertex, 3)`, in words."""
+        away = np.linalg.norm(self.on(vertices) - self.points, axis=1)
+        farthest = f"{self.placement.names[away.argmax()]!r} {away.max():.3g} mm"
+        return f"the landmarks lie {away.mean():.3g} mm from the mesh's, {farthest}"
+
     def motion(self, vertices: np.ndarray) -> Motion | None:
         """The rigid motion from a mesh to the scan in closed form; None for fewer than three landmarks, or collinear ones."""
         ours = self.on(vertices)

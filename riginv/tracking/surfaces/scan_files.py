@@ -11,7 +11,7 @@ from riginv.clips.file_frames import vertices_of
 from riginv.clips.numbered import find_frames, is_pattern, visible_files
 from riginv.clips.open import SEQUENCES, open_sequence
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MAX_VERTICES, MeshSequence, SourceFacts, StillMeshError
+from riginv.clips.sequence import MAX_VERTICES, MeshSequence, ScansError, SourceFacts
 from riginv.clips.units import ClipUnits
 from riginv.config.building import class_of
 from riginv.errors import InputError, in_short, listed
@@ -40,6 +40,7 @@ class FileScans(ScanSequence):
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
         suffix = _suffix(Path(path))
+        _check_kinds(Path(path))
         self.frames = find_frames(path, suffix, options.missing_frames == "bridge")
         self.options, first = options, _read(self.frames.first, options)
         notes = (*self.frames.notes, *first.notes, *options.unused(suffix[1:].upper(), not first.objects))
@@ -59,7 +60,7 @@ class FileScans(ScanSequence):
         if self.options.mesh_names and mesh.objects:
             selected = vertices_of(mesh, self.options.mesh_names)
             points, polygons = points[selected], None if polygons is None else polygons.among(selected)
-        return Scan(points, None if polygons is None else triangulated(polygons))
+        return Scan(points, None if polygons is None else polygons.fans())
 
 
 class MeshScans(ScanSequence):
@@ -71,7 +72,7 @@ class MeshScans(ScanSequence):
 
     def scan(self, index: int) -> Scan | None:
         points, polygons = self.sequence.mesh(index)
-        return Scan(points, None if polygons is None else triangulated(polygons))
+        return Scan(points, None if polygons is None else polygons.fans())
 
 
 class RaggedArrays(ScanSequence):
@@ -128,11 +129,11 @@ def open_scans(path: str, rig: RigBackend | None, reading: ReadingOptions) -> Sc
     given = Path(path)
     if is_ragged(path):
         return RaggedArrays(given)
-    if given.suffix.lower() in STILLS or holds_scans(path):
+    if given.suffix.lower() in STILLS or _names_several(given):
         return FileScans(path, reading)
     try:
         return MeshScans(open_sequence(path, rig, reading, as_scans=True))
-    except StillMeshError:
+    except ScansError:
         return FileScans(path, reading)
 
 
@@ -159,11 +160,16 @@ def read_scan(path: str, reading: ReadingOptions, rig: RigBackend, key: str = "s
 def holds_scans(path: str) -> bool:
     """Whether a path can only hold scans: ragged arrays, an STL file, or a file for each frame of a format that holds clips."""
     given = Path(path)
+    are_files = _names_several(given) and _suffix(given) not in SEQUENCES
+    return are_files or given.suffix.lower() == ".stl" or is_ragged(path)
+
+
+def _names_several(given: Path) -> bool:
+    """Whether a path is a folder, or a pattern of files."""
     try:
-        several = given.is_dir() or (is_pattern(path) and not given.exists())
+        return given.is_dir() or (is_pattern(str(given)) and not given.exists())
     except OSError:  # its reader reports it
         return False
-    return is_ragged(path) or given.suffix.lower() == ".stl" or (several and _suffix(given) not in SEQUENCES)
 
 
 def may_be_scan(path: str) -> bool:
@@ -197,21 +203,20 @@ def _read(path: Path, options: ReadingOptions) -> MeshFile:
     return reader.still(path, options)
 
 
+def _check_kinds(given: Path) -> None:
+    """Raise InputError for a folder that holds scans in files of several kinds."""
+    kinds = sorted(set(SUFFIXES) & {file.suffix.lower() for file in visible_files(given)}) if given.is_dir() else []
+    if len(kinds) > 1:
+        found = listed(kinds, None)
+        raise InputError(f"{given}: scans that end in {found}, expected one kind: '{given}/*{kinds[0]}' names one")
+
+
 def _suffix(given: Path) -> str:
     """The suffix of a sequence's files; in a folder, the first of `SUFFIXES` that occurs."""
     if given.is_dir():
         found = {file.suffix.lower() for file in visible_files(given)}
         return next((suffix for suffix in SUFFIXES if suffix in found), SUFFIXES[0])
     return given.suffix.lower()
-
-
-def triangulated(polygons: Polygons) -> np.ndarray:
-    """Triangle fans `(face, 3)` of polygons; those of fewer than three corners give none."""
-    starts = np.cumsum(polygons.sizes) - polygons.sizes
-    count = np.maximum(polygons.sizes - 2, 0)
-    first = np.repeat(starts, count)
-    along = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    return np.stack([polygons.corners[first + step] for step in (0 * along, along + 1, along + 2)], axis=1)
 
 
 def _load(path: Path) -> dict[str, np.ndarray]:

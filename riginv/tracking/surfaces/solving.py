@@ -50,7 +50,7 @@ class ScanSettings:
     from_pose: Schedule = FROM_POSE
     from_near: Schedule = FROM_NEAR
     finish: Schedule = FINISH
-    explained: float = 0.98
+    explained: float = 0.99
     starts: int = 1
     hidden_starts: int = 4
     seen: float = 0.25

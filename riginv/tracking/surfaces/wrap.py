@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from riginv.errors import InputError
-from riginv.tracking.surfaces.alignment import GOOD_MM, Aligner
+from riginv.tracking.surfaces.alignment import Aligner
 from riginv.tracking.surfaces.landmarks import Landmarks
 from riginv.tracking.surfaces.matching import Target
 from riginv.tracking.surfaces.motion import Motion, fit_motion
@@ -153,14 +153,8 @@ def _similarity(
     mesh = TriangleMesh(rest, faces)
     sampled = outer[farthest_points(rest[outer], SAMPLES)]
     aligner, target = Aligner(mesh, outer, sampled, np.ones(len(rest))), Target.of(scan, SAMPLES, landmarks=landmarks)
-    if aligner.from_centre(target).distance_mm > TOO_FAR_MM:
-        reversed_mm = aligner.from_centre(Target.of(scan.reversed(), SAMPLES)).distance_mm
-        if reversed_mm < GOOD_MM:
-            raise InputError(
-                "the normals of the scan point inwards: reversed it fits the mesh; flip them (the order of each face's "
-                "corners), and export it again"
-            )
     start = aligner.align(target, thorough=True)
+    aligner.refuse_inwards(target, start, "the normals of the scan")
     if start.distance_mm > TOO_FAR_MM:
         raise InputError(
             f"the scan cannot be brought onto the mesh: its points stay {start.distance_mm:.1f} mm away and more: is it the "

@@ -102,7 +102,8 @@ def write_viewer(
     thinned = thin(rig.rest_vertices.cpu().numpy(), rig.faces.cpu().numpy(), MAX_VERTICES)
     most = min(MAX_FRAMES if scans is None else MAX_SCANS, max(2, MAX_NUMBERS // (6 * len(thinned.kept))))
     rows = shown_rows(animation, errors, most)
-    meshes, top_mm = _meshes(animation, targets, rows, thinned, advance)
+    skin = thinned.kept < (len(rig.rest_vertices) if scans is None else scans.skin)
+    meshes, top_mm = _meshes(animation, targets, rows, thinned, skin, advance)
     middle = (np.nanmax(meshes, axis=(0, 1, 2)) + np.nanmin(meshes, axis=(0, 1, 2))) / 2
     meshes -= middle
     scanned = [] if scans is None else drawn(scans, rows)
@@ -160,9 +161,14 @@ def shown_rows(animation: Animation, errors: FrameErrors, limit: int) -> list[in
 
 @torch.no_grad()
 def _meshes(
-    animation: Animation, targets: Targets, rows: list[int], thinned: Thinned, advance: Callable[[int], None] | None
+    animation: Animation,
+    targets: Targets,
+    rows: list[int],
+    thinned: Thinned,
+    skin: np.ndarray,
+    advance: Callable[[int], None] | None,
 ) -> tuple[np.ndarray, float]:
-    """Target and recovered meshes `(frame, 2, vertex, 3)`, mm, and the error that is drawn red."""
+    """Target and recovered meshes `(frame, 2, vertex, 3)`, mm, and the error of `skin` `(vertex,)` that is drawn red."""
     both = np.empty((len(rows), 2, len(thinned.kept), 3), np.float32)
     kept = torch.tensor(thinned.kept)
     for start in range(0, len(rows), BATCH_SIZE):
@@ -173,7 +179,7 @@ def _meshes(
         both[start : start + len(some), 1] = recovered[:, kept].cpu().numpy()
         if advance:
             advance(len(some))
-    distance = np.linalg.norm(both[:, 0] - both[:, 1], axis=-1)
+    distance = np.linalg.norm(both[:, 0] - both[:, 1], axis=-1)[:, skin]
     known = distance[~np.isnan(distance)]
     top = float(np.quantile(known, 0.995)) if len(known) else 0.0
     return both, max(float(f"{top:.2g}"), 1e-3)

@@ -21,36 +21,68 @@ class DrawnScan(NamedTuple):
         normals: `(point, 3)`, of unit length.
         faces: `(face, 3)`; none for a point cloud.
         distance: of each point from the rig, `(point,)`, mm; NaN beyond the rig's border.
+        balls: the number of points, the last ones, that are balls around landmarks; of a point cloud without faces.
     """
 
     points: np.ndarray
     normals: np.ndarray
     faces: np.ndarray
     distance: np.ndarray
+    balls: int = 0
 
     def thinned(self) -> "DrawnScan":
-        """At most `MAX_POINTS` of its points, with the faces between them."""
-        points, faces = self.points, self.faces
-        if len(faces):
-            kept, faces = thin(points, faces, MAX_POINTS)
+        """At most `MAX_POINTS` of its points, with the faces between them, and all balls."""
+        count = len(self.points) - self.balls
+        if len(self.faces):
+            of_balls = (self.faces >= count).any(axis=1)
+            kept, faces = thin(self.points[:count], self.faces[~of_balls], MAX_POINTS)
+            faces = np.concatenate([faces, self.faces[of_balls] - count + len(kept)])
         else:
-            kept = np.unique(np.linspace(0, len(points) - 1, min(MAX_POINTS, len(points))).astype(int))
-        return DrawnScan(points[kept], self.normals[kept], faces, self.distance[kept])
+            kept, faces = np.unique(np.linspace(0, count - 1, min(MAX_POINTS, count)).astype(int)), self.faces
+        kept = np.append(kept, np.arange(count, len(self.points)))
+        return DrawnScan(self.points[kept], self.normals[kept], faces, self.distance[kept], self.balls)
+
+    def with_balls(self, centres: np.ndarray, distance: np.ndarray, ball: np.ndarray, faces: np.ndarray) -> "DrawnScan":
+        """The scan with balls around landmarks.
+
+        Args:
+            centres: `(landmark, 3)`, mm.
+            distance: of each from the rig's, `(landmark,)`, mm.
+            ball: its corners `(corner, 3)` around the origin; `faces`: its triangles.
+        """
+        corners = (centres[:, None] + ball).reshape(-1, 3)
+        starts = len(self.points) + len(ball) * np.arange(len(centres))
+        more = (faces + starts[:, None, None]).reshape(-1, 3) if len(self.faces) else self.faces
+        normals = np.tile(ball / np.linalg.norm(ball, axis=1, keepdims=True), (len(centres), 1))
+        arrays = zip(self[:4], (corners, normals, more, distance.repeat(len(ball))))
+        points, normals, faces, distance = (np.concatenate(both) for both in arrays)
+        return DrawnScan(points, normals, faces, distance, len(corners))
 
 
-Scans = Callable[[int], DrawnScan | None]  # a row of the animation to its scan, if it has one
+class Scans(NamedTuple):
+    """The scans of an animation.
+
+    Attributes:
+        drawn: the scan of a row; None where it has none.
+        skin: the number of the recovered mesh's vertices, the first ones, without balls around landmarks: their distances scale
+            the colours.
+    """
+
+    drawn: Callable[[int], DrawnScan | None]
+    skin: int
+
 
 NO_SCAN = DrawnScan(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0))
 
 
 def drawn(scans: Scans, rows: Sequence[int]) -> list[DrawnScan]:
     """The scans of rows of an animation, thinned; without points where there is none."""
-    found = (scans(row) for row in rows)
+    found = (scans.drawn(row) for row in rows)
     return [NO_SCAN if scan is None else scan.thinned() for scan in found]
 
 
-def scan_bytes(scans: Sequence[DrawnScan], middle: np.ndarray, step: float) -> tuple[list[tuple[int, int]], bytes]:
-    """The numbers of points and faces of each scan, and all scans for scene.js.
+def scan_bytes(scans: Sequence[DrawnScan], middle: np.ndarray, step: float) -> tuple[list[tuple[int, int, int]], bytes]:
+    """The numbers of points, faces and points of balls of each scan, and all scans for scene.js.
 
     Positions relative to `middle` and distances are integers in units of `step`, mm; all positions come first, then all
     distances, faces, and normals.
@@ -61,4 +93,4 @@ def scan_bytes(scans: Sequence[DrawnScan], middle: np.ndarray, step: float) -> t
     faces = [scan.faces.astype("<u2") for scan in scans]
     normals = [(127 * scan.normals).round().astype("i1") for scan in scans]
     parts = [array.tobytes() for arrays in (positions, distances, faces, normals) for array in arrays]
-    return [(len(scan.points), len(scan.faces)) for scan in scans], b"".join(parts)
+    return [(len(scan.points), len(scan.faces), scan.balls) for scan in scans], b"".join(parts)

@@ -1,5 +1,5 @@
 "use strict";
-const GREY = [110, 110, 110], CLAY = [214, 178, 158];
+const GREY = [110, 110, 110], CLAY = [214, 178, 158], RED = [217, 26, 26];
 // Target, a mesh or a scan, and recovered mesh by WebGL2, under one camera: smooth normals, three lights, errors as heat.
 function makeScene(canvas, faces, colors, facts, scanBytes) {
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, premultipliedAlpha: true, preserveDrawingBuffer: true });
@@ -66,8 +66,8 @@ function makeScene(canvas, faces, colors, facts, scanBytes) {
   function scanAt(scan, state) {
     const color = new Uint8Array(scan.position.length);
     for (let v = 0; v < scan.distance.length; v++) {
-      const beyond = scan.distance[v] === 65535;
-      color.set(!state.heat ? CLAY : beyond ? GREY : hotter(scan.distance[v] * facts.step, state.top), 3 * v);
+      const beyond = scan.distance[v] === 65535, plain = v < scan.distance.length - scan.balls ? CLAY : RED;
+      color.set(!state.heat ? plain : beyond ? GREY : hotter(scan.distance[v] * facts.step, state.top), 3 * v);
     }
     return { position: Float32Array.from(scan.position, (x) => x * facts.step), normal: Float32Array.from(scan.normal), color, faces: scan.faces };
   }
@@ -159,10 +159,10 @@ function scansOf(bytes, { scans }) {
   const position = new Int16Array(bytes.buffer, starts[0], 3 * points), distance = new Uint16Array(bytes.buffer, starts[1], points);
   const corners = new Uint16Array(bytes.buffer, starts[2], 3 * triangles), normal = new Int8Array(bytes.buffer, starts[3], 3 * points);
   let p = 0, f = 0;
-  return scans.map(([count, faces]) => {
+  return scans.map(([count, faces, balls]) => {
     const [from, to, first] = [p, p + count, f];
     p = to; f += faces;
-    return { position: position.subarray(3 * from, 3 * to), normal: normal.subarray(3 * from, 3 * to),
+    return { balls, position: position.subarray(3 * from, 3 * to), normal: normal.subarray(3 * from, 3 * to),
       distance: distance.subarray(from, to), faces: corners.subarray(3 * first, 3 * f) };
   });
 }

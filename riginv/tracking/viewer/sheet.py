@@ -28,12 +28,13 @@ def write_sheet(path: Path, animation: Animation, errors: FrameErrors, targets: 
     target_meshes = targets(list(rows)).to(recovered)
     distances = (target_meshes - recovered).norm(dim=2)
     target_meshes = torch.where(target_meshes.isnan(), recovered, target_meshes)
-    top = max(float(distances.nan_to_num(0.0).max()), 0.01)
+    skin = None if scans is None else scans.skin
+    top = max(float(distances[:, :skin].nan_to_num(0.0).max()), 0.01)
     camera, faces, colors = Camera(animation.rig.rest_vertices), animation.rig.faces, animation.rig.vertex_colors()
     pictures, labels = [], []
     for (row, name), target, mesh, distance in zip(rows.items(), target_meshes, recovered, distances):
         view = camera.following(target, mesh)
-        scan = None if scans is None else scans(row)
+        scan = None if scans is None else scans.drawn(row)
         if scan is not None and len(scan.faces):
             heat = heat_colors(torch.from_numpy(scan.distance), top)
             pictures.append(view.picture(torch.from_numpy(scan.points), torch.from_numpy(scan.faces), heat))

@@ -1,8 +1,11 @@
-"""Default selection of the meshes of a scene, for workers that read scenes (standard library only)."""
+"""Default selection of the meshes of a scene, and several as one, for workers that read scenes (without Blender or riginv)."""
 
 from typing import Any
 
+import numpy as np
+
 LISTED = 12
+Faces = tuple[np.ndarray, np.ndarray]  # corners of each face, and the vertices at them
 
 
 def choose_meshes(shown: list[Any], moving: list[Any], vertex_count: int | None, notes: list[str]) -> list[Any]:
@@ -25,6 +28,13 @@ def choose_meshes(shown: list[Any], moving: list[Any], vertex_count: int | None,
                 notes.append(_how_chosen(found, pool is moving, vertex_count))
             return found
     return pools[0] if pools and len(pools[0]) == 1 else []
+
+
+def joined(shapes: list[Faces], counts: list[int]) -> Faces:
+    """The faces of meshes with so many vertices as those of one mesh; damaged corners below 0 stay below."""
+    before = np.cumsum(counts) - counts
+    corners = [np.where(own < 0, own, own + start) for (_, own), start in zip(shapes, before)]
+    return np.concatenate([sizes for sizes, _ in shapes]), np.concatenate(corners)
 
 
 def unclear(meshes: list[Any], moving: list[Any]) -> str:

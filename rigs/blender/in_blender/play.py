@@ -12,10 +12,10 @@ import numpy as np
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))  # Blender does not add it
 from clip_frames import alembic_frames, archive_rate, fbx_frames, set_rate
-from mesh_choice import listing
-from scene_meshes import SceneMesh, SceneMeshes, faces, go_to, joined
+from mesh_choice import joined, listing
+from scene_meshes import SceneMesh, SceneMeshes, faces, go_to
 from takes import Take, import_takes
-from worker import RefusedError, serve
+from worker import RefusedError, RefusedScansError, serve
 
 Answer = tuple[dict[str, Any], dict[str, np.ndarray]]
 METRE = 1000.0  # mm
@@ -139,7 +139,7 @@ class ClipScene:
         points = [mesh.world_points() for mesh in self.meshes]
         for mesh, found in zip(self.meshes, points):
             if len(found) != mesh.vertex_count and not self.ragged:
-                raise RefusedError(
+                raise RefusedScansError(
                     f"{self.file}: {len(found)} vertices of '{mesh.path}' in frame {self.frames.numbers[index]}, "
                     f"{mesh.vertex_count} at first: all frames must be the same mesh: export it again, or "
                     f"correspondence=surface fits each as a scan"

@@ -2,10 +2,9 @@
 
 import bpy
 import numpy as np
-from mesh_choice import choose_meshes, listing, unclear
+from mesh_choice import Faces, choose_meshes, joined, listing, unclear
 from worker import RefusedError
 
-Faces = tuple[np.ndarray, np.ndarray]
 LAST_FRAME = 1_048_574  # Blender's greatest frame number
 LOOKS = 24  # sampled frames to detect motion
 
@@ -105,13 +104,6 @@ def go_to(frame: float) -> None:
 def faces(meshes: list[SceneMesh]) -> Faces:
     """Corners of each face, and the vertices at them, of all meshes as one."""
     return joined([_faces_of(mesh.thing.data) for mesh in meshes], [mesh.vertex_count for mesh in meshes])
-
-
-def joined(shapes: list[Faces], counts: list[int]) -> Faces:
-    """Corners of each face, and the vertices at them, of meshes with so many vertices as one."""
-    before = np.cumsum(counts) - counts
-    corners = [corners + start for (_, corners), start in zip(shapes, before)]
-    return np.concatenate([sizes for sizes, _ in shapes]), np.concatenate(corners)
 
 
 def _faces_of(data: bpy.types.Mesh) -> Faces:

@@ -23,6 +23,14 @@ COMMANDS = ("load", "describe", "evaluate")
 class RefusedError(Exception):
     """A request cannot be met; the message is for the user."""
 
+    are_scans = False
+
+
+class RefusedScansError(RefusedError):
+    """A file cannot be read as a clip of one mesh, and can as a clip of scans."""
+
+    are_scans = True
+
 
 class Channel:
     """Messages over the original standard input and output; prints go to standard error."""
@@ -72,7 +80,7 @@ def serve(scene: Any) -> None:
                 raise RefusedError(f"there is no command '{command}'")
             answer = getattr(scene, command)(**header, **arrays)
         except RefusedError as error:
-            answer = {"error": str(error)}, {}
+            answer = {"error": str(error), "are_scans": error.are_scans}, {}
         channel.send(*answer)
 
 

@@ -5,10 +5,12 @@ import pytest
 import torch
 from PIL import Image
 
+from riginv.tracking.markers.views import RigWithMarkers
 from riginv.tracking.viewer.page import write_viewer
-from riginv.tracking.viewer.scans import MAX_POINTS, DrawnScan
+from riginv.tracking.viewer.scans import MAX_POINTS, DrawnScan, Scans
 from riginv.tracking.viewer.sheet import write_sheet
 from tests.support.animations import errors_of, moving
+from tests.support.markers import placed
 from tests.support.pages import read_page
 from tests.support.toys import ToyRig
 from tests.tracking.viewer.test_viewer import browsed, picture
@@ -29,10 +31,11 @@ def shown(tmp_path_factory):
     path = tmp_path_factory.mktemp("viewer") / "view.html"
     animation = moving(ToyRig(), with_motion=False)
     scans = {0: scan_of(animation.rig, 1.5), 1: scan_of(animation.rig, 0.5, faces=False)}
+    drawn = Scans(scans.get, len(animation.rig.rest_vertices))
     targets = animation.rig(animation.controls)
     targets[:, ::2] = torch.nan
-    write_viewer(path, animation, errors_of(animation), lambda rows: targets[list(rows)], scans=scans.get)
-    write_sheet(path.parent / "sheet.png", animation, errors_of(animation), lambda rows: targets[list(rows)], scans.get)
+    write_viewer(path, animation, errors_of(animation), lambda rows: targets[list(rows)], scans=drawn)
+    write_sheet(path.parent / "sheet.png", animation, errors_of(animation), lambda rows: targets[list(rows)], drawn)
     return path, animation, scans
 
 
@@ -46,6 +49,22 @@ def test_scans_lie_in_the_page_with_their_distances(shown):
         nearest = np.linalg.norm(points[:50, None] - middle - scan.points, axis=2).min(axis=1)
         assert nearest.max() < 3 and np.nanmax(np.abs(distance - away)) <= page.facts["step"]
         assert 0.3 < np.isnan(distance).mean() < 0.7
+
+
+@pytest.mark.parametrize("faces", [True, False])
+def test_balls_around_landmarks_are_whole_on_a_scan_that_is_thinned(faces):
+    rig = ToyRig()
+    ball, triangles = RigWithMarkers(rig, placed(rig, 2)).balls.numpy(), np.array([[0, 1, 2], [1, 2, 3]])
+    scan = scan_of(rig, 1.0, faces).with_balls(np.array([[90.0, 0, 0], [0, 90, 0]]), np.array([3.0, 4.0]), ball, triangles)
+    thinned = scan.thinned()
+    count = len(thinned.points) - thinned.balls
+    assert thinned.balls == 2 * len(ball) and 1000 < count <= MAX_POINTS
+    np.testing.assert_allclose(thinned.points[count:].reshape(2, -1, 3).mean(axis=1), [[90, 0, 0], [0, 90, 0]], atol=1e-3)
+    assert thinned.distance[count:].tolist() == [3.0] * len(ball) + [4.0] * len(ball)
+    np.testing.assert_allclose(np.linalg.norm(thinned.normals[count:], axis=1), 1, rtol=1e-5)
+    of_balls = thinned.faces[(thinned.faces >= count).any(axis=1)]
+    expected = np.concatenate([triangles, triangles + len(ball)]) + count
+    np.testing.assert_array_equal(of_balls, expected if faces else expected[:0])
 
 
 def test_a_scan_of_triangles_is_drawn_on_the_sheet_with_unknown_parts_grey(shown):
