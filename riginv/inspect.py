@@ -14,9 +14,11 @@ from rich.console import Console
 from rich.text import Text
 
 from riginv.clips.clip import Clip
+from riginv.clips.control_curves import Curves, are_curves, csv_curves, holds_curves, npz_curves
+from riginv.clips.csv_table import read_csv
 from riginv.clips.description import describe, span_of
 from riginv.clips.description_text import NAMES, cell_of, frames_text, rows
-from riginv.clips.live_link import Recording, read_live_link
+from riginv.clips.live_link import TIMECODE, Recording, is_recording, recording_of
 from riginv.clips.marker_exports import read_export
 from riginv.clips.markers import SUFFIXES, MarkerClip, holds_markers, open_markers, read_marker_csv
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
@@ -111,8 +113,8 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
     """
     path, rig = settings.clip, build_named_rig(settings)
     is_table, config = path.lower().endswith(TABLE), settings.rig.config if settings.rig else None
-    if is_table and rig is None:
-        show_rows(Path(path).name, recording_rows(read_live_link(path), names))
+    if rig is None and (is_table or (path.lower().endswith(".npz") and holds_curves(Path(path)))):
+        show_curves(Path(path), names)
         return
     if holds_scans(path):
         show_scans(path, settings.reading, rig)
@@ -178,13 +180,56 @@ def show_sequence(clip: Clip, notes: Sequence[str], names: int | None) -> None:
     show_lines([], notes, found.warnings, Console())
 
 
+def show_curves(path: Path, names: int | None) -> None:
+    """Print what a file of curves holds: a Live Link Face recording, or the controls of a rig.
+
+    Raises:
+        InputError: it cannot be read, or is neither.
+    """
+    table = read_csv(path, TIMECODE) if path.suffix.lower() == TABLE else None
+    if table is not None and (is_recording(table) or not are_curves(table)):
+        show_rows(path.name, recording_rows(recording_of(table), names))
+        return
+    curves = npz_curves(path) if table is None else csv_curves(table)
+    show_rows(path.name, curve_rows(curves, names))
+    show_lines([], curves.notes, console=Console())
+
+
+def curve_rows(curves: Curves, names: int | None) -> list[Row]:
+    """The contents of a file of curves of a rig's controls, as table rows.
+
+    Raises:
+        InputError: a value is no finite number.
+    """
+    controls = curves.names or [f"control {number}" for number in range(1, curves.values.shape[1] + 1)]
+    for column, name in enumerate(controls):
+        curves.check_column(column, name)
+    motion = None if curves.motion is None else np.ptp(curves.motion, axis=0).reshape(2, 3).max(axis=1)
+    return [
+        ("format", f"{curves.format}: controls of a rig, without meshes"),
+        ("rig", curves.rig or "not stated"),
+        ("frames", frames_text(span_of(curves.frame_numbers))),
+        ("rate", f"{curves.fps:g} frames a second ({curves.rate_source})" if curves.fps else "not known"),
+        ("controls", f"{len(controls):,}" + ("" if curves.names else ", without names")),
+        *range_rows("controls", controls, curves.values, names),
+        ("rigid motion", "none" if motion is None else f"over {motion[0]:.3g} mm and {motion[1]:.3g} degrees, at most"),
+    ]
+
+
+def range_rows(what: str, columns: Sequence[str], values: np.ndarray, names: int | None) -> list[Row]:
+    """The columns of values `(frame, column)` that move, with their ranges, and those that do not."""
+    least, most = values.min(axis=0), values.max(axis=0)
+    order = np.argsort(least - most, kind="stable").tolist()
+    moving = [f"{columns[row]} ({least[row]:.2g} to {most[row]:.2g})" for row in order if most[row] > least[row]]
+    still = [columns[row] for row in order if most[row] == least[row]]
+    return [
+        (f"{what} that move", f"{len(moving):,}: {cell_of(moving, names)}" if moving else "none: it never moves"),
+        (f"{what} that do not", f"{len(still):,}: {cell_of(still, names)}" if still else "none"),
+    ]
+
+
 def recording_rows(recording: Recording, names: int | None) -> list[Row]:
     """The contents of a Live Link Face recording, as table rows."""
-    least, most = recording.weights.amin(dim=0), recording.weights.amax(dim=0)
-    span = most - least
-    order = span.argsort(descending=True).tolist()
-    moving = [f"{recording.names[row]} ({least[row]:.2g} to {most[row]:.2g})" for row in order if span[row] > 0]
-    still = [recording.names[row] for row in order if span[row] == 0]
     count = len(recording.weights)
     return [
         ("format", "Live Link Face CSV"),
@@ -192,8 +237,7 @@ def recording_rows(recording: Recording, names: int | None) -> list[Row]:
         ("columns", f"{len(recording.names):,} shapes"),
         ("rate", f"{recording.fps:g} frames a second"),
         ("length", f"{(count - 1) / recording.fps:.4g} s"),
-        ("shapes that move", f"{len(moving):,}: {cell_of(moving, names)}" if moving else "none: it never moves"),
-        ("shapes that do not", f"{len(still):,}: {cell_of(still, names)}" if still else "none"),
+        *range_rows("shapes", recording.names, recording.weights.numpy(), names),
     ]
 
 

@@ -17,7 +17,6 @@ from riginv.clips.options import ReadingOptions
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
-from riginv.errors import InputError
 from riginv.meshes.obj import obj_text
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
@@ -44,15 +43,11 @@ class WrapConfig:
     reading: ReadingOptions
     seed: NonNegativeInt
 
-    def __post_init__(self) -> None:
-        if Path(self.out).suffix.lower() != ".obj":
-            raise InputError(f"out={self.out}: expected a file that ends in .obj")
-
 
 def run(config: DictConfig) -> None:
     """Wrap the mesh of `config.rig` onto `config.scan`; write `config.out` and a picture of the distances."""
     settings = to_typed(config, WrapConfig)
-    out = free_file(settings.out, ".png")
+    out = free_file(settings.out, ".obj", ".png")
     rig = settings.rig.build()
     scan, units = read_scan(settings.scan, replace(settings.reading, fps=settings.reading.fps or 1.0), rig)
     show_lines([], units.notes, console=Console())

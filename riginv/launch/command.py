@@ -26,9 +26,15 @@ from riginv.launch.job_process import exit_with_parent
 from riginv.launch.rank_process import exit_with_launcher, is_rank_process, report
 from riginv.launch.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
 from riginv.launch.sweep_record import FINISHED, read_record
-from riginv.launch.terminal import exit_on_broken_pipe, filter_warnings
+from riginv.launch.terminal import (
+    exit_on_broken_pipe,
+    filter_warnings,
+    interrupt_as_exception,
+    interrupt_at_once,
+    stop_interrupted,
+)
 from riginv.runs.locks import unlock_folders
-from riginv.runs.run_folder import discard_if_empty, register_folder_resolvers
+from riginv.runs.run_folder import CONFIG, discard_if_empty, register_folder_resolvers
 
 POSITIONAL = {"inspect": "clip"}  # the key of a command's positional argument
 ANSWERED_BY_HYDRA = ("--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i")
@@ -46,6 +52,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             if not gc.isenabled():  # by `answer_help`, in this process
                 gc.freeze()  # what was imported stays
                 gc.enable()
+            interrupt_as_exception()
             os.environ["HYDRA_FULL_ERROR"] = "1"  # pass exceptions on: `explain` formats them
             if is_rank_process():
                 exit_with_launcher()
@@ -66,6 +73,7 @@ def answer_help(module: str, config_name: str) -> None:
     """Answer --help and similar options, and exit; called before a command imports torch, which takes seconds.
 
     Otherwise garbage is not collected until the command starts: imports leave none, and looking for it takes 0.3 s.
+    Ctrl-C ends the process at once until then.
 
     Args:
         module: `__name__` of the command. Nothing happens where it is not `__main__`.
@@ -73,6 +81,7 @@ def answer_help(module: str, config_name: str) -> None:
     if module != "__main__":
         return
     gc.disable()
+    interrupt_at_once()
     if any(argument in ANSWERED_BY_HYDRA for argument in sys.argv[1:]):
         command(config_name)(lambda config: None)()
         sys.exit()
@@ -87,6 +96,12 @@ def _run(job: "_Job", config_name: str) -> None:
         check_config_folders(arguments)
         sys.argv[1:] = with_sweep_folder(arguments, config_name)
         hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
+    except KeyboardInterrupt as interruption:
+        stop_interrupted(interruption)
+    except SystemExit as ending:
+        if isinstance(ending.__context__, KeyboardInterrupt) and not ending.__suppress_context__:  # Lightning exits by itself
+            stop_interrupted(ending.__context__)
+        raise
     except Exception as error:
         _stop(error, config_name)
     if job.error is not None:
@@ -151,6 +166,11 @@ class _Job:
         except Exception as error:
             discard_if_empty(run_directory())
             self.error = error
+        except KeyboardInterrupt as interruption:
+            discard_if_empty(run_directory())
+            if not interruption.args and "resume" in config and (run_directory() / CONFIG).is_file():
+                interruption.args = ("go on with the same command plus resume=true",)
+            raise
 
     def run_in_sweep(self, config: DictConfig) -> None:
         """Run a job of a sweep in this process; skip it if finished, resume it if started."""

@@ -45,16 +45,19 @@ def free_folder(out: str) -> Path:
     return path
 
 
-def free_file(out: str, *beside: str) -> Path:
+def free_file(out: str, suffix: str = "", *beside: str) -> Path:
     """The file `out` for a result.
 
     Args:
+        suffix: the suffix that it must have; empty: any.
         beside: suffixes of files that are written next to it.
 
     Raises:
-        InputError: one of them exists.
+        InputError: it has another suffix, or one of them exists.
     """
     path = Path(out)
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"out={out}: expected the name of a file that ends in {suffix}")
     for file in (path, *(path.with_suffix(suffix) for suffix in beside)):
         if file.exists():
             raise InputError(f"out={out}: {'it' if file == path else file} is there already; give another name, or remove it")

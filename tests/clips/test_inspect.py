@@ -129,6 +129,29 @@ def test_a_recording_says_which_shapes_move(run: Callable, tmp_path):
     assert "cheekPuff" in run("inspect", "take.csv", "verbose=true").text
 
 
+def test_curves_of_controls_say_so(run: Callable, rig, tmp_path):
+    """What `invert` writes was taken for a damaged Live Link Face recording."""
+    values = np.zeros((4, len(rig.controls)))
+    values[:, 0] = np.linspace(0, 0.75, 4)
+    header = ",".join(["frame", "seconds", *rig.control_names])
+    rows = [f"{number},{number / 24:.6f}," + ",".join(map(str, row)) for number, row in enumerate(values)]
+    (tmp_path / "curves.csv").write_text("\n".join([header, *rows]) + "\n")
+    (tmp_path / "curves.json").write_text('{"rig": "toy", "fps": 24.0}')
+    outcome = run("inspect", "curves.csv")
+    assert outcome.code == 0, outcome.text
+    found = table(outcome.text)
+    assert found["format"] == "CSV of curves: controls of a rig, without meshes" and found["rig"] == "toy"
+    assert found["frames"] == "4 frames 0 to 3" and found["rate"] == "24 frames a second (curves.json)"
+    assert found["controls"] == "7" and found["controls that move"] == f"1: {rig.control_names[0]} (0 to 0.75)"
+    assert found["rigid motion"] == "none"
+    (tmp_path / "curves.csv").write_text("\n".join([header, *rows, rows[0].replace("0.0", "much", 1)]) + "\n")
+    outcome = run("inspect", "curves.csv")
+    assert outcome.code == 1 and "line 6" in outcome.text and "Traceback" not in outcome.text, outcome.text
+    np.savez(tmp_path / "curves.npz", controls=values, fps=24.0)
+    outcome = run("inspect", "curves.npz")
+    assert outcome.code == 0 and "7, without names" in outcome.text and "control 1 (0 to 0.75)" in outcome.text
+
+
 @pytest.mark.parametrize("name", ["take.c3d", "take.trc", "take.csv"])
 def test_markers_are_named_with_their_gaps(name, run: Callable, tmp_path):
     points = np.random.default_rng(0).uniform(-100, 100, (4, 2, 3))
