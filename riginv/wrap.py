@@ -22,6 +22,7 @@ from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write, free_file, write_text
+from riginv.runs.threads import single_threaded
 from riginv.tracking.surfaces.landmark_files import landmarks_of_scan
 from riginv.tracking.surfaces.scan_files import read_scan
 from riginv.tracking.surfaces.triangles import Surface, TriangleMesh
@@ -44,6 +45,7 @@ class WrapConfig:
     seed: NonNegativeInt
 
 
+@single_threaded()  # operations are small
 def run(config: DictConfig) -> None:
     """Wrap the mesh of `config.rig` onto `config.scan`; write `config.out` and a picture of the distances."""
     settings = to_typed(config, WrapConfig)
