@@ -30,7 +30,7 @@ from riginv.errors import InputError, counted, printable
 from riginv.inference.bundle import DESCRIPTION, read_bundle
 from riginv.inference.inverse import load_inverse
 from riginv.rig.interface import RigBackend
-from riginv.rig.size import show_rig
+from riginv.rig.size import extent, show_rig
 from riginv.runs.console import show_lines
 from riginv.runs.files import is_file
 from riginv.runs.run_folder import BUNDLE
@@ -95,7 +95,7 @@ def marker_rows(clip: MarkerClip, names: int | None) -> list[Row]:
         ("markers", f"{len(clip.names):,}: {cell_of(list(clip.names), names)}"),
         ("frames", frames_text(span_of(clip.frame_numbers))),
         ("rate", f"{clip.fps:g} frames a second ({clip.facts.rate_source})" if clip.fps else "not known"),
-        ("size", " x ".join(f"{axis:.4g}" for axis in size.tolist()) + " units, over all frames"),
+        ("size", extent((size * (clip.unit_mm or 1.0)).tolist(), "" if clip.unit_mm else "units") + ", over all frames"),
         ("unit", f"{clip.unit_mm:g} mm" if clip.unit_mm else "not known"),
         ("up", clip.up or "not known"),
         ("gaps", f"{counted(len(gaps), 'marker')}: {cell_of(gaps, names)}" if gaps else "none"),

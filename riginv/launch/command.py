@@ -22,6 +22,7 @@ from riginv.config.building import OURS
 from riginv.config.folders import check_config_folders
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.path_values import quoted, with_quoted_paths
+from riginv.errors import InputError, listed
 from riginv.launch.job_process import exit_with_parent
 from riginv.launch.rank_process import exit_with_launcher, is_rank_process, report
 from riginv.launch.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
@@ -129,11 +130,14 @@ def path_as_value(values: list[str], key: str | None) -> list[str]:
     """
     if key is None:
         return values
+    paths = [value for value in values if not OVERRIDE.match(value) or os.path.exists(value)]
+    if len(paths) > 1:
+        raise InputError(
+            f"{len(paths)} paths were given ({listed(paths, 2)}), expected one: a pattern in quotes ('take.*.obj') is a "
+            f"clip of many files"
+        )
     literal = [quoted(value.replace("${", "\\${")) for value in values]  # no interpolation, whatever letters it has
-    return [
-        value if OVERRIDE.match(value) and not os.path.exists(value) else f"{key}={text}"
-        for value, text in zip(values, literal)
-    ]
+    return [f"{key}={text}" if value in paths else value for value, text in zip(values, literal)]
 
 
 def true_rig_choice(argument: str) -> str:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from riginv.tracking.constraints import resolve_constraints
 from riginv.tracking.markers.assembly import build_objective, marker_prior
-from riginv.tracking.markers.layout import NOISE_MM, unmarkable_controls, marker_skin, suggest_layout
+from riginv.tracking.markers.layout import NOISE_MM, marker_skin, suggest_layout, unmarkable_controls
 from riginv.tracking.markers.map_file import read_map, write_map
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.proposing import at_common_height, propose

@@ -128,7 +128,7 @@ def open_scans(path: str, rig: RigBackend | None, reading: ReadingOptions) -> Sc
     given = Path(path)
     if is_ragged(path):
         return RaggedArrays(given)
-    if given.suffix.lower() in STILLS or holds_scans(path):
+    if _suffix(given) in STILLS or holds_scans(path):
         return FileScans(path, reading)
     try:
         return MeshScans(open_sequence(path, rig, reading, as_scans=True))
@@ -198,10 +198,19 @@ def _read(path: Path, options: ReadingOptions) -> MeshFile:
 
 
 def _suffix(given: Path) -> str:
-    """The suffix of a sequence's files; in a folder, the first of `SUFFIXES` that occurs."""
+    """The suffix of a sequence's files; in a folder, the one of `SUFFIXES` that occurs.
+
+    Raises:
+        InputError: it holds several.
+    """
     if given.is_dir():
         found = {file.suffix.lower() for file in visible_files(given)}
-        return next((suffix for suffix in SUFFIXES if suffix in found), SUFFIXES[0])
+        several = [suffix for suffix in SUFFIXES if suffix in found]
+        if len(several) > 1:
+            raise InputError(
+                f"{given}: a folder of {listed(several)} files, expected one format: '{given}/*{several[0]}' names one"
+            )
+        return next(iter(several), SUFFIXES[0])
     return given.suffix.lower()
 
 
