@@ -5,7 +5,7 @@ from riginv.launch.command import answer_help, command
 answer_help(__name__, "inspect")  # before the imports that take seconds
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.text import Text
 
+from riginv.animation.table import CURVES
 from riginv.clips.clip import Clip
 from riginv.clips.control_curves import Curves, are_curves, csv_curves, holds_curves, npz_curves
 from riginv.clips.csv_table import read_csv
@@ -60,6 +61,9 @@ def inspect(config: DictConfig) -> None:
     """Print what `config.clip` holds; of a clip also whether it fits the rig, if one is named."""
     settings = to_typed(config, InspectConfig)
     path = Path(settings.clip)
+    if is_file(path / CURVES):  # a folder of riginv.invert
+        path = path / CURVES
+        settings = replace(settings, clip=str(path))
     names = None if config.get("verbose") else NAMES
     if is_file(path / STORE):
         store = PoseStore.find(StoreLocation(settings.clip))

@@ -71,6 +71,8 @@ def test_key_and_path_mean_the_same(run: Callable, rig, meshes, tmp_path):
         "+rig.x=1",
     ]
     assert path_as_value(["take.npz"], None) == ["take.npz"]
+    done = run("inspect", "take.npz", "take.1.obj", "take.2.obj")  # as a shell expands take.*
+    assert done.code == 1 and "3 paths were given (take.npz, take.1.obj and 1 more), expected one" in done.text
 
 
 @pytest.mark.parametrize("kind", ["obj", "glb", "usd"])
@@ -144,6 +146,10 @@ def test_curves_of_controls_say_so(run: Callable, rig, tmp_path):
     assert found["frames"] == "4 frames 0 to 3" and found["rate"] == "24 frames a second (curves.json)"
     assert found["controls"] == "7" and found["controls that move"] == f"1: {rig.control_names[0]} (0 to 0.75)"
     assert found["rigid motion"] == "none"
+    (tmp_path / "found").mkdir()
+    (tmp_path / "curves.csv").rename(tmp_path / "found/curves.csv")
+    folder = table(run("inspect", "found").text)  # of invert's results
+    assert folder["rig"] == "not stated" and folder["controls that move"] == found["controls that move"]
     (tmp_path / "curves.csv").write_text("\n".join([header, *rows, rows[0].replace("0.0", "much", 1)]) + "\n")
     outcome = run("inspect", "curves.csv")
     assert outcome.code == 1 and "line 6" in outcome.text and "Traceback" not in outcome.text, outcome.text

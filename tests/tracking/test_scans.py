@@ -161,6 +161,22 @@ def test_still_gltf_files_are_scans_in_metres(run, tmp_path):
     assert done.code == 1 and "ends in .obj, .ply" in done.text and "Traceback" not in done.text
 
 
+@pytest.mark.parametrize("ending", ["obj", "ply"])
+def test_a_folder_of_scans_is_a_clip_of_scans(run, tmp_path, ending):
+    """It was read as one mesh in all frames, and refused with the advice to do what had been done."""
+    (tmp_path / "s").mkdir()
+    for number, (points, faces) in enumerate(scans_of(ToyRig())):
+        kept = faces[: len(faces) - 20 * number]
+        trimesh.Trimesh(points, kept).export(tmp_path / f"s/scan.{number}.{ending}")  # as many points as its faces use
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", "clip=s", "out=got", "motion=keep", *NO_LOOK)
+    assert done.code == 0 and f"scans ({ending.upper()}), 3 frames 0 to 2" in done.text, done.text
+    done = run("inspect", "s")
+    assert done.code == 0 and "scans: meshes" in done.text, done.text
+    trimesh.Trimesh(points, faces).export(tmp_path / "s/scan.0.stl")
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", "clip=s", "out=more", "correspondence=surface", *NO_LOOK)
+    assert done.code == 1 and f"a folder of .{ending}, .stl files, expected one format" in done.text, done.text
+
+
 def test_objects_of_a_scan_are_chosen(tmp_path):
     lines = [f"v {number} 0 0" for number in range(9)]
     text = ["o hair", *lines[:3], "f 1 2 3", "o face", *lines[3:], "f 4 5 6", "f 7 8 9"]
