@@ -222,9 +222,14 @@ def _stop(error: Exception, config_name: str) -> None:
 
 
 def register_help_resolvers() -> None:
-    """Register the resolvers `${explained_keys:COMMAND}` and `${group_choices:GROUP}` of help texts."""
-    OmegaConf.register_new_resolver("explained_keys", explained_keys, replace=True, use_cache=True)
-    OmegaConf.register_new_resolver("group_choices", group_choices, replace=True, use_cache=True)
+    """Register the resolvers of help texts, each named as its function: `${explained_keys:COMMAND}`."""
+    for resolve in (explained_keys, group_choices, plain_help):
+        OmegaConf.register_new_resolver(resolve.__name__, _escaped(resolve), replace=True, use_cache=True)
+
+
+def _escaped(resolve: Callable[[str], str]) -> Callable[[str], str]:
+    """A resolver whose text keeps its dollar signs when Hydra substitutes $CONFIG."""
+    return lambda name: resolve(name).replace("$", "$$")
 
 
 def explained_keys(command: str) -> str:
@@ -235,6 +240,13 @@ def explained_keys(command: str) -> str:
     shared = [line for line in _lines("run/sweep.yaml") if line.startswith("verbose:")]  # keys of every command
     reading = [row for group in READING if f"  - {group}:" in "\n".join(lines[head:body]) for row in _group_keys(group)]
     return "\n".join(f"  {line}".rstrip() for line in [*lines[body:], *shared, *reading]).strip("\n")
+
+
+def plain_help(command: str) -> str:
+    """The help of a command that has no text of its own: the first line of `conf/COMMAND.yaml`, and its keys."""
+    lines = _lines(f"{command}.yaml")
+    rigs = f"\n\nGroups (GROUP=CHOICE):\n\n  rig: {group_choices('rig')}" if any("  - rig:" in line for line in lines) else ""
+    return f"{lines[0].removeprefix('# ')}\n\nKeys:\n\n{explained_keys(command)}{rigs}"
 
 
 def _group_keys(group: str) -> list[str]:

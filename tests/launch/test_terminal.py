@@ -10,7 +10,7 @@ import pytest
 from riginv import contact_sheet, invert, train
 from riginv.launch.command import explained_keys
 from riginv.launch.terminal import exit_on_broken_pipe
-from tests.conftest import ROOT
+from tests.conftest import COMMANDS, ROOT
 
 TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
 
@@ -63,6 +63,14 @@ def test_help_explains_every_key(command, run):
     assert len(keys) >= 2 and all(key in said for key in keys)
     assert all("  # " in key for key in keys), keys  # each with a word of explanation
     assert "blender, blender_if_here, body, dna, face" in said and "verbose: false" in said
+
+
+@pytest.mark.parametrize("command", sorted({*COMMANDS} - {"reproduce"}))  # which explains its keys in its own words
+def test_every_command_has_a_help_text_of_its_own(command, run):
+    """That of wrap was a traceback, for the dollar sign of a default."""
+    done = run(command, "--help")
+    assert done.code == 0 and all(key in done.text for key in explained_keys(command).splitlines()), done.text
+    assert "powered by Hydra" not in done.text and "python -m ri" in done.text.partition("Keys:")[0], done.text
 
 
 def interrupted(*_args, **_more):
