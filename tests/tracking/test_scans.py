@@ -13,6 +13,7 @@ from riginv.clips.sequence import Polygons
 from riginv.errors import InputError
 from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, triangulated
 from riginv.tracking.surfaces.scans import Scan
+from riginv.tracking.surfaces.solving import ScanSolver
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.conftest import ROOT
 from tests.support.pages import read_page
@@ -175,6 +176,20 @@ def test_a_folder_of_scans_is_a_clip_of_scans(run, tmp_path, ending):
     trimesh.Trimesh(points, faces).export(tmp_path / "s/scan.0.stl")
     done = run("invert", "rig=toy", f"--config-dir={CONF}", "clip=s", "out=more", "correspondence=surface", *NO_LOOK)
     assert done.code == 1 and f"a folder of .{ending}, .stl files, expected one format" in done.text, done.text
+
+
+def test_a_damaged_scan_is_refused_before_the_work_starts(run, tmp_path, monkeypatch):
+    for number, (points, faces) in enumerate(scans_of(ToyRig())):
+        trimesh.Trimesh(points, faces, process=False).export(tmp_path / f"scan.{number}.ply")
+    (tmp_path / "scan.2.ply").write_bytes((tmp_path / "scan.2.ply").read_bytes()[:-500])
+    monkeypatch.setattr(ScanSolver, "solve", None)  # no frame is solved
+    clip = (f"clip={tmp_path}/scan.%d.ply", "correspondence=surface", "out=got", *NO_LOOK)
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", *clip)
+    assert done.code == 1 and "scan.2.ply" in done.text and "truncated" in done.text and "Traceback" not in done.text, done.text
+    assert not (tmp_path / "got").exists()
+    monkeypatch.undo()
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", *clip, "frames.exclude=[2]", "motion=keep")
+    assert done.code == 0, done.text
 
 
 def test_objects_of_a_scan_are_chosen(tmp_path):

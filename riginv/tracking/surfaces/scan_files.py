@@ -1,6 +1,7 @@
 """Readers of scans: a mesh file for each frame, ragged arrays, and clips whose frames may each be another mesh."""
 
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from riginv.tracking.surfaces.scans import Scan, ScanSequence
 from riginv.tracking.surfaces.units import resolve_neutral_units
 
 STILLS = {**READERS, ".stl": StlMesh}
+CHECKED_BYTES = 1 << 28  # of files that are read once before the work: seconds, for what takes minutes
 CLIPS = (".usd", ".usda", ".usdc", ".usdz", ".abc")  # of files that are a scan each where a path names several
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", *CLIPS)  # of files that may be a scan each
 
@@ -46,6 +48,12 @@ class FileScans(ScanSequence):
         notes += note_on_objects(self.frames.first, [name for name in first.objects if name in (options.mesh_names or [name])])
         facts = SourceFacts(f"scans ({suffix[1:].upper()})", notes=notes)
         super().__init__(path, self.frames.numbers, facts, None, first.unit_mm, first.up)
+
+    def check(self, indices: Sequence[int]) -> None:
+        paths = [path for index in indices if (path := self.frames.paths[index]) is not None]
+        if paths and paths[0].suffix.lower() in STILLS and sum(path.stat().st_size for path in paths) <= CHECKED_BYTES:
+            for index in indices:
+                self.scan(index)
 
     def scan(self, index: int) -> Scan | None:
         path = self.frames.paths[index]
