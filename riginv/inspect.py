@@ -14,6 +14,8 @@ from rich.console import Console
 from rich.text import Text
 
 from riginv.animation.table import CURVES
+from riginv.clips.bones import BoneMotion
+from riginv.clips.bvh import read_bvh
 from riginv.clips.clip import Clip
 from riginv.clips.control_curves import Curves, are_curves, csv_curves, holds_curves, npz_curves
 from riginv.clips.csv_table import read_csv
@@ -41,7 +43,7 @@ from riginv.sampling.store.summary import show as show_store
 from riginv.tracking.surfaces.inspection import scan_rows
 from riginv.tracking.surfaces.scan_files import holds_scans, open_scans
 
-STORE = "zarr.json"
+STORE, SKELETON = "zarr.json", ".bvh"
 SURFACE = "correspondence=surface"  # readers recommend it for what can be read as scans
 Row = tuple[str, str]
 
@@ -120,6 +122,9 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
     if rig is None and (is_table or (path.lower().endswith(".npz") and holds_curves(Path(path)))):
         show_curves(Path(path), names)
         return
+    if rig is None and path.lower().endswith(SKELETON):
+        show_rows(Path(path).name, skeleton_rows(read_bvh(Path(path)), names))
+        return
     if holds_scans(path):
         show_scans(path, settings.reading, rig)
         if rig is not None:
@@ -182,6 +187,19 @@ def show_sequence(clip: Clip, notes: Sequence[str], names: int | None) -> None:
     found = describe(clip)
     show_rows(found.file, rows(found, names))
     show_lines([], notes, found.warnings, Console())
+
+
+def skeleton_rows(motion: BoneMotion, names: int | None) -> list[Row]:
+    """The contents of a file with the motion of a skeleton alone, as table rows."""
+    moved = motion.positions[:, 0].numpy()
+    return [
+        ("format", "BVH: the motion of a skeleton, without meshes; rigs with joints of these names play it (rig=NAME)"),
+        ("joints", f"{len(motion.names):,}: {cell_of(list(motion.names), names)}"),
+        ("frames", frames_text(span_of(np.arange(len(moved))))),
+        ("rate", f"{motion.fps:g} frames a second (its frame time)"),
+        ("size", extent(np.ptp(motion.heads.numpy(), axis=0).tolist(), "units") + ", of the joints at rest"),
+        ("root", f"moves over {extent(np.ptp(moved, axis=0).tolist(), 'units')}"),
+    ]
 
 
 def show_curves(path: Path, names: int | None) -> None:

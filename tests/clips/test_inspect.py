@@ -158,6 +158,20 @@ def test_curves_of_controls_say_so(run: Callable, rig, tmp_path):
     assert outcome.code == 0 and "7, without names" in outcome.text and "control 1 (0 to 0.75)" in outcome.text
 
 
+def test_a_skeleton_alone_is_told(run: Callable, tmp_path):
+    root = "ROOT hips\n{\nOFFSET 0 90 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+    head = "JOINT head\n{\nOFFSET 0 60 5\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 0 10 0\n}\n}\n}\n"
+    motion = "MOTION\nFrames: 2\nFrame Time: 0.04\n0 90 0 0 0 0 0 0 0\n7 90 0 0 0 0 0 0 20\n"
+    (tmp_path / "take.bvh").write_text(f"HIERARCHY\n{root}{head}{motion}")
+    outcome = run("inspect", "take.bvh")
+    assert outcome.code == 0, outcome.text
+    found = table(outcome.text)
+    assert found["joints"] == "2: hips, head" and found["frames"] == "2 frames 0 to 1" and found["rate"].startswith("25 frames")
+    assert found["size"] == "0 x 60 x 5 units, of the joints at rest" and found["root"] == "moves over 7 x 0 x 0 units"
+    refused = run("invert", "clip=take.bvh", "out=x", *TOY)
+    assert refused.code == 1 and "Traceback" not in refused.text, refused.text
+
+
 @pytest.mark.parametrize("name", ["take.c3d", "take.trc", "take.csv"])
 def test_markers_are_named_with_their_gaps(name, run: Callable, tmp_path):
     points = np.random.default_rng(0).uniform(-100, 100, (4, 2, 3))
