@@ -202,6 +202,8 @@ def test_bundles_and_stores_of_poses_are_told(run: Callable, tmp_path):
         ([], "clip must be given"),
         (["none.npz"], "none.npz: no such file"),
         (["notes.txt"], "clips end in"),
+        (["hero.blend"], "hero.blend: a rig, and no clip: rig=blender rig.file=hero.blend"),
+        (["hero.dna"], "rig=dna rig.file=hero.dna"),
         (["broken.npz"], "broken.npz: no .npz, or a damaged one"),
         (["empty"], "expected to hold OBJ or PLY files"),
         (["take.csv"], "expected the columns of a Live Link Face recording"),
