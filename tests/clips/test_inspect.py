@@ -232,6 +232,8 @@ def test_mistakes_end_in_one_sentence(arguments, said, run: Callable, rig, meshe
 
 def test_a_plain_table_of_markers_is_one(run, tmp_path):
     (tmp_path / "take.csv").write_text("frame,time,nose.x,nose.y,nose.z\n0,0,1,2,3\n1,0.1,-,-,-\n")
+    taken = run("invert", "clip=take.csv", "out=x", *TOY)
+    assert taken.code == 1 and "take.csv: markers, which riginv.invert takes with correspondence=markers" in taken.text
     done = run("inspect", str(tmp_path / "take.csv"))
     assert done.code == 0 and table(done.text)["markers"] == "1: nose" and table(done.text)["gaps"] == "1 marker: nose (50%)"
     assert "Taken as gaps: 3 cells of '-'." in done.text
