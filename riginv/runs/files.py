@@ -159,6 +159,8 @@ def read_text(path: Path) -> str:
                 f"{path}: {path.stat().st_size:,} bytes, expected at most {MOST_YAML_BYTES:,}: this is not that file"
             )
         return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file{_near(path)}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {in_short(error)}") from None
 
