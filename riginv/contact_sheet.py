@@ -5,7 +5,6 @@ from riginv.launch.command import answer_help, command
 answer_help(__name__, "contact_sheet")  # before the imports that take seconds
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from omegaconf import DictConfig
@@ -15,14 +14,13 @@ from torch import Tensor
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt, PositiveInt
-from riginv.errors import InputError
 from riginv.meshes.rendering import Camera, grid
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
 from riginv.rig.size import show_rig
 from riginv.runs.console import show_result
-from riginv.runs.files import atomic_write
+from riginv.runs.files import atomic_write, free_file
 
 
 @dataclass(frozen=True)
@@ -41,9 +39,7 @@ class ContactSheetConfig:
 def contact_sheet(config: DictConfig) -> None:
     """Draw neutral, every named expression and random poses of a rig."""
     settings = to_typed(config, ContactSheetConfig)
-    out = Path(settings.out)
-    if out.suffix.lower() != ".png":
-        raise InputError(f"out={out}: expected the name of a picture that ends in .png")
+    out = free_file(settings.out, ".png")
     rig = settings.rig.build()
     show_rig(rig, settings.rig.config)
     named = named_poses(rig)

@@ -29,7 +29,7 @@ from riginv.inference.inverse import Inverse, load_inverse
 from riginv.rig.batches import generator_at
 from riginv.rig.interface import RigBackend
 from riginv.rig.random_controls import sparse_controls
-from riginv.runs.files import atomic_write, discard
+from riginv.runs.files import atomic_write, discard, free_file
 from riginv.runs.locks import exclusive_lock
 from riginv.runs.tables import new_table
 
@@ -67,9 +67,7 @@ class Parity:
 def export_onnx(config: DictConfig) -> None:
     """Write `config.out` from `config.bundle`, and print the comparison."""
     settings = to_typed(config, ExportConfig)
-    out = Path(settings.out)
-    if out.suffix.lower() != ".onnx":
-        raise InputError(f"out={out}: expected the name of a file that ends in .onnx")
+    out = free_file(settings.out, ".onnx")
     check_packages()
     inverse = load_inverse(settings.bundle, settings.rig.build() if settings.rig else None)
     console = Console()

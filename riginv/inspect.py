@@ -5,7 +5,7 @@ from riginv.launch.command import answer_help, command
 answer_help(__name__, "inspect")  # before the imports that take seconds
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +13,15 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.text import Text
 
+from riginv.animation.table import CURVES
+from riginv.clips.bones import BoneMotion
+from riginv.clips.bvh import read_bvh
 from riginv.clips.clip import Clip
+from riginv.clips.control_curves import Curves, are_curves, csv_curves, holds_curves, npz_curves
+from riginv.clips.csv_table import read_csv
 from riginv.clips.description import describe, span_of
 from riginv.clips.description_text import NAMES, cell_of, frames_text, rows
-from riginv.clips.live_link import Recording, read_live_link
+from riginv.clips.live_link import TIMECODE, Recording, is_recording, recording_of
 from riginv.clips.marker_exports import read_export
 from riginv.clips.markers import SUFFIXES, MarkerClip, holds_markers, open_markers, read_marker_csv
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
@@ -28,7 +33,7 @@ from riginv.errors import InputError, counted, printable
 from riginv.inference.bundle import DESCRIPTION, read_bundle
 from riginv.inference.inverse import load_inverse
 from riginv.rig.interface import RigBackend
-from riginv.rig.size import show_rig
+from riginv.rig.size import extent, show_rig
 from riginv.runs.console import show_lines
 from riginv.runs.files import is_file
 from riginv.runs.run_folder import BUNDLE
@@ -38,7 +43,7 @@ from riginv.sampling.store.summary import show as show_store
 from riginv.tracking.surfaces.inspection import scan_rows
 from riginv.tracking.surfaces.scan_files import holds_scans, open_scans
 
-STORE = "zarr.json"
+STORE, SKELETON = "zarr.json", ".bvh"
 Row = tuple[str, str]
 
 
@@ -57,6 +62,9 @@ def inspect(config: DictConfig) -> None:
     """Print what `config.clip` holds; of a clip also whether it fits the rig, if one is named."""
     settings = to_typed(config, InspectConfig)
     path = Path(settings.clip)
+    if is_file(path / CURVES):  # a folder of riginv.invert
+        path = path / CURVES
+        settings = replace(settings, clip=str(path))
     names = None if config.get("verbose") else NAMES
     if is_file(path / STORE):
         store = PoseStore.find(StoreLocation(settings.clip))
@@ -92,7 +100,7 @@ def marker_rows(clip: MarkerClip, names: int | None) -> list[Row]:
         ("markers", f"{len(clip.names):,}: {cell_of(list(clip.names), names)}"),
         ("frames", frames_text(span_of(clip.frame_numbers))),
         ("rate", f"{clip.fps:g} frames a second ({clip.facts.rate_source})" if clip.fps else "not known"),
-        ("size", " x ".join(f"{axis:.4g}" for axis in size.tolist()) + " units, over all frames"),
+        ("size", extent((size * (clip.unit_mm or 1.0)).tolist(), "" if clip.unit_mm else "units") + ", over all frames"),
         ("unit", f"{clip.unit_mm:g} mm" if clip.unit_mm else "not known"),
         ("up", clip.up or "not known"),
         ("gaps", f"{counted(len(gaps), 'marker')}: {cell_of(gaps, names)}" if gaps else "none"),
@@ -110,8 +118,11 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
     """
     path, rig = settings.clip, build_named_rig(settings)
     is_table, config = path.lower().endswith(TABLE), settings.rig.config if settings.rig else None
-    if is_table and rig is None:
-        show_rows(Path(path).name, recording_rows(read_live_link(path), names))
+    if rig is None and (is_table or (path.lower().endswith(".npz") and holds_curves(Path(path)))):
+        show_curves(Path(path), names)
+        return
+    if rig is None and path.lower().endswith(SKELETON):
+        show_rows(Path(path).name, skeleton_rows(read_bvh(Path(path)), names))
         return
     if holds_scans(path):
         show_scans(path, settings.reading, rig)
@@ -171,13 +182,69 @@ def show_sequence(clip: Clip, notes: Sequence[str], names: int | None) -> None:
     show_lines([], notes, found.warnings, Console())
 
 
+def skeleton_rows(motion: BoneMotion, names: int | None) -> list[Row]:
+    """The contents of a file with the motion of a skeleton alone, as table rows."""
+    moved = motion.positions[:, 0].numpy()
+    return [
+        ("format", "BVH: the motion of a skeleton, without meshes; rigs with joints of these names play it (rig=NAME)"),
+        ("joints", f"{len(motion.names):,}: {cell_of(list(motion.names), names)}"),
+        ("frames", frames_text(span_of(np.arange(len(moved))))),
+        ("rate", f"{motion.fps:g} frames a second (its frame time)"),
+        ("size", extent(np.ptp(motion.heads.numpy(), axis=0).tolist(), "units") + ", of the joints at rest"),
+        ("root", f"moves over {extent(np.ptp(moved, axis=0).tolist(), 'units')}"),
+    ]
+
+
+def show_curves(path: Path, names: int | None) -> None:
+    """Print what a file of curves holds: a Live Link Face recording, or the controls of a rig.
+
+    Raises:
+        InputError: it cannot be read, or is neither.
+    """
+    table = read_csv(path, TIMECODE) if path.suffix.lower() == TABLE else None
+    if table is not None and (is_recording(table) or not are_curves(table)):
+        show_rows(path.name, recording_rows(recording_of(table), names))
+        return
+    curves = npz_curves(path) if table is None else csv_curves(table)
+    show_rows(path.name, curve_rows(curves, names))
+    show_lines([], curves.notes, console=Console())
+
+
+def curve_rows(curves: Curves, names: int | None) -> list[Row]:
+    """The contents of a file of curves of a rig's controls, as table rows.
+
+    Raises:
+        InputError: a value is no finite number.
+    """
+    controls = curves.names or [f"control {number}" for number in range(1, curves.values.shape[1] + 1)]
+    for column, name in enumerate(controls):
+        curves.check_column(column, name)
+    motion = None if curves.motion is None else np.ptp(curves.motion, axis=0).reshape(2, 3).max(axis=1)
+    return [
+        ("format", f"{curves.format}: controls of a rig, without meshes"),
+        ("rig", curves.rig or "not stated"),
+        ("frames", frames_text(span_of(curves.frame_numbers))),
+        ("rate", f"{curves.fps:g} frames a second ({curves.rate_source})" if curves.fps else "not known"),
+        ("controls", f"{len(controls):,}" + ("" if curves.names else ", without names")),
+        *range_rows("controls", controls, curves.values, names),
+        ("rigid motion", "none" if motion is None else f"over {motion[0]:.3g} mm and {motion[1]:.3g} degrees, at most"),
+    ]
+
+
+def range_rows(what: str, columns: Sequence[str], values: np.ndarray, names: int | None) -> list[Row]:
+    """The columns of values `(frame, column)` that move, with their ranges, and those that do not."""
+    least, most = values.min(axis=0), values.max(axis=0)
+    order = np.argsort(least - most, kind="stable").tolist()
+    moving = [f"{columns[row]} ({least[row]:.2g} to {most[row]:.2g})" for row in order if most[row] > least[row]]
+    still = [columns[row] for row in order if most[row] == least[row]]
+    return [
+        (f"{what} that move", f"{len(moving):,}: {cell_of(moving, names)}" if moving else "none: it never moves"),
+        (f"{what} that do not", f"{len(still):,}: {cell_of(still, names)}" if still else "none"),
+    ]
+
+
 def recording_rows(recording: Recording, names: int | None) -> list[Row]:
     """The contents of a Live Link Face recording, as table rows."""
-    least, most = recording.weights.amin(dim=0), recording.weights.amax(dim=0)
-    span = most - least
-    order = span.argsort(descending=True).tolist()
-    moving = [f"{recording.names[row]} ({least[row]:.2g} to {most[row]:.2g})" for row in order if span[row] > 0]
-    still = [recording.names[row] for row in order if span[row] == 0]
     count = len(recording.weights)
     return [
         ("format", "Live Link Face CSV"),
@@ -185,8 +252,7 @@ def recording_rows(recording: Recording, names: int | None) -> list[Row]:
         ("columns", f"{len(recording.names):,} shapes"),
         ("rate", f"{recording.fps:g} frames a second"),
         ("length", f"{(count - 1) / recording.fps:.4g} s"),
-        ("shapes that move", f"{len(moving):,}: {cell_of(moving, names)}" if moving else "none: it never moves"),
-        ("shapes that do not", f"{len(still):,}: {cell_of(still, names)}" if still else "none"),
+        *range_rows("shapes", recording.names, recording.weights.numpy(), names),
     ]
 
 

@@ -86,12 +86,12 @@ class InvertConfig(TrackingOptions):
             raise InputError("the rig of the clip is not given: add rig=NAME, or bundle=DIR (a trained inverse)")
 
 
+@single_threaded()  # operations are small: threads would wait for each other
 def invert(config: DictConfig) -> None:
     """Invert `config.clip` into a folder `config.out` of curves, errors of each frame, and views of the result."""
     settings = to_typed(config, InvertConfig)
     out = free_folder(settings.out)
-    with single_threaded():  # operations are small: threads would wait for each other
-        inverse, rig, true_rig = build_rigs(settings)
+    inverse, rig, true_rig = build_rigs(settings)
     check_formats(true_rig, settings.formats)
     if settings.correspondence == "markers":
         invert_markers(settings, rig, true_rig, out)
@@ -156,11 +156,10 @@ def invert_vertices(
     """Invert a clip of the rig's own mesh, and write the folder `out`."""
     described = show_clip(clip)
     show_rig(true_rig, settings.rig.config if settings.rig else None)
-    with single_threaded():
-        actor = find_actor(settings, settings.reading, clip, rig, true_rig)
-        parts = build_parts(settings, clip, rig, true_rig, inverse, actor)
+    actor = find_actor(settings, settings.reading, clip, rig, true_rig)
+    parts = build_parts(settings, clip, rig, true_rig, inverse, actor)
     notes = [*notes, *([*actor.notes, f"the actor is {actor.sentence}"] if actor else []), *parts.notes]
-    with exclusive_lock(out), single_threaded(), InversionProgress(len(clip), notes) as progress:
+    with exclusive_lock(out), InversionProgress(len(clip), notes) as progress:
         free_folder(settings.out)
         arguments = (clip, parts.inverter, parts.evaluator, settings.window, progress.advance)
         inversion = invert_smoothly(*arguments, settings.solver) if parts.method == "clip" else invert_clip(*arguments)

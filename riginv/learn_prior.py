@@ -20,6 +20,7 @@ from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import free_folder
 from riginv.runs.locks import exclusive_lock
+from riginv.runs.threads import single_threaded
 from riginv.tracking.priors.files import save_prior
 from riginv.tracking.priors.performances import default_prior
 from riginv.tracking.priors.prior import blended, learn_prior
@@ -46,6 +47,7 @@ class LearnPriorConfig:
     seed: NonNegativeInt
 
 
+@single_threaded()  # operations are small
 def learn(config: DictConfig) -> None:
     """Learn a prior from `config.takes` and write it as the folder `config.out`."""
     settings = to_typed(config, LearnPriorConfig)

@@ -21,6 +21,7 @@ from riginv.meshes.rendering import Camera, grid
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write, free_file
+from riginv.runs.threads import single_threaded
 from riginv.tracking.markers.assembly import frame_units, in_millimetres
 from riginv.tracking.markers.layout import NOISE_MM, SPACING, suggest_layout
 from riginv.tracking.markers.map_file import read_map, write_map
@@ -57,6 +58,7 @@ class MarkersConfig:
             raise InputError(f"out={self.out}: expected a file that ends in .yaml")
 
 
+@single_threaded()  # operations are small
 def run(config: DictConfig) -> None:
     """Write the map `config.out`, and a picture of it."""
     settings = to_typed(config, MarkersConfig)

@@ -35,7 +35,7 @@ def sample(config: DictConfig) -> None:
     try:
         filled = fill(settings)
     except KeyboardInterrupt:
-        raise InputError(f"stopped; the same command goes on with {settings.out} where this one was") from None
+        raise KeyboardInterrupt(f"the same command goes on with {settings.out} where this one was") from None
     if not filled.absent:
         finish(filled.store)
     show(filled.store, summary_rows(filled, time.perf_counter() - began))

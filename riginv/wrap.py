@@ -17,12 +17,12 @@ from riginv.clips.options import ReadingOptions
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
-from riginv.errors import InputError
 from riginv.meshes.obj import obj_text
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_lines
 from riginv.runs.files import atomic_write, free_file, write_text
+from riginv.runs.threads import single_threaded
 from riginv.tracking.surfaces.landmark_files import landmarks_of_scan
 from riginv.tracking.surfaces.scan_files import read_scan
 from riginv.tracking.surfaces.triangles import Surface, TriangleMesh
@@ -44,15 +44,12 @@ class WrapConfig:
     reading: ReadingOptions
     seed: NonNegativeInt
 
-    def __post_init__(self) -> None:
-        if Path(self.out).suffix.lower() != ".obj":
-            raise InputError(f"out={self.out}: expected a file that ends in .obj")
 
-
+@single_threaded()  # operations are small
 def run(config: DictConfig) -> None:
     """Wrap the mesh of `config.rig` onto `config.scan`; write `config.out` and a picture of the distances."""
     settings = to_typed(config, WrapConfig)
-    out = free_file(settings.out, ".png")
+    out = free_file(settings.out, ".obj", ".png")
     rig = settings.rig.build()
     scan, units = read_scan(settings.scan, replace(settings.reading, fps=settings.reading.fps or 1.0), rig)
     show_lines([], units.notes, console=Console())

@@ -39,6 +39,7 @@ from riginv.evaluation import optimum
 from riginv.launch.command import command
 from riginv.reproduce.__main__ import reproduce
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from rigs.blender import export as export_blender
 from rigs.body import BodyRig
 from rigs.dna import copy as copy_dna
 from rigs.dna import evaluate as evaluate_dna
@@ -67,6 +68,7 @@ COMMANDS = {
     "evaluate_dna": evaluate_dna.evaluate,
     "export_dna": export_dna.export,
     "gui_dna": gui_dna.gui,
+    "export_blender": export_blender.export,
 }
 LEAVE_NO_FOLDER = (
     "check",
@@ -82,6 +84,7 @@ LEAVE_NO_FOLDER = (
     "evaluate_dna",
     "export_dna",
     "gui_dna",
+    "export_blender",
 )
 SETS_MODE = ("-m", "--multirun", "hydra.mode")  # no config of ours does
 SMALL = [

@@ -8,6 +8,7 @@ import torch
 
 from riginv.animation.animation import Animation
 from riginv.animation.resampling import fill_gaps
+from riginv.animation.shapes import SKELETON
 from riginv.animation.skeletons import LocalPoses, local_poses
 from riginv.animation.text import unwrap_angles
 from riginv.errors import InputError
@@ -23,7 +24,7 @@ TRANSLATION, ROTATION = "Xposition Yposition Zposition", "Zrotation Yrotation Xr
 def check(rig: RigBackend) -> None:
     """Raise InputError for a rig without joints."""
     if rig.skeleton() is None:
-        raise InputError(f"formats: bvh holds joints, and rig '{rig.name}' has none: leave it out")
+        raise InputError(f"formats: bvh holds joints, and rig '{rig.name}' has none that make {SKELETON}: leave it out")
 
 
 @torch.no_grad()

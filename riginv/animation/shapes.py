@@ -12,6 +12,7 @@ from riginv.rig.interface import LinearRig, RigBackend
 BATCH_SIZE = 256  # frames
 MIN_WEIGHT = 1e-6  # corrective shapes whose weights never exceed it are omitted
 MIN_MM = 1e-5  # vertices that a shape moves by less are omitted
+SKELETON = "a skeleton of one root whose joints rotate and move all of the mesh, without scales and morph targets"
 
 
 class Shapes(NamedTuple):
@@ -32,7 +33,7 @@ def check_drawable(rig: RigBackend, name: str) -> None:
     """Raise InputError for a rig without shapes and joints, which format `name` needs."""
     if not (isinstance(rig, LinearRig) and rig.has_blendshapes) and rig.skeleton() is None:
         raise InputError(
-            f"formats: {name} holds blendshapes or joints, and rig '{rig.name}' has neither; choose csv, anim or blender"
+            f"formats: {name} holds blendshapes, or {SKELETON}, and rig '{rig.name}' has neither; choose csv, anim or blender"
         )
 
 

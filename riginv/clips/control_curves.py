@@ -33,6 +33,7 @@ class Curves:
         frame_numbers: `(frame,)`.
         fps: frames per second; None where the file does not give it. `rate_source`: where it comes from.
         motion: rigid motion of the mesh, `(frame, 6)`: translation x, y, z in mm, rotation about x, y, z in degrees; or None.
+        rig: name of the rig of the controls; None where the file does not give it.
         notes: what was repaired or left out.
         table: the CSV table and the column of each curve; None for other files.
     """
@@ -45,6 +46,7 @@ class Curves:
     fps: float | None = None
     rate_source: str = ""
     motion: np.ndarray | None = None
+    rig: str | None = None
     notes: list[str] = field(default_factory=list)
     table: tuple[CsvTable, list[int]] | None = None
 
@@ -83,12 +85,19 @@ def csv_curves(table: CsvTable) -> Curves:
     return curves
 
 
+def are_curves(table: CsvTable) -> bool:
+    """Whether a table has a column of frames or of seconds, as riginv writes curves."""
+    return bool({FRAME, SECONDS} & {name.lower() for name in table.header})
+
+
 def _find_rate(curves: Curves, seconds: np.ndarray | None) -> None:
-    """Set the frame rate: from the times of the rows, or else from the .json beside the CSV."""
+    """Set the frame rate: from the times of the rows, or else from the .json beside the CSV; and the rig's name, from there."""
     sidecar, stated, measured = curves.path.with_suffix(".json"), None, None
     if sidecar.is_file():
         try:
-            value = read_json(sidecar).get("fps")
+            content = read_json(sidecar)
+            value, rig = content.get("fps"), content.get("rig")
+            curves.rig = rig if isinstance(rig, str) else None
             stated = (
                 float(value) if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < 1e6 else None
             )

@@ -9,6 +9,8 @@ from riginv.clips.control_curves import csv_curves, holds_curves, npz_curves
 from riginv.clips.csv_table import read_csv
 from riginv.clips.file_frames import ObjFrames, PlyFrames
 from riginv.clips.live_link import TIMECODE, RecordedShapes, is_recording
+from riginv.clips.markers import SUFFIXES as MARKER_SUFFIXES
+from riginv.clips.markers import holds_markers
 from riginv.clips.numbered import is_pattern, visible_files
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.point_caches import MddCache, Pc2Cache
@@ -24,6 +26,8 @@ from riginv.rig.interface import RigBackend
 SEQUENCES: Mapping[str, Reader] = {".obj": ObjFrames, ".ply": PlyFrames}  # one file per frame
 READERS: Mapping[str, Reader] = {".npz": ArrayClip, ".npy": ArrayClip, ".mdd": MddCache, ".pc2": Pc2Cache, **SEQUENCES}
 TABLE = ".csv"  # curves, which need a rig
+MARKERS = tuple(suffix for suffix in MARKER_SUFFIXES if suffix != TABLE)
+RIGS = {".blend": "blender", ".dna": "dna"}  # suffixes of rigs that users give as clips, and the config that reads them
 
 
 def open_clip(path: str, rig: RigBackend, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
@@ -82,10 +86,18 @@ def open_sequence(path: str, rig: RigBackend | None, options: ReadingOptions, as
         if as_scans:
             return reader_class.for_scans(path, options, rig)
         return reader(path, options) if rig is None else reader_class.for_rig(path, options, rig)
-    suffixes = (*READERS, *(f".{name}" for name in options.readers), TABLE)
-    raise InputError(
-        f"{path}: clips end in {', '.join(suffixes)}; export the mesh from its program in one of these "
-        "(a .blend is a rig: rig=blender rig.file=...)"
+    if suffix in MARKERS:
+        raise _markers_given(path)
+    if suffix in RIGS:
+        raise InputError(f"{path}: a rig, and no clip: rig={RIGS[suffix]} rig.file={path}")
+    suffixes = (*READERS, *(f".{name}" for name in options.readers), TABLE, ".stl", *MARKERS)
+    raise InputError(f"{path}: clips end in {', '.join(suffixes)}; export the mesh from its program in one of these")
+
+
+def _markers_given(path: str | Path) -> InputError:
+    return InputError(
+        f"{path}: markers, which riginv.invert takes with correspondence=markers markers=MAP.yaml, a map of where each is on "
+        f"the rig (riginv.markers proposes it)"
     )
 
 
@@ -103,6 +115,8 @@ def _open_curves(path: Path, rig: RigBackend | None, options: ReadingOptions) ->
     if path.suffix.lower() != TABLE:
         return PosedCurves(npz_curves(path), rig, options)
     table = read_csv(path, TIMECODE)
+    if not is_recording(table) and not {*rig.control_names} & {*table.header} and holds_markers(path):
+        raise _markers_given(path)
     return RecordedShapes(table, rig, options) if is_recording(table) else PosedCurves(csv_curves(table), rig, options)
 
 

@@ -20,8 +20,12 @@ RISE = 0.35  # of a stroke, and as much for its fall
 SAMPLE = 60  # frames from which the size of a performance is measured
 
 
-def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simulated_performance") -> WeightedShapes | None:
+def simulated_performance(rig: RigBackend, frames: int = 900, most: int | None = None) -> WeightedShapes | None:
     """A clip of a rig with ARKit or other blendshapes: each shape rises and falls now and then, smoothly.
+
+    Args:
+        frames: of the performance.
+        most: frames of it that are taken, at most, from its middle; None: all.
 
     Returns:
         the clip, or None for a rig without shapes to add: it is evaluated on random poses alone.
@@ -41,7 +45,9 @@ def simulated_performance(rig: RigBackend, frames: int = 900, name: str = "simul
         curves = strokes(list(shapes), frames)
     else:
         return None
-    clip = WeightedShapes(name, rig.rest_vertices, torch.stack(list(shapes.values())), curves.to(rig.dtype), FPS)
+    taken = frames if most is None else min(frames, most)
+    curves = curves[(frames - taken) // 2 :][:taken].to(rig.dtype)
+    clip = WeightedShapes("simulated_performance", rig.rest_vertices, torch.stack(list(shapes.values())), curves, FPS)
     clip.notes = (_size(clip),)
     return clip
 

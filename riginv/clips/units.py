@@ -104,7 +104,7 @@ def units_from_size(
         mm, source = _guessed_mm(clip, size, rig_mm, rig, limits, notes), GUESSED
     assert mm is not None
     if not _similar(size * mm, rig_mm, limits.given_ratio):
-        raise _absurd(clip, size * mm, rig_mm, rig, f"reading.unit={reading.unit}")
+        raise _absurd(clip, size, mm, rig_mm, rig, f"reading.unit={reading.unit}")
     return _units(clip, mm, source, reading, notes)
 
 
@@ -136,7 +136,7 @@ def _guessed_mm(clip: Source, size: float, rig_mm: float, rig: str, limits: Size
     misfits = {unit: abs(math.log(size * UNITS[unit] / rig_mm)) for unit in limits.guessed} if size > 0 else {}
     best = min(misfits, key=lambda unit: misfits[unit], default="")
     if not best or misfits[best] > math.log(limits.guess_ratio):
-        raise _absurd(clip, size * (clip.unit_mm or 1.0), rig_mm, rig, "its own numbers")
+        raise _absurd(clip, size, clip.unit_mm or 1.0, rig_mm, rig, "the file's unit" if clip.unit_mm else "units of mm")
     other = f", not of {clip.unit_mm:g} mm as the file says" if clip.unit_mm else ""
     notes.append(
         f"units of {best} guessed{other}: in these the mesh is {size * UNITS[best] / rig_mm:.2f} times as large as rig "
@@ -145,13 +145,13 @@ def _guessed_mm(clip: Source, size: float, rig_mm: float, rig: str, limits: Size
     return UNITS[best]
 
 
-def _absurd(clip: Source, found_mm: float, rig_mm: float, rig: str, taken: str) -> InputError:
-    if not found_mm > 0:
+def _absurd(clip: Source, size: float, mm: float, rig_mm: float, rig: str, taken: str) -> InputError:
+    if not size > 0:
         return InputError(f"{clip.path}: all points of its mesh are one, expected the shape of rig '{rig}': export it again")
     return InputError(
-        f"{clip.path}: with {taken} its mesh measures {length(found_mm)}, and that of rig '{rig}' {length(rig_mm)}: give "
-        f"the unit with reading.unit=mm, cm, m or millimetres to a unit as a number (one of about "
-        f"{rig_mm / found_mm:.3g} times this size fits)"
+        f"{clip.path}: with {taken} its mesh measures {length(size * mm)}, and that of rig '{rig}' {length(rig_mm)}: set the "
+        f"clip's unit with reading.unit=mm, cm, m or a number of millimetres (about {float(f'{rig_mm / size:.2g}'):,g} would "
+        f"fit), or the rig's, if that is what is wrong (rig.unit_mm of most rigs)"
     )
 
 

@@ -22,13 +22,20 @@ from riginv.config.building import OURS
 from riginv.config.folders import check_config_folders
 from riginv.config.messages import CONFIGS, explain
 from riginv.config.path_values import quoted, with_quoted_paths
+from riginv.errors import InputError, listed
 from riginv.launch.job_process import exit_with_parent
 from riginv.launch.rank_process import exit_with_launcher, is_rank_process, report
 from riginv.launch.sweep_folder import register_sweep_resolvers, swept, with_sweep_folder
 from riginv.launch.sweep_record import FINISHED, read_record
-from riginv.launch.terminal import exit_on_broken_pipe, filter_warnings
+from riginv.launch.terminal import (
+    exit_on_broken_pipe,
+    filter_warnings,
+    interrupt_as_exception,
+    interrupt_at_once,
+    stop_interrupted,
+)
 from riginv.runs.locks import unlock_folders
-from riginv.runs.run_folder import discard_if_empty, register_folder_resolvers
+from riginv.runs.run_folder import CONFIG, discard_if_empty, register_folder_resolvers
 
 POSITIONAL = {"inspect": "clip"}  # the key of a command's positional argument
 ANSWERED_BY_HYDRA = ("--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i")
@@ -46,6 +53,7 @@ def command(config_name: str) -> Callable[[Callable[[DictConfig], None]], Callab
             if not gc.isenabled():  # by `answer_help`, in this process
                 gc.freeze()  # what was imported stays
                 gc.enable()
+            interrupt_as_exception()
             os.environ["HYDRA_FULL_ERROR"] = "1"  # pass exceptions on: `explain` formats them
             if is_rank_process():
                 exit_with_launcher()
@@ -66,6 +74,7 @@ def answer_help(module: str, config_name: str) -> None:
     """Answer --help and similar options, and exit; called before a command imports torch, which takes seconds.
 
     Otherwise garbage is not collected until the command starts: imports leave none, and looking for it takes 0.3 s.
+    Ctrl-C ends the process at once until then.
 
     Args:
         module: `__name__` of the command. Nothing happens where it is not `__main__`.
@@ -73,6 +82,7 @@ def answer_help(module: str, config_name: str) -> None:
     if module != "__main__":
         return
     gc.disable()
+    interrupt_at_once()
     if any(argument in ANSWERED_BY_HYDRA for argument in sys.argv[1:]):
         command(config_name)(lambda config: None)()
         sys.exit()
@@ -87,6 +97,12 @@ def _run(job: "_Job", config_name: str) -> None:
         check_config_folders(arguments)
         sys.argv[1:] = with_sweep_folder(arguments, config_name)
         hydra.main(version_base="1.3", config_path=str(CONFIGS), config_name=config_name)(job.run)()
+    except KeyboardInterrupt as interruption:
+        stop_interrupted(interruption)
+    except SystemExit as ending:
+        if isinstance(ending.__context__, KeyboardInterrupt) and not ending.__suppress_context__:  # Lightning exits by itself
+            stop_interrupted(ending.__context__)
+        raise
     except Exception as error:
         _stop(error, config_name)
     if job.error is not None:
@@ -114,11 +130,14 @@ def path_as_value(values: list[str], key: str | None) -> list[str]:
     """
     if key is None:
         return values
+    paths = [value for value in values if not OVERRIDE.match(value) or os.path.exists(value)]
+    if len(paths) > 1:
+        raise InputError(
+            f"{len(paths)} paths were given ({listed(paths, 2)}), expected one: a pattern in quotes ('take.*.obj') is a "
+            f"clip of many files"
+        )
     literal = [quoted(value.replace("${", "\\${")) for value in values]  # no interpolation, whatever letters it has
-    return [
-        value if OVERRIDE.match(value) and not os.path.exists(value) else f"{key}={text}"
-        for value, text in zip(values, literal)
-    ]
+    return [f"{key}={text}" if value in paths else value for value, text in zip(values, literal)]
 
 
 def true_rig_choice(argument: str) -> str:
@@ -151,6 +170,11 @@ class _Job:
         except Exception as error:
             discard_if_empty(run_directory())
             self.error = error
+        except KeyboardInterrupt as interruption:
+            discard_if_empty(run_directory())
+            if not interruption.args and "resume" in config and (run_directory() / CONFIG).is_file():
+                interruption.args = ("go on with the same command plus resume=true",)
+            raise
 
     def run_in_sweep(self, config: DictConfig) -> None:
         """Run a job of a sweep in this process; skip it if finished, resume it if started."""
@@ -198,9 +222,14 @@ def _stop(error: Exception, config_name: str) -> None:
 
 
 def register_help_resolvers() -> None:
-    """Register the resolvers `${explained_keys:COMMAND}` and `${group_choices:GROUP}` of help texts."""
-    OmegaConf.register_new_resolver("explained_keys", explained_keys, replace=True, use_cache=True)
-    OmegaConf.register_new_resolver("group_choices", group_choices, replace=True, use_cache=True)
+    """Register the resolvers of help texts, each named as its function: `${explained_keys:COMMAND}`."""
+    for resolve in (explained_keys, group_choices, plain_help):
+        OmegaConf.register_new_resolver(resolve.__name__, _escaped(resolve), replace=True, use_cache=True)
+
+
+def _escaped(resolve: Callable[[str], str]) -> Callable[[str], str]:
+    """A resolver whose text keeps its dollar signs when Hydra substitutes $CONFIG."""
+    return lambda name: resolve(name).replace("$", "$$")
 
 
 def explained_keys(command: str) -> str:
@@ -211,6 +240,13 @@ def explained_keys(command: str) -> str:
     shared = [line for line in _lines("run/sweep.yaml") if line.startswith("verbose:")]  # keys of every command
     reading = [row for group in READING if f"  - {group}:" in "\n".join(lines[head:body]) for row in _group_keys(group)]
     return "\n".join(f"  {line}".rstrip() for line in [*lines[body:], *shared, *reading]).strip("\n")
+
+
+def plain_help(command: str) -> str:
+    """The help of a command that has no text of its own: the first line of `conf/COMMAND.yaml`, and its keys."""
+    lines = _lines(f"{command}.yaml")
+    rigs = f"\n\nGroups (GROUP=CHOICE):\n\n  rig: {group_choices('rig')}" if any("  - rig:" in line for line in lines) else ""
+    return f"{lines[0].removeprefix('# ')}\n\nKeys:\n\n{explained_keys(command)}{rigs}"
 
 
 def _group_keys(group: str) -> list[str]:

@@ -16,6 +16,7 @@ from lightning.fabric.plugins.environments.lightning import find_free_network_po
 
 from riginv.errors import InputError
 from riginv.launch.rank_process import LAUNCHER_PID, REPORT, read_report
+from riginv.launch.terminal import INTERRUPTED
 
 COMMAND = "riginv.train"
 POLL_SECONDS = 0.1
@@ -39,7 +40,7 @@ def run_in_processes(count: int, folder: Path) -> None:
             died = _wait(processes)
         except KeyboardInterrupt:
             _interrupt(processes[0])
-            sys.exit(1)
+            raise SystemExit(INTERRUPTED) from None  # rank 0 has said it
         finally:
             _kill(processes)
             signal.signal(signal.SIGTERM, before)

@@ -1,13 +1,16 @@
-"""Quiet exit on a broken pipe (`| head`), and filters of known warnings."""
+"""Quiet exit on a broken pipe (`| head`) and on Ctrl-C, and filters of known warnings."""
 
 import logging
 import os
 import select
+import signal
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import NoReturn, TextIO
+
+INTERRUPTED = 128 + signal.SIGINT  # the exit status after Ctrl-C, as shells have it
 
 
 @contextmanager
@@ -73,6 +76,33 @@ def _streams() -> list[TextIO]:
             continue
         found.append(stream)
     return found
+
+
+def interrupt_at_once() -> None:
+    """Let Ctrl-C end the process without a traceback, until `interrupt_as_exception`; for the seconds of imports."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored, as in the background of a shell
+        signal.signal(signal.SIGINT, _exit_at_once)
+
+
+def interrupt_as_exception() -> None:
+    """Let Ctrl-C raise KeyboardInterrupt again."""
+    if signal.getsignal(signal.SIGINT) is _exit_at_once:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def stop_interrupted(interruption: BaseException) -> NoReturn:
+    """Exit after Ctrl-C.
+
+    Args:
+        interruption: its text, if any, says what is kept and how to go on.
+    """
+    print(f"\nstopped: {interruption if interruption.args else 'nothing is left half-written'}", file=sys.stderr)
+    sys.exit(INTERRUPTED)
+
+
+def _exit_at_once(*_: object) -> NoReturn:
+    print("\nstopped before it began", file=sys.stderr, flush=True)
+    os._exit(INTERRUPTED)
 
 
 # Known and harmless warnings, each with the reason.

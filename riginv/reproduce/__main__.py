@@ -62,8 +62,8 @@ def reproduce(config: DictConfig) -> None:
     try:
         runner.run()
     except KeyboardInterrupt:
-        say(f"Stopped with {len(runner.remaining)} of {len(graph.steps)} steps remaining: the same command resumes here.")
-        raise SystemExit(130) from None
+        remaining = f"{len(runner.remaining)} of {len(graph.steps)} steps remain"
+        raise KeyboardInterrupt(f"{remaining}; the same command goes on with them") from None
     write_report(folder.path, plain, settings, plan, graph, true_rig, time.monotonic() - began)
 
 

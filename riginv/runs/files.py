@@ -45,16 +45,19 @@ def free_folder(out: str) -> Path:
     return path
 
 
-def free_file(out: str, *beside: str) -> Path:
+def free_file(out: str, suffix: str = "", *beside: str) -> Path:
     """The file `out` for a result.
 
     Args:
+        suffix: the suffix that it must have; empty: any.
         beside: suffixes of files that are written next to it.
 
     Raises:
-        InputError: one of them exists.
+        InputError: it has another suffix, or one of them exists.
     """
     path = Path(out)
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"out={out}: expected the name of a file that ends in {suffix}")
     for file in (path, *(path.with_suffix(suffix) for suffix in beside)):
         if file.exists():
             raise InputError(f"out={out}: {'it' if file == path else file} is there already; give another name, or remove it")
@@ -156,6 +159,8 @@ def read_text(path: Path) -> str:
                 f"{path}: {path.stat().st_size:,} bytes, expected at most {MOST_YAML_BYTES:,}: this is not that file"
             )
         return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file{_near(path)}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {in_short(error)}") from None
 

@@ -44,9 +44,17 @@ def build_true_rig(spec: ClassSpec[RigBackend] | None, rig: RigBackend) -> RigBa
 
 
 def build_clip(
-    capture: str | None, reading: ReadingOptions, frames: FrameOptions, rig: LinearRig, true_rig: RigBackend
+    capture: str | None,
+    reading: ReadingOptions,
+    frames: FrameOptions,
+    rig: LinearRig,
+    true_rig: RigBackend,
+    most: int | None = None,
 ) -> MeshSet | None:
     """The clip to evaluate on: the one given, or else the rig's own motion, or a simulated performance; None where it has none.
+
+    Args:
+        most: frames of a simulated performance; None: as many as it has.
 
     Raises:
         InputError: the clip cannot be read or is none of the rig, or the rig's motion holds what is no number.
@@ -57,7 +65,7 @@ def build_clip(
         return open_capture(capture, true_rig if true_rig.held_out is None else rig, rig, reading, frames)
     motion = true_rig.motion()
     if motion is None:
-        return simulated_performance(true_rig)
+        return simulated_performance(true_rig, most=most)
     broken = (~motion.vertices.isfinite().all(dim=2).all(dim=1)).nonzero()[:, 0]
     if len(broken):
         raise InputError(

@@ -1,7 +1,6 @@
 """Atomic checkpoints with checksums, and a clock of training time that is saved with them."""
 
 import signal
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -76,10 +75,7 @@ class SaveLast(L.Callback):
     def on_exception(self, trainer: L.Trainer, module: L.LightningModule, exception: BaseException) -> None:
         if isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero:
             saved = f"saved up to step {self.saved_step}" if self.saved_step else "nothing saved yet"
-            print(
-                f"\nStopped at step {trainer.global_step}, {saved}; go on with the same command plus resume=true",
-                file=sys.stderr,
-            )
+            exception.args = (f"at step {trainer.global_step}, {saved}; go on with the same command plus resume=true",)
 
     def _save(self, trainer: L.Trainer) -> None:
         if trainer.global_step != self.saved_step:

@@ -5,15 +5,14 @@ from riginv.launch.command import answer_help, command
 answer_help(__name__, "export_blender")  # before the imports that take seconds
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from omegaconf import DictConfig
 
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
-from riginv.errors import InputError
 from riginv.rig.interface import RigBackend
 from riginv.runs.console import show_result
+from riginv.runs.files import free_file
 from rigs.blender.interpreter import find_interpreter
 from rigs.blender.twin import blueprint_of, write_blend
 
@@ -30,9 +29,7 @@ class ExportConfig:
 def export(config: DictConfig) -> None:
     """Write `config.rig` to `config.out`."""
     settings = to_typed(config, ExportConfig)
-    out = Path(settings.out)
-    if out.suffix.lower() != ".blend":
-        raise InputError(f"out={out}: expected the name of a file that ends in .blend")
+    out = free_file(settings.out, ".blend")
     interpreter = find_interpreter(settings.interpreter, "interpreter")
     rig = settings.rig.build()
     blueprint = blueprint_of(rig)

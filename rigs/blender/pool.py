@@ -98,7 +98,7 @@ class WorkerPool(ProcessPool):
                 assert isinstance(request, PoseRequest)
                 if isinstance(outcome, WorkerLostError):
                     row = request.rows.start if request.rows else None
-                    what = "describing the rig" if row is None else f"pose {row}"
+                    what = "opening the file" if row is None else f"pose {row}"
                     raise PoseLostError(f"{what} cost {ATTEMPTS} workers in a row; of the last one: {outcome}", row)
                 if isinstance(outcome, BaseException):
                     raise outcome

@@ -10,8 +10,8 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from riginv.config.typed import to_typed
-from riginv.errors import InputError
 from riginv.runs.console import show_result
+from riginv.runs.files import free_file
 from rigs.dna.format import read_dna, write_dna
 
 
@@ -26,13 +26,11 @@ class CopyConfig:
 def copy(config: DictConfig) -> None:
     """Write `config.file` to `config.out`."""
     settings = to_typed(config, CopyConfig)
-    source, out = Path(settings.file), Path(settings.out)
-    if out.is_dir() or out.suffix.lower() != ".dna":
-        raise InputError(f"out={out}: expected the name of a file that ends in .dna")
+    source, out = Path(settings.file), free_file(settings.out, ".dna")
     file = read_dna(source)
     write_dna(out, file)
     layers = " ".join(f"{layer.name}@{layer.version[0]}.{layer.version[1]}" for layer in file.layers)
-    equal = out.read_bytes() == source.read_bytes() if out.resolve() != source.resolve() else True
+    equal = out.read_bytes() == source.read_bytes()
     comparison = (
         "equal to" if equal else f"not equal to ({file.unused_bytes:,} bytes of it belong to no layer, or its layers lie apart)"
     )

@@ -22,7 +22,7 @@ from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError, in_short
 from riginv.runs.array_files import check_npz
 from riginv.runs.console import show_lines, show_result
-from riginv.runs.files import atomic_write
+from riginv.runs.files import atomic_write, free_file
 from rigs.dna.format import DnaFile, read_dna
 from rigs.dna.format.layers import Definition
 from rigs.dna.geometry.space import Space
@@ -49,9 +49,7 @@ class EvaluateConfig:
 def evaluate(config: DictConfig) -> None:
     """Evaluate `config.file` for `config.inputs`, and write `config.out`."""
     settings = to_typed(config, EvaluateConfig)
-    out = Path(settings.out)
-    if out.suffix.lower() != ".npz":
-        raise InputError(f"out={out}: expected the name of a file that ends in .npz")
+    out = free_file(settings.out, ".npz")
     file = read_dna(settings.file)
     given = read_inputs(Path(settings.inputs), file)
     with torch.no_grad():

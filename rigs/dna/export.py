@@ -39,10 +39,7 @@ class ExportConfig:
 def export(config: DictConfig) -> None:
     """Write `config.rig` to `config.out`."""
     settings = to_typed(config, ExportConfig)
-    out = Path(settings.out)
-    if out.suffix.lower() != ".dna" or out.is_dir():
-        raise InputError(f"out={out}: expected the name of a file that ends in .dna")
-    free_file(settings.out)
+    out = free_file(settings.out, ".dna")
     rig = settings.rig.build()
     draft = draft_of(rig)
     difference = write_rig(rig, draft, out)

@@ -18,7 +18,7 @@ from riginv.config.typed import to_typed
 from riginv.config.values import NonNegativeInt
 from riginv.errors import InputError
 from riginv.runs.console import show_result
-from riginv.runs.files import read_text
+from riginv.runs.files import free_file, read_text
 from rigs.dna.format import read_dna
 from rigs.dna.format.layers import Definition
 from rigs.dna.inverse import TableInverse
@@ -41,9 +41,7 @@ class GuiConfig:
 def gui(config: DictConfig) -> None:
     """Write the GUI controls for the raw controls of `config.curves`, and print the vertex distance."""
     settings = to_typed(config, GuiConfig)
-    source, out = Path(settings.curves), Path(settings.out)
-    if out.suffix.lower() != ".csv" or out.is_dir():
-        raise InputError(f"out={out}: expected the name of a file that ends in .csv")
+    source, out = Path(settings.curves), free_file(settings.out, ".csv")
     file = read_dna(settings.file)
     definition = file.need(Definition)
     rig = DnaRig(settings.file, "raw", settings.lod)

@@ -27,6 +27,8 @@ def test_units_are_guessed_from_the_size_and_absurd_ones_called_out(rig, meshes,
         as_clip(tiny, rig, unit="mm")
     with pytest.raises(InputError, match=r"196 m,"):
         as_clip(opened(write_npz(tmp_path / "huge.npz", meshes * 2000, faces), rig), rig)
+    with pytest.raises(InputError, match=r"millimetres \(about 510 would fit\), or the rig's, .*rig.unit_mm"):
+        as_clip(tiny, rig, unit="mm")
     with pytest.raises(InputError, match="reading.unit is 'parsec'"):
         as_clip(tiny, rig, unit="parsec")
 

@@ -71,6 +71,8 @@ def test_key_and_path_mean_the_same(run: Callable, rig, meshes, tmp_path):
         "+rig.x=1",
     ]
     assert path_as_value(["take.npz"], None) == ["take.npz"]
+    done = run("inspect", "take.npz", "take.1.obj", "take.2.obj")  # as a shell expands take.*
+    assert done.code == 1 and "3 paths were given (take.npz, take.1.obj and 1 more), expected one" in done.text
 
 
 @pytest.mark.parametrize("kind", ["obj", "glb", "usd"])
@@ -129,6 +131,47 @@ def test_a_recording_says_which_shapes_move(run: Callable, tmp_path):
     assert "cheekPuff" in run("inspect", "take.csv", "verbose=true").text
 
 
+def test_curves_of_controls_say_so(run: Callable, rig, tmp_path):
+    """What `invert` writes was taken for a damaged Live Link Face recording."""
+    values = np.zeros((4, len(rig.controls)))
+    values[:, 0] = np.linspace(0, 0.75, 4)
+    header = ",".join(["frame", "seconds", *rig.control_names])
+    rows = [f"{number},{number / 24:.6f}," + ",".join(map(str, row)) for number, row in enumerate(values)]
+    (tmp_path / "curves.csv").write_text("\n".join([header, *rows]) + "\n")
+    (tmp_path / "curves.json").write_text('{"rig": "toy", "fps": 24.0}')
+    outcome = run("inspect", "curves.csv")
+    assert outcome.code == 0, outcome.text
+    found = table(outcome.text)
+    assert found["format"] == "CSV of curves: controls of a rig, without meshes" and found["rig"] == "toy"
+    assert found["frames"] == "4 frames 0 to 3" and found["rate"] == "24 frames a second (curves.json)"
+    assert found["controls"] == "7" and found["controls that move"] == f"1: {rig.control_names[0]} (0 to 0.75)"
+    assert found["rigid motion"] == "none"
+    (tmp_path / "found").mkdir()
+    (tmp_path / "curves.csv").rename(tmp_path / "found/curves.csv")
+    folder = table(run("inspect", "found").text)  # of invert's results
+    assert folder["rig"] == "not stated" and folder["controls that move"] == found["controls that move"]
+    (tmp_path / "curves.csv").write_text("\n".join([header, *rows, rows[0].replace("0.0", "much", 1)]) + "\n")
+    outcome = run("inspect", "curves.csv")
+    assert outcome.code == 1 and "line 6" in outcome.text and "Traceback" not in outcome.text, outcome.text
+    np.savez(tmp_path / "curves.npz", controls=values, fps=24.0)
+    outcome = run("inspect", "curves.npz")
+    assert outcome.code == 0 and "7, without names" in outcome.text and "control 1 (0 to 0.75)" in outcome.text
+
+
+def test_a_skeleton_alone_is_told(run: Callable, tmp_path):
+    root = "ROOT hips\n{\nOFFSET 0 90 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+    head = "JOINT head\n{\nOFFSET 0 60 5\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 0 10 0\n}\n}\n}\n"
+    motion = "MOTION\nFrames: 2\nFrame Time: 0.04\n0 90 0 0 0 0 0 0 0\n7 90 0 0 0 0 0 0 20\n"
+    (tmp_path / "take.bvh").write_text(f"HIERARCHY\n{root}{head}{motion}")
+    outcome = run("inspect", "take.bvh")
+    assert outcome.code == 0, outcome.text
+    found = table(outcome.text)
+    assert found["joints"] == "2: hips, head" and found["frames"] == "2 frames 0 to 1" and found["rate"].startswith("25 frames")
+    assert found["size"] == "0 x 60 x 5 units, of the joints at rest" and found["root"] == "moves over 7 x 0 x 0 units"
+    refused = run("invert", "clip=take.bvh", "out=x", *TOY)
+    assert refused.code == 1 and "Traceback" not in refused.text, refused.text
+
+
 @pytest.mark.parametrize("name", ["take.c3d", "take.trc", "take.csv"])
 def test_markers_are_named_with_their_gaps(name, run: Callable, tmp_path):
     points = np.random.default_rng(0).uniform(-100, 100, (4, 2, 3))
@@ -159,6 +202,8 @@ def test_bundles_and_stores_of_poses_are_told(run: Callable, tmp_path):
         ([], "clip must be given"),
         (["none.npz"], "none.npz: no such file"),
         (["notes.txt"], "clips end in"),
+        (["hero.blend"], "hero.blend: a rig, and no clip: rig=blender rig.file=hero.blend"),
+        (["hero.dna"], "rig=dna rig.file=hero.dna"),
         (["broken.npz"], "broken.npz: no .npz, or a damaged one"),
         (["empty"], "expected to hold OBJ or PLY files"),
         (["take.csv"], "expected the columns of a Live Link Face recording"),
@@ -187,6 +232,8 @@ def test_mistakes_end_in_one_sentence(arguments, said, run: Callable, rig, meshe
 
 def test_a_plain_table_of_markers_is_one(run, tmp_path):
     (tmp_path / "take.csv").write_text("frame,time,nose.x,nose.y,nose.z\n0,0,1,2,3\n1,0.1,-,-,-\n")
+    taken = run("invert", "clip=take.csv", "out=x", *TOY)
+    assert taken.code == 1 and "take.csv: markers, which riginv.invert takes with correspondence=markers" in taken.text
     done = run("inspect", str(tmp_path / "take.csv"))
     assert done.code == 0 and table(done.text)["markers"] == "1: nose" and table(done.text)["gaps"] == "1 marker: nose (50%)"
     assert "Taken as gaps: 3 cells of '-'." in done.text

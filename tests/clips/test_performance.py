@@ -52,6 +52,13 @@ def test_the_performance_of_arkits_names_is_the_one_of_before(tmp_path):
     np.testing.assert_allclose([weights.sum(), weights.square().sum()], [1953.86215, 977.23204], rtol=1e-6)
 
 
+def test_a_quick_look_takes_the_middle(tmp_path):
+    rig = rig_of(tmp_path, NAMES)
+    some, all_of_them = simulated_performance(rig, most=24), simulated_performance(rig)
+    assert torch.equal(some.weights, all_of_them.weights[438:462]) and "of 0.8 s" in some.notes[0]
+    assert len(simulated_performance(rig, most=5000)) == 900
+
+
 def test_rigs_without_shapes_have_none():
     assert simulated_performance(BlackBox()) is None and len(simulated_performance(ToyRig(), 10)) == 10
     with pytest.raises(InputError, match="performance of 0 frames"):

@@ -97,3 +97,22 @@ def test_a_bug_is_not_passed_off_as_a_users_mistake(run, monkeypatch):
     monkeypatch.setattr("riginv.train.build_rig", lambda *arguments: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run("train")
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments"),
+    [
+        ("contact_sheet", ["rig=face", "out=old.png"]),
+        ("export_onnx", ["bundle=nowhere", "out=old.onnx"]),
+        ("copy_dna", ["file=none.dna", "out=old.dna"]),
+        ("evaluate_dna", ["file=none.dna", "inputs=none.npz", "out=old.npz"]),
+        ("gui_dna", ["file=none.dna", "curves=none.csv", "out=old.csv"]),
+        ("export_dna", ["rig=face", "out=old.dna"]),
+        ("export_blender", ["rig=face", "out=old.blend"]),
+    ],
+)
+def test_outputs_that_exist_are_refused_before_work_starts(command, arguments, run, tmp_path):
+    old = tmp_path / arguments[-1].removeprefix("out=")
+    old.write_text("kept")
+    refused(run(command, *arguments), f"out={old.name}: it is there already; give another name, or remove it")
+    assert old.read_text() == "kept" and list(tmp_path.iterdir()) == [old]

@@ -83,7 +83,7 @@ def test_the_command(run, bundle, tmp_path):
     assert out.is_file() and "5 random poses" in found.text
     found = run("export_onnx", f"bundle={bundle}", "out=toy.txt", "rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
     assert found.code == 1 and "out=toy.txt: expected the name of a file that ends in .onnx" in found.text
-    found = run("export_onnx", "bundle=nowhere", "out=toy.onnx")
+    found = run("export_onnx", "bundle=nowhere", "out=other.onnx")
     assert found.code == 1 and "nowhere: no bundle there" in found.text and "Traceback" not in found.text
 
 

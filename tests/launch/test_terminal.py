@@ -1,14 +1,16 @@
 """A command whose reader goes away, as `| head` does, ends without a traceback; and --help explains what it is asked about."""
 
 import os
+import signal
 import subprocess
 import sys
 
 import pytest
 
+from riginv import contact_sheet, invert, train
 from riginv.launch.command import explained_keys
 from riginv.launch.terminal import exit_on_broken_pipe
-from tests.conftest import ROOT
+from tests.conftest import COMMANDS, ROOT
 
 TOY = ("rig=toy", f"--config-dir={ROOT / 'tests/conf'}")
 
@@ -61,3 +63,53 @@ def test_help_explains_every_key(command, run):
     assert len(keys) >= 2 and all(key in said for key in keys)
     assert all("  # " in key for key in keys), keys  # each with a word of explanation
     assert "blender, blender_if_here, body, dna, face" in said and "verbose: false" in said
+
+
+@pytest.mark.parametrize("command", sorted({*COMMANDS} - {"reproduce"}))  # which explains its keys in its own words
+def test_every_command_has_a_help_text_of_its_own(command, run):
+    """That of wrap was a traceback, for the dollar sign of a default."""
+    done = run(command, "--help")
+    assert done.code == 0 and all(key in done.text for key in explained_keys(command).splitlines()), done.text
+    assert "powered by Hydra" not in done.text and "python -m ri" in done.text.partition("Keys:")[0], done.text
+
+
+def interrupted(*_args, **_more):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("command", "module", "name"),
+    [("invert", invert, "build_rigs"), ("contact_sheet", contact_sheet, "draw"), ("train", train, "build_rig")],
+)
+def test_ctrl_c_ends_in_one_sentence(command, module, name, run, monkeypatch, tmp_path):
+    monkeypatch.setattr(module, name, interrupted)
+    arguments = {"invert": ["clip=none.npz", "out=found"], "contact_sheet": ["out=toy.png"], "train": []}[command]
+    done = run(command, *(TOY if command != "train" else ()), *arguments)
+    assert done.code == 130 and done.text.endswith("stopped: nothing is left half-written\n"), done.text
+    assert "Traceback" not in done.text and not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_before_the_first_step_of_training_says_how_to_go_on(run, monkeypatch):
+    monkeypatch.setattr(train, "speed_up", interrupted)  # the folder has begun
+    done = run("train")
+    assert done.code == 130 and done.text.endswith("stopped: go on with the same command plus resume=true\n"), done.text
+    monkeypatch.undo()
+    assert run("train", "resume=true").code == 0
+
+
+def test_ctrl_c_within_the_seconds_of_imports_is_quiet():
+    default = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-m", "riginv.check", *TOY],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        preexec_fn=default,
+    )
+    assert process.stderr is not None
+    while "torch" not in (line := process.stderr.readline()) and line:  # torch is imported after the command has begun
+        pass
+    process.send_signal(signal.SIGINT)
+    said = [line for line in process.stderr.read().splitlines() if not line.startswith("import time")]
+    assert process.wait(timeout=60) == 130 and said == ["", "stopped before it began"]

@@ -38,7 +38,7 @@ def rows_of(outcome):
 
 
 def test_methods_stand_side_by_side(run):
-    outcome = run("compare", *TOY, "methods=[neutral,levenberg_marquardt,clip]", "methods.clip.smoothness=20")
+    outcome = run("compare", *TOY, "poses=200", "methods=[neutral,levenberg_marquardt,clip]", "methods.clip.smoothness=20")
     assert outcome.code == 0, outcome.text
     rows = rows_of(outcome)
     assert [method for method, _ in rows][::3] == ["neutral", "levenberg_marquardt", "clip"]
@@ -58,6 +58,7 @@ def test_methods_stand_side_by_side(run):
 
 def test_a_comparison_goes_on_method_by_method(run):
     first = run("compare", *TOY, "methods=[neutral]")
+    assert "a simulated performance of 1.8 s" in first.text  # as few frames as there are poses
     kept = first.folder / "methods/neutral.json"
     kept.write_text(kept.read_text().replace('"nonzero_controls": 0.0', '"nonzero_controls": 7.0'))  # to be known again
     refused(run("compare", *TOY, "methods=[neutral]"), "resume=true")

@@ -144,6 +144,10 @@ def test_a_trained_network_inverts_alone_and_refined(run, rig, clip, tmp_path):
         (["clip=" + 300 * "x" + ".npz", "out=o"], "File name too long"),
         (["clip={clip}", "out=o", "after.fps=-1"], "after.fps is -1"),
         (["clip={clip}", "out={clip}"], "it is there already"),
+        (
+            ["clip=take.c3d", "out=got"],
+            "take.c3d: markers, which riginv.invert takes with correspondence=markers markers=MAP.yaml",
+        ),
         (["clip={clip}", "out=o", "bundle=none"], "no bundle there"),
     ],
 )

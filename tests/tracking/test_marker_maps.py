@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from riginv.tracking.constraints import resolve_constraints
 from riginv.tracking.markers.assembly import build_objective, marker_prior
-from riginv.tracking.markers.layout import NOISE_MM, hidden_controls, marker_skin, suggest_layout
+from riginv.tracking.markers.layout import NOISE_MM, marker_skin, suggest_layout, unmarkable_controls
 from riginv.tracking.markers.map_file import read_map, write_map
 from riginv.tracking.markers.placement import Placement
 from riginv.tracking.markers.proposing import at_common_height, propose
@@ -38,7 +38,7 @@ def test_suggested_places_are_on_the_skin_and_apart(face, layout):
 
 
 def test_gaze_and_tongue_are_hidden_from_markers(face):
-    hidden = hidden_controls(face, default_prior(face).mean)
+    hidden = unmarkable_controls(face, default_prior(face).mean)
     names = {name for name, is_hidden in zip(face.control_names, hidden.tolist()) if is_hidden}
     assert names == {name for name in face.control_names if name.startswith(("eyeLook", "gaze", "tongue"))}
 

@@ -13,6 +13,7 @@ from riginv.clips.sequence import Polygons
 from riginv.errors import InputError
 from riginv.tracking.surfaces.scan_files import FileScans, RaggedArrays, open_scans
 from riginv.tracking.surfaces.scans import Scan
+from riginv.tracking.surfaces.solving import ScanSolver
 from riginv.tracking.surfaces.units import resolve_scan_units
 from tests.conftest import ROOT
 from tests.support.pages import read_page
@@ -79,7 +80,7 @@ def test_files_of_different_meshes_are_one_clip(tmp_path):
         scans = open_scans(str(path), ToyRig(), ReadingOptions())
         assert [len(scans.scan(number).points) for number in range(3)] == [len(points) for points, _ in scans_of(ToyRig())]
     write_ply(tmp_path / "scan.003.obj", *scans_of(ToyRig())[0])
-    with pytest.raises(InputError, match=r"scans that end in \.obj, \.ply, expected one kind: '.*/\*\.obj' names one"):
+    with pytest.raises(InputError, match=r"a folder of \.obj, \.ply files, expected one format: '.*/\*\.obj' names one"):
         open_scans(str(tmp_path), ToyRig(), ReadingOptions())
 
 
@@ -163,6 +164,36 @@ def test_still_gltf_files_are_scans_in_metres(run, tmp_path):
     assert run("invert", "rig=toy", f"--config-dir={CONF}", alone, *surface).code == 0
     done = run("wrap", "rig=toy", f"--config-dir={CONF}", f"scan={tmp_path}/got/curves.csv", "out=wrapped.obj")
     assert done.code == 1 and "ends in .obj, .ply" in done.text and "Traceback" not in done.text
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply"])
+def test_a_folder_of_scans_is_a_clip_of_scans(run, tmp_path, ending):
+    """It was read as one mesh in all frames, and refused with the advice to do what had been done."""
+    (tmp_path / "s").mkdir()
+    for number, (points, faces) in enumerate(scans_of(ToyRig())):
+        kept = faces[: len(faces) - 20 * number]
+        trimesh.Trimesh(points, kept).export(tmp_path / f"s/scan.{number}.{ending}")  # as many points as its faces use
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", "clip=s", "out=got", "motion=keep", *NO_LOOK)
+    assert done.code == 0 and f"scans ({ending.upper()}), 3 frames 0 to 2" in done.text, done.text
+    done = run("inspect", "s")
+    assert done.code == 0 and "scans: meshes" in done.text, done.text
+    trimesh.Trimesh(points, faces).export(tmp_path / "s/scan.0.stl")
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", "clip=s", "out=more", "correspondence=surface", *NO_LOOK)
+    assert done.code == 1 and f"a folder of .{ending}, .stl files, expected one format" in done.text, done.text
+
+
+def test_a_damaged_scan_is_refused_before_the_work_starts(run, tmp_path, monkeypatch):
+    for number, (points, faces) in enumerate(scans_of(ToyRig())):
+        trimesh.Trimesh(points, faces, process=False).export(tmp_path / f"scan.{number}.ply")
+    (tmp_path / "scan.2.ply").write_bytes((tmp_path / "scan.2.ply").read_bytes()[:-500])
+    monkeypatch.setattr(ScanSolver, "solve", None)  # no frame is solved
+    clip = (f"clip={tmp_path}/scan.%d.ply", "correspondence=surface", "out=got", *NO_LOOK)
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", *clip)
+    assert done.code == 1 and "scan.2.ply" in done.text and "truncated" in done.text and "Traceback" not in done.text, done.text
+    assert not (tmp_path / "got").exists()
+    monkeypatch.undo()
+    done = run("invert", "rig=toy", f"--config-dir={CONF}", *clip, "frames.exclude=[2]", "motion=keep")
+    assert done.code == 0, done.text
 
 
 def test_objects_of_a_scan_are_chosen(tmp_path):

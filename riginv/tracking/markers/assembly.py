@@ -16,7 +16,7 @@ from riginv.clips.units import DEFAULT_FPS, GUESSED, TO_Y_UP, UP_ASSUMED, ClipUn
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
-from riginv.tracking.markers.layout import hidden_controls
+from riginv.tracking.markers.layout import unmarkable_controls
 from riginv.tracking.markers.map_file import matched, read_map
 from riginv.tracking.markers.objective import MarkerObjective, MarkerRig
 from riginv.tracking.markers.placement import Placement
@@ -104,9 +104,9 @@ def marker_prior(rig: LinearRig, prior: ControlPrior, noise_mm: float) -> Contro
     Neighbouring frames have the prior in common: it is weaker in each. Exact markers still lie off the rig by what it cannot
     make, and that must not turn the gaze: what markers do not see is not weighted by less than `MISFIT_MM`.
     """
-    hidden = hidden_controls(rig, prior.mean)
+    unmarkable = unmarkable_controls(rig, prior.mean)
     weight, regression = (IN_SEQUENCE, 1.0) if prior.changes is None else (KNOWN_CHANGES, REGRESSION)
-    return prior.rescaled(hidden, weight**-2, (noise_mm / max(noise_mm, MISFIT_MM)) ** 2, regression)
+    return prior.rescaled(unmarkable, weight**-2, (noise_mm / max(noise_mm, MISFIT_MM)) ** 2, regression)
 
 
 def build_objective(

@@ -14,7 +14,7 @@ from riginv.tracking.surfaces.wrap import skin_component
 CANDIDATES = 3000  # vertices of the skin that are tried, at most
 OPEN = 0.5  # fraction of unoccluded rays at a vertex that a marker can be glued to
 NOISE_MM = 0.15  # of a marker while places are chosen; half of a real one: see docs/experiments.md#markers
-HIDDEN = 0.3  # fraction of a control's squared displacement on the skin, below which markers do not see it
+UNMARKABLE = 0.3  # fraction of a control's squared displacement on the skin, below which markers do not see it
 SPACING = 0.02  # least distance of two markers, relative to the rig's size
 POSES = 6  # about which the rig is taken as linear
 
@@ -87,7 +87,7 @@ class _Linear:
 
 
 @torch.no_grad()
-def hidden_controls(rig: LinearRig, units: Tensor) -> Tensor:
+def unmarkable_controls(rig: LinearRig, units: Tensor) -> Tensor:
     """Which controls move mostly what no marker can be glued to, such as gaze and tongue, `(control,)`.
 
     Args:
@@ -98,7 +98,7 @@ def hidden_controls(rig: LinearRig, units: Tensor) -> Tensor:
     _, jacobian = rig.coefficient_jacobian((rig.lower + span * units.to(span))[None])
     moved = jacobian.dense()[0]  # (coefficient, control)
     every, outer = ((basis.flatten(1).T @ moved).square().sum(dim=0) for basis in (rig.basis, rig.basis[:, skin]))
-    return (outer < HIDDEN * every).cpu()
+    return (outer < UNMARKABLE * every).cpu()
 
 
 def marker_skin(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:

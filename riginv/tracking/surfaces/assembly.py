@@ -77,16 +77,16 @@ def build_scan_parts(
     _check(options)
     scans = open_scans(path, rig, reading)
     units = resolve_scan_units(scans, rig, reading)
+    inside = frames_between(scans.path, scans.frame_numbers, frames.first, frames.last)
+    kept = torch.tensor(scans.frame_numbers[inside])
+    excluded = excluded_frames(scans.path, kept, frames.exclude)
+    rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
+    scans.check([row for row in rows if row >= 0])
     prior, note = prior_or_default(options.prior, rig)
     settings = ScanSettings(noise_mm=options.noise_of_measurements_mm)
     solver = ScanSolver(rig, prior, settings, options.motion != "keep", stability_weights(rig).cpu().numpy())
     units = checked_units(scans, units, reading, solver)
     landmarks, landmark_notes = read_landmarks(options.landmarks, rig, reading, scans, units)
-    numbers = scans.frame_numbers
-    inside = frames_between(scans.path, numbers, frames.first, frames.last)
-    kept = torch.tensor(numbers[inside])
-    excluded = excluded_frames(scans.path, kept, frames.exclude)
-    rows = [-1 if is_excluded else int(row) for row, is_excluded in zip(inside.nonzero()[0], excluded.tolist())]
     actor = actor_of_scans(options.actor, reading, scans, units, rig, landmarks)
     if options.actor.neutral == SOLVE:
         none = Actor(rig.rest_vertices, torch.zeros_like(rig.rest_vertices), options.actor.scale, "")

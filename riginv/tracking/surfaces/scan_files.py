@@ -1,6 +1,7 @@
 """Readers of scans: a mesh file for each frame, ragged arrays, and clips whose frames may each be another mesh."""
 
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from riginv.tracking.surfaces.scans import Scan, ScanSequence
 from riginv.tracking.surfaces.units import resolve_neutral_units
 
 STILLS = {**READERS, ".stl": StlMesh}
+CHECKED_BYTES = 1 << 28  # of files that are read once before the work: seconds, for what takes minutes
 CLIPS = (".usd", ".usda", ".usdc", ".usdz", ".abc")  # of files that are a scan each where a path names several
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", *CLIPS)  # of files that may be a scan each
 
@@ -40,13 +42,19 @@ class FileScans(ScanSequence):
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
         suffix = _suffix(Path(path))
-        _check_kinds(Path(path))
+        _suffix(Path(path))
         self.frames = find_frames(path, suffix, options.missing_frames == "bridge")
         self.options, first = options, _read(self.frames.first, options)
         notes = (*self.frames.notes, *first.notes, *options.unused(suffix[1:].upper(), not first.objects))
         notes += note_on_objects(self.frames.first, [name for name in first.objects if name in (options.mesh_names or [name])])
         facts = SourceFacts(f"scans ({suffix[1:].upper()})", notes=notes)
         super().__init__(path, self.frames.numbers, facts, None, first.unit_mm, first.up)
+
+    def check(self, indices: Sequence[int]) -> None:
+        paths = [path for index in indices if (path := self.frames.paths[index]) is not None]
+        if paths and paths[0].suffix.lower() in STILLS and sum(path.stat().st_size for path in paths) <= CHECKED_BYTES:
+            for index in indices:
+                self.scan(index)
 
     def scan(self, index: int) -> Scan | None:
         path = self.frames.paths[index]
@@ -203,19 +211,20 @@ def _read(path: Path, options: ReadingOptions) -> MeshFile:
     return reader.still(path, options)
 
 
-def _check_kinds(given: Path) -> None:
-    """Raise InputError for a folder that holds scans in files of several kinds."""
-    kinds = sorted(set(SUFFIXES) & {file.suffix.lower() for file in visible_files(given)}) if given.is_dir() else []
-    if len(kinds) > 1:
-        found = listed(kinds, None)
-        raise InputError(f"{given}: scans that end in {found}, expected one kind: '{given}/*{kinds[0]}' names one")
-
-
 def _suffix(given: Path) -> str:
-    """The suffix of a sequence's files; in a folder, the first of `SUFFIXES` that occurs."""
+    """The suffix of a sequence's files; in a folder, the one of `SUFFIXES` that occurs.
+
+    Raises:
+        InputError: it holds several.
+    """
     if given.is_dir():
         found = {file.suffix.lower() for file in visible_files(given)}
-        return next((suffix for suffix in SUFFIXES if suffix in found), SUFFIXES[0])
+        several = [suffix for suffix in SUFFIXES if suffix in found]
+        if len(several) > 1:
+            raise InputError(
+                f"{given}: a folder of {listed(several)} files, expected one format: '{given}/*{several[0]}' names one"
+            )
+        return next(iter(several), SUFFIXES[0])
     return given.suffix.lower()
 
 

@@ -1,6 +1,7 @@
 """Scans: meshes or point clouds whose number of points may differ from frame to frame."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -98,6 +99,14 @@ class ScanSequence(ABC):
             scan = self.scan(index)
             last = self._last = index, None if scan is None else scan.cleaned()
         return last[1]
+
+    def check(self, indices: Sequence[int]) -> None:
+        """Read scans that are read quickly, so that a damaged one is refused before the work starts, not in its midst.
+
+        Raises:
+            InputError: as `scan`.
+        """
+        return
 
     @abstractmethod
     def scan(self, index: int) -> Scan | None:

@@ -79,7 +79,7 @@ def _check_binding(rig: GltfRig, points: np.ndarray, weights: np.ndarray, frames
     linear = frames[..., :3]
     if np.abs(linear @ linear.transpose(0, 2, 1) - np.eye(3)).max() > 1e-4:
         raise InputError(
-            f"rig '{rig.name}': its joints are in a scaled space, where a DNA file's do not: apply the scales of its "
+            f"rig '{rig.name}': its joints are in a scaled space, which a DNA file does not have: apply the scales of its "
             f"nodes and export it again"
         )
     for number, frame in enumerate(frames):
