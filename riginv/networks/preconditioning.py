@@ -14,8 +14,8 @@ from riginv.rig.mesh_space import RigInMeshSpace
 
 SIZE_MM = 10.0  # the root mean square displacement of the vertices by a step of length 1
 DAMPING = 0.05  # of the Hessian with a unit diagonal: for controls without effect, and those that do the same
-LEAST = 1e-9  # of the greatest diagonal element, as a lower bound of the others
-MESHES, BATCH_SIZE = 512, 64  # that the Hessian is a mean over; BATCH_SIZE bounds the memory
+LEAST, TINY = 1e-9, 1e-9  # lower bounds of the diagonal: of its greatest element, and of that
+MESHES, BATCH_SIZE = 128, 64  # that the Hessian is a mean over: some rigs take 0.1 s for each; BATCH_SIZE bounds the memory
 
 
 class Preconditioner(nn.Module):
@@ -44,7 +44,7 @@ class Preconditioner(nn.Module):
         sums = [len(batch) * mean_hessian(rig, control_map, batch) for batch in raw.split(BATCH_SIZE)]
         hessian = torch.stack(sums).sum(dim=0) / len(raw)
         diagonal = hessian.diagonal()
-        sizes = diagonal.clamp_min(LEAST * diagonal.max()).sqrt()
+        sizes = diagonal.clamp_min(LEAST * max(float(diagonal.max()), TINY)).sqrt()
         values, vectors = torch.linalg.eigh(hessian / sizes[:, None] / sizes)
         root = (vectors * (values.clamp_min(0) + DAMPING).rsqrt()) @ vectors.T
         self.matrix.copy_(self.squared_size**0.5 * root / sizes[:, None])
