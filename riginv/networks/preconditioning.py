@@ -13,7 +13,7 @@ from riginv.networks.control_maps import ControlMap
 from riginv.rig.mesh_space import RigInMeshSpace
 
 SIZE_MM = 10.0  # the root mean square displacement of the vertices by a step of length 1
-DAMPING = 0.05  # of the Hessian with a unit diagonal: for controls without effect, and those that do the same
+DAMPING = 0.3  # of the Hessian with a unit diagonal: for controls without effect, and those that do the same
 LEAST, TINY = 1e-9, 1e-9  # lower bounds of the diagonal: of its greatest element, and of that
 MESHES, BATCH_SIZE = 128, 64  # that the Hessian is a mean over: some rigs take 0.1 s for each; BATCH_SIZE bounds the memory
 
