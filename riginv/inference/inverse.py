@@ -86,7 +86,8 @@ def _multiplies_bfloat16() -> bool:
     return is_supported is not None and is_supported()
 
 
-FEATURES = "features.scale"  # weights without it are of a network on mesh coordinates, also where the rig has features now
+# Weights without these are of a network that was made without the option, also where the rig has features now.
+MADE_WITH = (("features", False, "features.scale"), ("descent_steps", 0, "preconditioner.matrix"))
 MIN_SIZE_FOR_BFLOAT16 = 1_000_000  # numbers of a frame: below it there is nothing to gain
 
 
@@ -207,14 +208,15 @@ def load_inverse(
     space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
     if not isinstance(rig, LinearRig):
         rig = BlackBoxRig(rig, (bundle.space["linear_map"] @ space.directions.flatten(1)).unflatten(1, rig.rest_vertices.shape))
-    without = {} if FEATURES in bundle.weights or not _takes_features(bundle) else {"features": False}
+    options = MADE_WITH if _is_staged(bundle) else ()
+    without = {option: off for option, off, weights in options if weights not in bundle.weights}
     network = build({**bundle.description["network"], **without}, RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
     network.load_own_weights(bundle.weights)
     trained_seconds = float(bundle.description["training"].get("seconds", 0.0))
     return Inverse(network, refine, trained_seconds, fewer_controls, mean_steps).eval().requires_grad_(False)
 
 
-def _takes_features(bundle: Bundle) -> bool:
+def _is_staged(bundle: Bundle) -> bool:
     return class_of(bundle.description["network"].get("_target_"), kind=InverseNetwork, only=OURS) is StagedInverse
 
 

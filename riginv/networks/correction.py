@@ -66,3 +66,16 @@ class Correction(nn.Module):
         size = gradient.square().mean(dim=1, keepdim=True).sqrt() + SMALLEST
         gates = 1 + self.gate(torch.cat([raw, gradient / size, LOG_SCALE * size.log()], dim=1))
         return self.mix(gates * self.features(torch.cat([residual, gradient], dim=1)))
+
+
+class Descent(Correction):
+    """A correction that follows the gradient alone, so that its step is 0 at the best controls of any mesh.
+
+    What the rig cannot make of a mesh stays in the residual: a step that follows it ends beside the best controls.
+
+    Args:
+        controls, width, gate: as of `Correction`.
+    """
+
+    def __init__(self, controls: int, width: int, gate: int) -> None:
+        super().__init__(0, controls, width, gate)

@@ -13,9 +13,10 @@ from riginv.config.values import NonNegativeInt, PositiveInt, Widths
 from riginv.errors import InputError
 from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
-from riginv.networks.correction import Correction, StageStart
+from riginv.networks.correction import Correction, Descent, StageStart
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import ZeroPreserving, mlp
+from riginv.networks.preconditioning import Preconditioner
 from riginv.rig.interface import Vjp
 from riginv.rig.mesh_space import RigInMeshSpace
 
@@ -163,7 +164,8 @@ class StagedInverse(InverseNetwork):
     is trained on its own error alone.
 
     Where the rig has features they replace mesh coordinates, and a guess from them precedes the first MLP
-    (`riginv.networks.features`); every stage then starts from the best estimate of each mesh so far.
+    (`riginv.networks.features`). Every stage then starts from the best estimate of each mesh so far, gradients and steps are
+    preconditioned (`riginv.networks.preconditioning`), and the last refinement steps are one that is repeated.
 
     Args:
         stages: the number of MLPs.
@@ -172,6 +174,7 @@ class StagedInverse(InverseNetwork):
         width: linear features of a refinement step.
         gate: hidden width of a refinement step's gate.
         features: whether the rig's features are used, where it has any.
+        descent_steps: refinement steps, at most, that are one `Descent`, where features are used; 0: nothing is preconditioned.
     """
 
     coordinate_scale: Tensor
@@ -188,6 +191,7 @@ class StagedInverse(InverseNetwork):
         activation: str = "gelu",
         control_map: str = "neutral_start",
         features: bool = True,
+        descent_steps: NonNegativeInt = 4,
     ) -> None:
         super().__init__(rig, control_map)
         for name, number, least in (
@@ -200,28 +204,33 @@ class StagedInverse(InverseNetwork):
                 raise InputError(f"network: {name} is {number}, expected at least {least}")
         size, controls = rig.space.size, len(rig.source.controls)
         self.features = RigFeatures(rig) if features and RigFeatures.offered_by(rig) else None
+        self.preconditioner = Preconditioner(rig) if self.features and descent_steps else None
+        self.descents = min(descent_steps, refinement_steps) if self.preconditioner else 0
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN
         self.stages = nn.ModuleList(
             ZeroPreserving(_start_small(mlp(count, hidden, controls, activation), gain)) for count in inputs
         )
-        self.corrections = nn.ModuleList(Correction(size, controls, width, gate) for _ in range(refinement_steps))
+        different = range(refinement_steps - self.descents)
+        self.corrections = nn.ModuleList(Correction(size, controls, width, gate) for _ in different)
+        self.descent = nn.ModuleList([Descent(controls, width, gate)] if self.descents else [])
         self.register_buffer("coordinate_scale", torch.ones(()))
         self.register_buffer("gradient_scale", torch.ones(controls) if self.features else torch.ones(()))
 
     def calibrate(self, coordinates: Float[Tensor, "batch coordinate"]) -> None:
         self.coordinate_scale.copy_(_size(coordinates))
-        raw = coordinates.new_zeros(len(coordinates), len(self.rig.source.controls))
-        gradient = self.estimate(raw, coordinates).gradient
+        gradient = self.estimate(coordinates.new_zeros(len(coordinates), len(self.rig.source.controls)), coordinates).gradient
+        each = gradient.square().mean(dim=0).sqrt().clamp_min(1e-12)
+        self.gradient_scale.copy_(each if self.features else _size(gradient))
         if self.features:
             self.features.calibrate(self.rig, coordinates)
-            self.gradient_scale.copy_(gradient.square().mean(dim=0).sqrt().clamp_min(1e-12))
-        else:
-            self.gradient_scale.copy_(_size(gradient))
+        if self.features and self.preconditioner:
+            guess = self.control_map.raw_of(self.features.guess(self.features(coordinates)))
+            self.preconditioner.calibrate(self.rig, self.control_map, guess)
 
     def learned_parts(self) -> list[nn.Module]:
-        return [*self.stages, *self.corrections]
+        return [*self.stages, *self.corrections, *list(self.descent) * self.descents]
 
     def each_estimate(self, coordinates: Float[Tensor, "batch coordinate"]) -> Iterator[Estimate]:
         target = self._target(coordinates)
@@ -241,7 +250,7 @@ class StagedInverse(InverseNetwork):
 
     def _each_stage(self, target: _Target, before: Estimate | None) -> Iterator[Estimate]:
         start: StageStart | None = None
-        for stage in [*self.stages, *self.corrections]:
+        for stage in self.learned_parts():
             if before is not None:
                 latest = StageStart(before.raw.detach(), before.detached_coordinates, before.gradient, before.squares)
                 start = latest if start is None or not self.features else start.or_lower_error(latest)
@@ -251,15 +260,17 @@ class StagedInverse(InverseNetwork):
 
     def _refined(self, stage: nn.Module, start: StageStart, target: _Target) -> Tensor:
         """The raw outputs `(batch, control)` of a start, refined by a stage."""
-        before, gradient = start.raw, start.gradient / self.gradient_scale
-        if self.features and target.features is not None:
+        conditioner = self.preconditioner
+        gradient = conditioner.gradient(start.gradient) if conditioner else start.gradient / self.gradient_scale
+        if isinstance(stage, Descent):
+            residual = gradient[:, :0]
+        elif self.features and target.features is not None:
             residual = self.features.change(self.features.unscaled(start.coordinates), target.features)
         else:
             residual = (start.coordinates - target.coordinates) / -self.coordinate_scale
-        squashed = torch.tanh(0.3 * before)
-        if isinstance(stage, Correction):
-            return before + stage(residual, gradient, squashed)
-        return before + stage(torch.cat([target.inputs, residual, gradient, squashed], dim=1))
+        given = residual, gradient, torch.tanh(0.3 * start.raw)
+        step = stage(*given) if isinstance(stage, Correction) else stage(torch.cat([target.inputs, *given], dim=1))
+        return start.raw + (conditioner.step(step) if conditioner else step)
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         """The last estimate; where the rig has features the best one of each mesh, since a stage may fail there."""

@@ -124,6 +124,7 @@ class Objective:
 
     def by_mean_distance(self, corner_mm: float = CORNER_MM, vertices: int = VERTICES) -> "Objective":
         """The same objective with the mean distance in place of the mean squared distance (`MeanDistance`)."""
+        _ = self.metric  # computed before it is copied: once, not in every copy
         other = copy.copy(self)
         other.distance = MeanDistance(self.rig.space.directions.to(self.map), corner_mm, vertices)
         return other

@@ -98,6 +98,9 @@ def test_a_saved_mixture_is_the_present_default():
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONFIGS), version_base="1.3"):
         present = OmegaConf.to_container(compose("train", ["rig=face", "sampler=mixture"]).sampler, resolve=True)
+    noise, fractions = present["samplers"]["joint_noise_poses"], present["fractions"]
+    assert (noise["strength"], fractions["joint_noise_poses"]) == (2.0, 16)  # twice as much as was saved
+    noise["strength"], fractions["joint_noise_poses"] = 1.0, 8
     assert upgraded(SAVED_MIXTURE) == present
     assert upgraded(present) == present
     assert list(upgraded(SAVED_MIXTURE)["samplers"]) == list(present["samplers"])  # equal draws

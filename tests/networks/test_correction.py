@@ -2,7 +2,7 @@
 
 import torch
 
-from riginv.networks.correction import Correction
+from riginv.networks.correction import Correction, Descent
 from riginv.networks.inverse import StagedInverse
 
 
@@ -14,6 +14,14 @@ def correction() -> Correction:
 def test_a_zero_residual_gives_a_zero_step():
     change = correction()(torch.zeros(3, 12), torch.zeros(3, 7), torch.randn(3, 7))
     assert change.shape == (3, 7) and (change == 0).all()
+
+
+def test_a_descent_takes_no_step_without_a_gradient():
+    torch.manual_seed(0)
+    descent, gradient = Descent(controls=7, width=32, gate=16), torch.randn(3, 7)
+    residual = gradient[:, :0]
+    assert (descent(residual, 0 * gradient, torch.randn(3, 7)) == 0).all()
+    assert (descent(residual, gradient, torch.randn(3, 7)) != 0).any()
 
 
 def test_it_is_linear_in_the_residual_for_equal_gates():

@@ -90,17 +90,18 @@ def test_for_a_root_without_vertices_stands_the_joint_with_most(tmp_path: Path):
     assert mean_error(rig, features.guess(features(space(controls))), controls) < 1e-4
 
 
-def test_a_bundle_from_before_the_features_goes_on_on_mesh_coordinates(rig, tmp_path):
+@pytest.mark.parametrize("before", [{"features": False}, {"descent_steps": 0}])
+def test_a_bundle_from_before_the_features_or_the_preconditioning_goes_on_without(rig, tmp_path, before):
     space, target = in_mesh_space(rig), "riginv.networks.inverse.StagedInverse"
     sizes = {"hidden": (8,), "refinement_steps": 1, "width": 8, "gate": 4}
-    network = StagedInverse(space, **sizes, features=False)
+    network = StagedInverse(space, **sizes, **before)
     network.calibrate(space(random_controls(rig, 64)))
     rig_config = {"_target_": "rigs.gltf.rig.GltfRig", "file": str(rig.file), "joints": True}
     write_bundle(tmp_path / "bundle", "inverse", network, space, {"_target_": target, **sizes}, rig_config, {})
     loaded = load_inverse(tmp_path / "bundle")
     vertices = rig(random_controls(rig, 3))
     with torch.no_grad():
-        assert loaded.network.features is None
+        assert (loaded.network.features is None) == ("features" in before) and loaded.network.preconditioner is None
         assert torch.allclose(loaded(vertices), network(space.space.encode(vertices)), atol=1e-3)
 
 
