@@ -5,7 +5,6 @@ from riginv.launch.command import answer_help, command
 answer_help(__name__, "wrap")  # before the imports that take seconds
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch

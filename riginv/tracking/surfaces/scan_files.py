@@ -42,7 +42,6 @@ class FileScans(ScanSequence):
 
     def __init__(self, path: str, options: ReadingOptions) -> None:
         suffix = _suffix(Path(path))
-        _suffix(Path(path))
         self.frames = find_frames(path, suffix, options.missing_frames == "bridge")
         self.options, first = options, _read(self.frames.first, options)
         notes = (*self.frames.notes, *first.notes, *options.unused(suffix[1:].upper(), not first.objects))
