@@ -102,7 +102,7 @@ def test_the_controls_of_another_actor_are_found(how, moving, run, rig, tmp_path
         (["actor.scale=1.2"], "actor.scale=1.2 needs a neutral"),
         (["actor.landmarks=map.yaml"], "actor.landmarks=map.yaml are those of a scan: give actor.neutral=SCAN"),
         (["actor.landmarks=map.yaml", "actor.neutral=solve"], "actor.landmarks=map.yaml are those of a scan"),
-        (["actor.landmarks=none.yaml", "actor.neutral={other}"], "none.yaml: cannot be read"),
+        (["actor.landmarks=none.yaml", "actor.neutral={other}"], "none.yaml: no such file"),
         (["actor.neutral=solve", "actor.scale=0"], "actor.scale is 0"),
     ],
 )
