@@ -1,5 +1,6 @@
 """Drivers of shapes: controls, in-betweens of controls, and products of these."""
 
+import functools
 import itertools
 import re
 from collections import Counter
@@ -13,13 +14,18 @@ from torch import Tensor
 from riginv.geometry.neighbours import evenly
 from riginv.rig.interface import LinearRig
 
-HATS = ((0.0, 0.5, 1.0), (0.0, 0.25, 0.5), (0.25, 0.5, 0.75), (0.5, 0.75, 1.0))  # of in-betweens that are tried
+HATS = ((0.0, 0.5, 1.0), (0.0, 0.25, 0.5), (0.25, 0.5, 0.75), (0.5, 0.75, 1.0))  # in-betweens tried with solved controls
+PEAKS = (25, 50, 75)  # %, of those tried with known controls, with all knots
 INBETWEEN = re.compile(r"(.+?)(\d\d)")
 SIMPLER = 0.98  # likelihood of a driver with one factor more
 ELSEWHERE = 0.85  # likelihood of a shape where one of its factors does not move the mesh
 MOVES = 0.05  # of a control's largest displacement: a vertex moves with it
 ACTIVE, MIN_PEAK = 0.05, 0.15  # of a factor in a frame, of a product in its best frame
-FRAMES, FACTORS, MAX_DRIVERS = 700, 12, 10000  # looked at for products: frames, the strongest factors of each; products kept
+FRAMES = 700  # looked at for products
+# The strongest factors of a frame that are looked at for products of two, of three, and so on, and the products that are kept:
+# true controls tell them apart; among more of them solved controls lead to more wrong ones.
+FACTORS, MAX_DRIVERS = (12, 12, 12, 12, 12), 10000
+FACTORS_KNOWN, MAX_DRIVERS_KNOWN = (60, 40, 16, 12, 12), 30000
 
 
 @dataclass(frozen=True)
@@ -49,14 +55,17 @@ def numbered(drivers: Sequence[Driver]) -> list[Driver]:
 class Factors:
     """The values that shapes may be driven by: each side of each control, in-betweens of the rig, in-betweens that it may lack.
 
+    Args:
+        known: whether the controls of the clip are known, so that more may be tried.
+
     Attributes:
         names: of the factors; the lower side of a two-sided control is `-NAME`.
         owners: the control of each factor.
         hats: three knots of each in-between that the rig may lack, by factor.
     """
 
-    def __init__(self, rig: LinearRig) -> None:
-        self.rig = rig
+    def __init__(self, rig: LinearRig, known: bool = False) -> None:
+        self.rig, self.known = rig, known
         lower, upper, neutral = rig.lower.tolist(), rig.upper.tolist(), rig.neutral_controls.tolist()
         control_of = {name: number for number, name in enumerate(rig.control_names)}
         self.sides = [(number, 1) for number in range(len(neutral)) if upper[number] > neutral[number]]
@@ -71,12 +80,12 @@ class Factors:
                 self.names.append(name)
                 self.owners.append(control_of[found[1]])
         self.hats: dict[int, tuple[int, tuple[float, float, float]]] = {}
-        known = {*rig.control_names, *rig.coefficient_names}
-        for side, hat in itertools.product(range(len(self.sides)), HATS):
-            name = f"{self.names[side]}{round(100 * hat[1]):02d}"
-            if name not in known:
+        taken = {*rig.control_names, *rig.coefficient_names}
+        for side in range(len(self.sides)):
+            given = [peak for peak in range(1, 100) if f"{self.names[side]}{peak:02d}" in taken]
+            for hat in _hats(given) if known else [hat for hat in HATS if round(100 * hat[1]) not in given]:
                 self.hats[len(self.names)] = (side, hat)
-                self.names.append(name)
+                self.names.append(f"{self.names[side]}{round(100 * hat[1]):02d}")
                 self.owners.append(self.owners[side])
 
     def values(self, controls: Float[Tensor, "frame control"]) -> Float[Tensor, "frame factor"]:
@@ -119,12 +128,13 @@ class Factors:
     def candidates(self, values: Float[Tensor, "frame factor"], most: int) -> list[Driver]:
         """In-betweens, and products of up to `most` factors, that a clip uses and for which the rig has no shape."""
         plain = range(len(self.sides) + len(self.coefficients))
+        limits, kept = (FACTORS_KNOWN, MAX_DRIVERS_KNOWN) if self.known else (FACTORS, MAX_DRIVERS)
         found: dict[tuple[int, ...], None] = {(number,): None for number in self.hats}
         for row in values[evenly(FRAMES, len(values))][:, list(plain)]:
             active = (row > ACTIVE).nonzero()[:, 0]
-            strongest = sorted(active[row[active].argsort(descending=True)[:FACTORS]].tolist())
-            for count in range(2, most + 1):
-                found.update(dict.fromkeys(itertools.combinations(strongest, count)))
+            active = active[row[active].argsort(descending=True)].tolist()
+            for count, strongest in zip(range(2, most + 1), limits):
+                found.update(dict.fromkeys(itertools.combinations(sorted(active[:strongest]), count)))
         taken = {tuple(sorted(name.split("_"))) for name in self.rig.coefficient_names}
         drivers = []
         for factors in found:
@@ -134,27 +144,48 @@ class Factors:
                 drivers.append(Driver(factors, name))
         signals = self.products(values, drivers) if drivers else values[:, :0]
         strength = torch.where(signals.amax(dim=0) >= MIN_PEAK, signals.square().sum(dim=0), 0.0)
-        order = strength.argsort(descending=True, stable=True)[:MAX_DRIVERS].tolist()
+        order = strength.argsort(descending=True, stable=True)[:kept].tolist()
         return [drivers[number] for number in order if strength[number] > 0]
 
+    @functools.cached_property
     @torch.no_grad()
+    def extents(self) -> Float[Tensor, "factor vertex"]:
+        """The displacement of each vertex by the control of each factor, as a fraction of its largest."""
+        rig = self.rig
+        poses = rig.neutral_controls.repeat(len(self.sides), 1)
+        for row, (number, sign) in enumerate(self.sides):
+            poses[row, number] = rig.upper[number] if sign > 0 else rig.lower[number]
+        lengths = torch.cat([(rig(pose[None]) - rig.rest_vertices).norm(dim=2) for pose in poses])
+        largest = lengths.amax(dim=1, keepdim=True)
+        found = torch.where(largest > 0, lengths / largest.clamp_min(1e-6), 1.0)  # some move the mesh with others alone
+        by_control = {number: row for row, (number, _) in reversed(list(enumerate(self.sides)))}
+        return found[[row if row < len(self.sides) else by_control[owner] for row, owner in enumerate(self.owners)]]
+
     def likelihoods(self, drivers: list[Driver], voters: Int[Tensor, " voter"]) -> Float[Tensor, "driver voter"]:
         """The prior probability of each driver at each vertex: higher for few factors that all move the mesh there."""
-        rig = self.rig
-        ends = [rig.upper[number] if sign > 0 else rig.lower[number] for number, sign in self.sides]
-        poses = rig.neutral_controls.repeat(len(ends), 1)
-        for row, (number, _) in enumerate(self.sides):
-            poses[row, number] = ends[row]
-        lengths = torch.cat([(rig(pose[None]) - rig.rest_vertices).norm(dim=2) for pose in poses])
-        moved = (lengths / (MOVES * lengths.amax(dim=1, keepdim=True)).clamp_min(1e-6)).clamp_max(1)
-        moved[lengths.amax(dim=1) <= 0] = 1  # they move it with others alone
-        by_control = {number: row for row, (number, _) in reversed(list(enumerate(self.sides)))}
-        rows = [side if side < len(self.sides) else by_control[self.owners[side]] for side in range(len(self.names))]
-        moved, found = moved[:, voters], torch.empty(len(drivers), len(voters))
+        moved, found = (self.extents[:, voters] / MOVES).clamp_max(1), torch.empty(len(drivers), len(voters))
         for number, driver in enumerate(drivers):
-            least = moved[[rows[factor] for factor in driver.factors]].amin(dim=0)
+            least = moved[list(driver.factors)].amin(dim=0)
             found[number] = (ELSEWHERE + (1 - ELSEWHERE) * least) * SIMPLER ** (len(driver.factors) - 1)
         return found
+
+    def nearness(self, driver: Driver) -> Float[Tensor, " vertex"]:
+        """How much the controls of a driver move each vertex: the squared geometric mean of the fractions of their largest."""
+        return self.extents[list(driver.factors)].clamp_min(1e-6).log().mean(dim=0).mul(2).exp()
+
+    def is_simpler(self, one: Driver, other: Driver) -> bool:
+        """Whether a driver has a part of the controls of another alone, or the same ones with fewer in-betweens."""
+        first, second = ({self.owners[factor] for factor in driver.factors} for driver in (one, other))
+        counts = [sum(factor >= len(self.sides) for factor in driver.factors) for driver in (one, other)]
+        return first < second or (first == second and counts[0] < counts[1])
+
+
+def _hats(given: list[int]) -> list[tuple[float, float, float]]:
+    """Knots of the in-betweens that a control may lack beside given peaks, %; none reaches across one of these."""
+    knots = sorted({0, *PEAKS, *given, 100})
+    found = itertools.combinations(knots, 3)
+    free = [hat for hat in found if hat[1] not in given and not any(hat[0] < peak < hat[2] for peak in given)]
+    return [(left / 100, middle / 100, right / 100) for left, middle, right in free]
 
 
 def _hat(values: Tensor, hat: tuple[float, float, float]) -> Tensor:

@@ -16,7 +16,8 @@ from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.objective import Objective
 from riginv.tracking.missing.drivers import Driver, Factors, numbered
 from riginv.tracking.missing.joint_fit import JointFit, Span
-from riginv.tracking.missing.search import MIN_GAIN_KNOWN, MIN_GAINS, choose_drivers, fit_shapes, sparse, voters
+from riginv.tracking.missing.known import find_known
+from riginv.tracking.missing.search import MIN_GAINS, Limits, choose_drivers, sparse, voters
 
 JOINT_STEPS, STEPS = 10, 6  # of the joint fit of each round; Levenberg-Marquardt steps after it
 SPARSITY = 2e-5  # mm^2 of mean squared error for a control at its whole range: of two explanations that with fewer controls
@@ -93,27 +94,13 @@ def find_missing(
         known: whether they are the true ones: they are not solved again.
         most_factors: of a product of controls.
     """
-    factors, before = Factors(rig), mean_distance(rig(controls), meshes)
+    factors, before = Factors(rig, known), mean_distance(rig(controls), meshes)
     if float(before.mean()) < WITHIN_REACH_MM:
         return None
-    augmented, span = None, None
-    if not known:
-        controls = solve_again(rig, meshes, controls, FIRST_SPARSITY)
-        span = Span.of(rig, meshes, controls)
-    for least in (MIN_GAIN_KNOWN,) if known else MIN_GAINS:
-        residual, values = meshes - rig(controls), factors.values(controls)
-        drivers = factors.candidates(values, most_factors)
-        signals = factors.products(values, drivers) if drivers else values[:, :0]
-        voting = voters(residual)
-        likelihoods = factors.likelihoods(drivers, voting)
-        chosen = choose_drivers(signals, likelihoods, residual[:, voting], most, least)
-        if not chosen:
-            break
-        found = [drivers[number] for number in chosen]
-        if span is None:
-            augmented = RigWithShapes(rig, factors, found, fit_shapes(signals[:, chosen], residual))
-        else:
-            augmented, controls = with_joint_fit(rig, factors, found, meshes, controls, span)
+    if known:
+        augmented = with_known(rig, factors, meshes, controls, most, most_factors)
+    else:
+        augmented, controls = with_solved(rig, factors, meshes, controls, most, most_factors)
     if augmented is None:
         return None
     weights, shapes = augmented.weights(controls), augmented.basis[len(rig.basis) :]
@@ -127,6 +114,37 @@ def find_missing(
         with_first.append(float(mean_distance(posed, meshes).mean()))
     after = mean_distance(posed, meshes)
     return Missing(final, controls, shapes[order], weights[:, order], with_first, before, after)
+
+
+def with_known(
+    rig: LinearRig, factors: Factors, meshes: Tensor, controls: Tensor, most: int, most_factors: int
+) -> RigWithShapes | None:
+    """The rig with the shapes that it lacks for meshes of known controls; None: it lacks none."""
+    values = factors.values(controls)
+    drivers = factors.candidates(values, most_factors)
+    if not drivers:
+        return None
+    found, shapes = find_known(factors, drivers, factors.products(values, drivers), meshes - rig(controls), most)
+    return RigWithShapes(rig, factors, found, shapes) if found else None
+
+
+def with_solved(
+    rig: LinearRig, factors: Factors, meshes: Tensor, controls: Tensor, most: int, most_factors: int
+) -> tuple[RigWithShapes | None, Tensor]:
+    """The rig with the shapes that it lacks for meshes, and their controls, from a first inversion; None: it lacks none."""
+    augmented, controls = None, solve_again(rig, meshes, controls, FIRST_SPARSITY)
+    span = Span.of(rig, meshes, controls)
+    for least in MIN_GAINS:
+        residual, values = meshes - rig(controls), factors.values(controls)
+        drivers = factors.candidates(values, most_factors)
+        signals = factors.products(values, drivers) if drivers else values[:, :0]
+        voting = voters(residual)
+        likelihoods, target = factors.likelihoods(drivers, voting), residual[:, voting]
+        chosen = choose_drivers(signals, likelihoods, target, most, Limits(least * float(target.square().sum())))
+        if not chosen:
+            break
+        augmented, controls = with_joint_fit(rig, factors, [drivers[number] for number in chosen], meshes, controls, span)
+    return augmented, controls
 
 
 def with_joint_fit(

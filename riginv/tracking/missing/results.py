@@ -15,7 +15,8 @@ from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import LinearRig
 from riginv.runs.files import atomic_write, write_json, write_text
 from riginv.runs.tables import new_table
-from riginv.tracking.missing.finding import Missing
+from riginv.tracking.missing.drivers import Driver
+from riginv.tracking.missing.finding import Missing, RigWithShapes
 
 DELTAS, TABLE, PICTURE = "shapes.npz", "missing.json", "missing.png"
 IN_USE = 0.1  # weight of a shape in the frames that are counted
@@ -67,14 +68,13 @@ def table_of(missing: Missing, rows: list[dict[str, Any]]) -> Table:
 def write_missing(folder: Path, missing: Missing, rows: list[dict[str, Any]]) -> list[str]:
     """Write all files into a folder; returns their names."""
     rig, source, names = missing.rig, missing.rig.source, []
-    deltas, pictures, labels = {}, [], []
+    deltas: dict[str, Any] = {}
+    pictures, labels = [], []
     camera, polygons = Camera(source.rest_vertices), _polygons(source)
     for row, driver, shape in zip(rows, rig.drivers, missing.shapes):
         pose = rig.factors.pose(driver)
         sculpt = source(pose)[0] + shape
-        near = rig.factors.neighbours(driver)
-        added = shape + (source.coefficients(pose)[0, near, None, None] * source.basis[near]).sum(dim=0)
-        deltas[driver.name] = (added / source.unit_mm).cpu().numpy().astype(np.float32)
+        deltas[driver.name] = (delta_to_add(rig, driver, shape) / source.unit_mm).cpu().numpy().astype(np.float32)
         names.append(f"{driver.name}.obj")
         write_text(folder / names[-1], obj_text((sculpt / source.unit_mm).cpu().numpy(), polygons, header="", digits=".7g"))
         heat = heat_colors(shape.norm(dim=1), row["largest_mm"])
@@ -89,6 +89,13 @@ def write_missing(folder: Path, missing: Missing, rows: list[dict[str, Any]]) ->
     facts = {"sentence": sentence(missing), "mean_error_mm": before, "mean_error_mm_with_shapes": after, "shapes": rows}
     write_json(folder / TABLE, {"rig": source.name, "unit_mm": source.unit_mm, **facts})
     return [TABLE, PICTURE, DELTAS, f"{len(names)} OBJ file{'s' if len(names) > 1 else ''}"]
+
+
+def delta_to_add(rig: RigWithShapes, driver: Driver, shape: Tensor) -> Tensor:
+    """The delta `(vertex, 3)`, mm, that a folder takes for a shape: in-betweens make room for a new one beside them."""
+    near = rig.factors.neighbours(driver)
+    weights = rig.source.coefficients(rig.factors.pose(driver))[0, near, None, None]
+    return shape + (weights * rig.source.basis[near]).sum(dim=0)
 
 
 def _polygons(rig: LinearRig) -> list[list[int]]:

@@ -1,6 +1,7 @@
 """Search for missing shapes and their drivers: orthogonal matching pursuit in which each vertex votes for its driver."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -15,6 +16,23 @@ RIDGE = 1e-4  # of a driver of unit length
 SPARSE, SPARSE_MM = 0.02, 0.02  # displacements below this fraction of a shape's largest, or below so many mm, are left out
 
 
+@dataclass(frozen=True)
+class Limits:
+    """What a further driver must explain, and be.
+
+    Attributes:
+        least: of the squared residual, mm^2.
+        part: of what remains of it: a driver that explains as much is chosen below `least`, too.
+        new: of its energy, what lies outside of those found so far.
+        significant: times what a driver that has nothing to do with a residual of white noise explains of it.
+    """
+
+    least: float
+    part: float = 1.0
+    new: float = MIN_NEW
+    significant: float = 0.0
+
+
 def voters(residual: Float[Tensor, "frame vertex 3"]) -> Int[Tensor, " voter"]:
     """The vertices that vote: evenly spread ones of those with a residual, mm."""
     energy = residual.square().sum(dim=(0, 2))
@@ -27,7 +45,7 @@ def choose_drivers(
     likelihoods: Float[Tensor, "driver voter"],
     target: Float[Tensor, "frame voter 3"],
     most: int,
-    min_gain: float,
+    limits: Limits,
 ) -> list[int]:
     """The drivers, at most `most`, that together explain a residual, best first.
 
@@ -37,22 +55,24 @@ def choose_drivers(
     Args:
         likelihoods: factors on the gains: how likely a driver is to call for a shape at a vertex.
         target: the residual, mm, at the vertices that vote.
-        min_gain: fraction of the squared residual that a further shape must explain.
+        limits: what a further driver must explain.
     """
     shape, target = target.shape[1:], target.flatten(1).clone()
-    total, signals = target.square().sum(), signals.clone()
+    signals = signals.clone()
     before = signals.square().sum(dim=0)
     products = signals.T @ target
     chosen: list[int] = []
     while len(chosen) < most and len(signals.T):
         size = signals.square().sum(dim=0)
-        usable = size > MIN_NEW * before
+        usable = size > limits.new * before
         gains = products.unflatten(1, shape).square().sum(dim=2) / size.clamp_min(1e-9)[:, None]
         gains = torch.where(usable[:, None], gains, 0.0)
         weighted = gains * likelihoods
         votes = torch.where(weighted >= NEAR_BEST * weighted.amax(dim=0), weighted, 0.0).sum(dim=1)
         best = int(votes.argmax())
-        if float(gains[best].sum()) < min_gain * float(total):
+        gain, remains = float(gains[best].sum()), float(target.square().sum())
+        noise = limits.significant * remains / max(1, len(target) - len(chosen))
+        if gain <= min(limits.least, limits.part * remains) or gain < noise:
             break
         chosen.append(best)
         direction = signals[:, best] / size[best].sqrt()
@@ -64,14 +84,13 @@ def choose_drivers(
 
 
 def fit_shapes(
-    signals: Float[Tensor, "frame driver"], residual: Float[Tensor, "frame vertex 3"]
-) -> Float[Tensor, "driver vertex 3"]:
-    """The sparse shapes, mm, with which the chosen drivers explain a residual best: least squares with a small ridge."""
+    signals: Float[Tensor, "frame driver"], residual: Float[Tensor, "frame coordinate"]
+) -> Float[Tensor, "driver coordinate"]:
+    """The shapes, mm, with which the chosen drivers explain a residual best: least squares with a small ridge."""
     scale = signals.norm(dim=0).clamp_min(1e-6)
     scaled = signals / scale
-    gram = scaled.T @ scaled + RIDGE * torch.eye(len(scale))
-    shapes = torch.linalg.solve(gram, scaled.T @ residual.flatten(1)) / scale[:, None]
-    return sparse(shapes.unflatten(1, residual.shape[1:]))
+    gram = scaled.T @ scaled + RIDGE * torch.eye(len(scale)).to(scaled)
+    return torch.linalg.solve(gram, scaled.T @ residual) / scale[:, None]
 
 
 def sparse(shapes: Float[Tensor, "driver vertex 3"]) -> Float[Tensor, "driver vertex 3"]:
