@@ -11,6 +11,7 @@ import pytest
 import torch
 from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from jaxtyping import install_import_hook
 
@@ -165,6 +166,7 @@ def run(tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.Monkey
         GlobalHydra.instance().clear()
         code = 0
         with monkeypatch.context() as patched:
+            patched.setattr(HydraConfig.instance(), "cfg", None)  # --help would leave its config to the tests that follow
             if not any(argument.startswith(SETS_MODE) for argument in given):  # then Hydra would compose all for this answer
                 patched.setattr(Hydra, "get_mode", lambda *args, **kwargs: RunMode.RUN)
             try:
