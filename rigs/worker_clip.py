@@ -58,7 +58,7 @@ class WorkerClip(MeshSequence):
         self.path, self.ragged = path, ragged
         self.pool = WorkerPool(source.command, load, 1, source.timeout_s)
         try:
-            facts, arrays = self.pool.describe()
+            facts, arrays = self.pool.describe(attempts=1)  # what ends its reader does so again, and a start takes seconds
         except (WorkerRefusedError, PoseLostError) as error:
             self.pool.close()
             raise self._error(error) from None
