@@ -138,7 +138,9 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
     except InputError as misfit:
         if is_table:
             raise
-        are_scans = show_frames(settings, rig, names)  # helps to see why
+        if isinstance(misfit, MeshesError):
+            show_meshes(path, misfit, names)
+        are_scans = not isinstance(misfit, MeshesError) and show_frames(settings, rig, names)  # helps to see why
         show_rig(rig, config, Console())
         if are_scans:
             return
@@ -157,11 +159,14 @@ def show_frames(settings: InspectConfig, rig: RigBackend | None, names: int | No
         show_lines([f"scans are fitted by their surface: riginv invert rig=NAME correspondence=surface ({error})"])
         return True
     except MeshesError as error:
-        show_rows(Path(settings.clip).name, mesh_rows(error.meshes, names))
-        show_lines(
-            [], ["reading.mesh=NAME reads one of them, 'reading.mesh=[NAME,NAME]' several as one mesh"], console=Console()
-        )
+        show_meshes(settings.clip, error, names)
     return False
+
+
+def show_meshes(path: str, error: MeshesError, names: int | None) -> None:
+    """Print the meshes of a file of which it does not follow which is meant."""
+    show_rows(Path(path).name, mesh_rows(error.meshes, names))
+    show_lines([], ["reading.mesh=NAME reads one of them, 'reading.mesh=[NAME,NAME]' several as one mesh"], console=Console())
 
 
 def show_scans(path: str, reading: ReadingOptions, rig: RigBackend | None) -> None:

@@ -196,36 +196,6 @@ def test_bundles_and_stores_of_poses_are_told(run: Callable, tmp_path):
     assert stored.code == 0 and "64 of rig 'toy'" in stored.text
 
 
-def test_priors_are_told(run: Callable, rig, tmp_path):
-    assert run("learn_prior", *TOY, "out=prior").code == 0
-    outcome = run("inspect", "prior")
-    assert outcome.code == 0, outcome.text
-    found = table(outcome.text)
-    assert found["rig"] == "toy" and found["controls"] == "7" and found["learned from"].endswith("; 0 frames")
-    assert rig.control_names[0] in found["free to move"] and found["changes"].startswith("not known")
-    assert run("inspect", "prior", *TOY).code == 0
-    other = run("inspect", "prior", "rig=face")
-    assert other.code == 1 and "Traceback" not in other.text and "toy" in other.text, other.text
-    (tmp_path / "prior/prior.safetensors").write_bytes(b"x" * 20)
-    damaged = run("inspect", "prior")
-    assert damaged.code == 1 and "learn the prior again" in damaged.text, damaged.text
-
-
-def test_maps_of_markers_are_told(run: Callable, tmp_path):
-    markers = "{nose: {vertex: 3}, chin: {triangle: [0, 1, 2], offset_mm: 4, point: [1, 2, 3]}}"
-    (tmp_path / "map.yaml").write_text(f"rig: toy\nmarkers: {markers}\n")
-    outcome = run("inspect", "map.yaml")
-    assert outcome.code == 0, outcome.text
-    found = table(outcome.text)
-    assert found["rig"] == "toy" and found["markers"] == "2: nose, chin"
-    assert found["offsets"] == "1 given, 1 to be calibrated" and found["points"].startswith("1 with")
-    assert run("inspect", "map.yaml", *TOY).text.splitlines()[-1] == "its places are on rig 'toy'"
-    (tmp_path / "map.yaml").write_text(f"rig: toy\nmarkers: {markers.replace('3}', '9999}')}\n")
-    assert "expected numbers of vertices from 0 to 161" in run("inspect", "map.yaml", *TOY).text
-    (tmp_path / "map.yaml").write_text("rig: toy\n")
-    assert "map.yaml: no markers in it" in run("inspect", "map.yaml").text
-
-
 def test_the_meshes_of_a_stage_are_listed_where_it_is_not_clear_which_is_meant(run: Callable, rig, meshes, tmp_path):
     pytest.importorskip("pxr", reason="usd-core is not installed")
     from pxr import Sdf, Usd
@@ -243,6 +213,20 @@ def test_the_meshes_of_a_stage_are_listed_where_it_is_not_clear_which_is_meant(r
     assert run("inspect", "take.usda", "reading.mesh=Twin").code == 0
     unclear = run("inspect", "take.usda", *TOY)  # both fit the rig
     assert unclear.code == 1 and "choose with reading.mesh=NAME" in unclear.text and table(unclear.text)["meshes"], unclear.text
+    assert unclear.text.count("2, of which 2 move") == 1
+
+
+def test_invert_opens_a_stage_once(run: Callable, rig, meshes, tmp_path, monkeypatch):
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    from rigs.usd.clip import UsdClip
+
+    opened, begin = [], UsdClip.__init__
+    monkeypatch.setattr(
+        UsdClip, "__init__", lambda self, *given, **more: (opened.append(given), begin(self, *given, **more))[1]
+    )
+    write_usd(tmp_path / "take.usda", meshes[:3], rig.faces.numpy())
+    done = run("invert", "clip=take.usda", "out=found", "look.page=false", "look.sheet=false", *TOY)
+    assert done.code == 0 and len(opened) == 1, done.text
 
 
 @pytest.mark.parametrize(

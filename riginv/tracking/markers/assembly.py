@@ -56,7 +56,6 @@ class MarkerParts:
     notes: list[str]
 
     def describe(self) -> ClipDescription:
-        """The description of the clip."""
         clip, numbers = self.clip, self.clip.frame_numbers
         flat = self.points[torch.isfinite(self.points).all(dim=2).sum(dim=1).argmax()].numpy()
         size = np.nan_to_num(np.nanmax(flat, axis=0) - np.nanmin(flat, axis=0))
