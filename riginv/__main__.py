@@ -11,7 +11,7 @@ COMMANDS = {
     "evaluate": "evaluate a trained model on the true rig, or one rig against another",
     "invert": "a clip of meshes in, animation curves out, with the error of every frame",
     "compare": "every method of rig inversion on the same meshes, in one table",
-    "inspect": "what a clip, a trained model or a store of poses holds",
+    "inspect": "what a clip, a trained model, a prior or a store of poses holds",
     "check": "check that a rig fulfils the contract that training relies on",
     "contact_sheet": "a picture of a rig: neutral, named poses, random poses",
     "sample": "sample poses of a rig into a store on disk",
@@ -64,6 +64,8 @@ def run(name: str, *arguments: str) -> str | None:
     module = f"riginv.{command}"
     specification = importlib.util.find_spec(module)
     is_package = specification is not None and specification.submodule_search_locations is not None
+    if not {"", os.getcwd()} & {*sys.path}:
+        sys.path.append(os.getcwd())  # rigs and methods of this folder, as for python -m; last, so that none hides a module
     sys.argv[:] = [sys.argv[0], *arguments]
     runpy.run_module(f"{module}.__main__" if is_package else module, run_name="__main__", alter_sys=True)
     return None

@@ -28,8 +28,6 @@ from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.runs.run_folder import find_run_folder, plain_config
 from riginv.tracking.rigs import build_clip, build_rig, build_true_rig
 
-FRAMES_TO_A_POSE = 4.5  # of a simulated performance: all of its 900 frames for the default 200 poses
-
 
 @dataclass(frozen=True)
 class CompareConfig:
@@ -64,8 +62,7 @@ def compare(config: DictConfig) -> None:
         )
     specs = settings.methods or {}
     methods, left_out = suited_methods(specs, RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
-    longest = round(FRAMES_TO_A_POSE * settings.poses)
-    clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig, longest)
+    clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig, settings.poses)
     show_clip(clip)
     sets = [*random_sets(true_rig, settings.poses), *([clip] if clip else [])]
     folder.begin()

@@ -61,7 +61,7 @@ def evaluate_bundle(settings: EvaluateConfig, bundle: str) -> tuple[str, RigBack
     trained_on = model.rig if isinstance(model, Inverse) else model
     true_rig, clip = build_true_rig(settings.true_rig, rig or trained_on), None
     if isinstance(model, Inverse):
-        clip = build_clip(settings.capture, settings.reading, settings.frames, trained_on, true_rig)
+        clip = build_clip(settings.capture, settings.reading, settings.frames, trained_on, true_rig, settings.poses)
     show_clip(clip)
     if settings.capture and not isinstance(model, Inverse):
         show_lines([], ["capture= was left out: a surrogate is evaluated on random poses, a clip evaluates an inverse"])

@@ -1,4 +1,4 @@
-"""python -m riginv.inspect PATH: what a clip, markers, a bundle or a store of poses holds, and whether a clip fits a rig."""
+"""python -m riginv.inspect PATH: what a clip, markers, a bundle, a prior or a store of poses holds, and whether a clip fits."""
 
 from riginv.launch.command import answer_help, command
 
@@ -8,43 +8,53 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from omegaconf import DictConfig
 from rich.console import Console
 from rich.text import Text
 
 from riginv.animation.table import CURVES
-from riginv.clips.bones import BoneMotion
 from riginv.clips.bvh import read_bvh
 from riginv.clips.clip import Clip
-from riginv.clips.control_curves import Curves, are_curves, csv_curves, holds_curves, npz_curves
+from riginv.clips.control_curves import are_curves, csv_curves, holds_curves, npz_curves
 from riginv.clips.csv_table import read_csv
-from riginv.clips.description import describe, span_of
-from riginv.clips.description_text import NAMES, cell_of, frames_text, rows
-from riginv.clips.live_link import TIMECODE, Recording, is_recording, recording_of
+from riginv.clips.description import describe
+from riginv.clips.description_text import NAMES, rows
+from riginv.clips.live_link import TIMECODE, is_recording, recording_of
 from riginv.clips.marker_exports import read_export
 from riginv.clips.markers import SUFFIXES, MarkerClip, holds_markers, open_markers, read_marker_csv
 from riginv.clips.open import TABLE, open_clip, open_clip_without_rig
 from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.sequence import ScansError
+from riginv.clips.sequence import MeshesError, ScansError
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
-from riginv.errors import InputError, counted, printable
-from riginv.inference.bundle import DESCRIPTION, read_bundle
+from riginv.errors import InputError, printable
+from riginv.inference.bundle import DESCRIPTION
 from riginv.inference.inverse import load_inverse
-from riginv.rig.interface import RigBackend
-from riginv.rig.size import extent, show_rig
+from riginv.rig.interface import LinearRig, RigBackend
+from riginv.rig.size import show_rig
 from riginv.runs.console import show_lines
 from riginv.runs.files import is_file
 from riginv.runs.run_folder import BUNDLE
 from riginv.sampling.store.location import StoreLocation
 from riginv.sampling.store.store import PoseStore
 from riginv.sampling.store.summary import show as show_store
+from riginv.tracking.contents import (
+    Row,
+    bundle_rows,
+    curve_rows,
+    map_rows,
+    marker_rows,
+    mesh_rows,
+    prior_rows,
+    recording_rows,
+    skeleton_rows,
+)
+from riginv.tracking.markers.map_file import read_map
+from riginv.tracking.priors.files import FACTS
 from riginv.tracking.surfaces.inspection import scan_rows
 from riginv.tracking.surfaces.scan_files import holds_scans, open_scans
 
-STORE, SKELETON = "zarr.json", ".bvh"
-Row = tuple[str, str]
+STORE, SKELETON, MAPS = "zarr.json", ".bvh", (".yaml", ".yml")
 
 
 @dataclass(frozen=True)
@@ -73,6 +83,14 @@ def inspect(config: DictConfig) -> None:
         show_store(store, {})
     elif any(is_file(folder / DESCRIPTION) for folder in (path, path / BUNDLE)):
         show_rows(path.name, bundle_rows(path, names))
+    elif is_file(path / FACTS):
+        rig = build_named_rig(settings)
+        show_rows(path.name, prior_rows(path, rig if isinstance(rig, LinearRig) else None, names))
+    elif path.suffix.lower() in MAPS and is_file(path):
+        show_rows(path.name, map_rows(path, names))
+        if (rig := build_named_rig(settings)) is not None:
+            read_map(path, rig)
+            show_lines([f"its places are on rig '{rig.name}'"], console=Console())
     elif (markers := markers_of(path)) is not None:
         show_rows(path.name, marker_rows(markers, names))
         show_lines([], markers.facts.notes, console=Console())
@@ -88,23 +106,6 @@ def markers_of(path: Path) -> MarkerClip | None:
             return None
         return read_export(path) or (read_marker_csv(path) if holds_markers(path) else None)
     return open_markers(str(path)) if suffix in SUFFIXES else None
-
-
-def marker_rows(clip: MarkerClip, names: int | None) -> list[Row]:
-    """The contents of a take of markers, as table rows."""
-    known = np.isfinite(clip.points).all(axis=2)
-    gaps = [f"{name} ({1 - seen:.0%})" for name, seen in zip(clip.names, known.mean(axis=0)) if seen < 1]
-    size = np.ptp(clip.points[known], axis=0) if known.any() else np.zeros(3)
-    return [
-        ("format", clip.facts.format),
-        ("markers", f"{len(clip.names):,}: {cell_of(list(clip.names), names)}"),
-        ("frames", frames_text(span_of(clip.frame_numbers))),
-        ("rate", f"{clip.fps:g} frames a second ({clip.facts.rate_source})" if clip.fps else "not known"),
-        ("size", extent((size * (clip.unit_mm or 1.0)).tolist(), "" if clip.unit_mm else "units") + ", over all frames"),
-        ("unit", f"{clip.unit_mm:g} mm" if clip.unit_mm else "not known"),
-        ("up", clip.up or "not known"),
-        ("gaps", f"{counted(len(gaps), 'marker')}: {cell_of(gaps, names)}" if gaps else "none"),
-    ]
 
 
 def show_clip_file(settings: InspectConfig, names: int | None) -> None:
@@ -137,7 +138,9 @@ def show_clip_file(settings: InspectConfig, names: int | None) -> None:
     except InputError as misfit:
         if is_table:
             raise
-        are_scans = show_frames(settings, rig, names)  # helps to see why
+        if isinstance(misfit, MeshesError):
+            show_meshes(path, misfit, names)
+        are_scans = not isinstance(misfit, MeshesError) and show_frames(settings, rig, names)  # helps to see why
         show_rig(rig, config, Console())
         if are_scans:
             return
@@ -155,7 +158,15 @@ def show_frames(settings: InspectConfig, rig: RigBackend | None, names: int | No
         show_scans(settings.clip, settings.reading, rig)
         show_lines([f"scans are fitted by their surface: riginv invert rig=NAME correspondence=surface ({error})"])
         return True
+    except MeshesError as error:
+        show_meshes(settings.clip, error, names)
     return False
+
+
+def show_meshes(path: str, error: MeshesError, names: int | None) -> None:
+    """Print the meshes of a file of which it does not follow which is meant."""
+    show_rows(Path(path).name, mesh_rows(error.meshes, names))
+    show_lines([], ["reading.mesh=NAME reads one of them, 'reading.mesh=[NAME,NAME]' several as one mesh"], console=Console())
 
 
 def show_scans(path: str, reading: ReadingOptions, rig: RigBackend | None) -> None:
@@ -182,19 +193,6 @@ def show_sequence(clip: Clip, notes: Sequence[str], names: int | None) -> None:
     show_lines([], notes, found.warnings, Console())
 
 
-def skeleton_rows(motion: BoneMotion, names: int | None) -> list[Row]:
-    """The contents of a file with the motion of a skeleton alone, as table rows."""
-    moved = motion.positions[:, 0].numpy()
-    return [
-        ("format", "BVH: the motion of a skeleton, without meshes; rigs with joints of these names play it (rig=NAME)"),
-        ("joints", f"{len(motion.names):,}: {cell_of(list(motion.names), names)}"),
-        ("frames", frames_text(span_of(np.arange(len(moved))))),
-        ("rate", f"{motion.fps:g} frames a second (its frame time)"),
-        ("size", extent(np.ptp(motion.heads.numpy(), axis=0).tolist(), "units") + ", of the joints at rest"),
-        ("root", f"moves over {extent(np.ptp(moved, axis=0).tolist(), 'units')}"),
-    ]
-
-
 def show_curves(path: Path, names: int | None) -> None:
     """Print what a file of curves holds: a Live Link Face recording, or the controls of a rig.
 
@@ -208,68 +206,6 @@ def show_curves(path: Path, names: int | None) -> None:
     curves = npz_curves(path) if table is None else csv_curves(table)
     show_rows(path.name, curve_rows(curves, names))
     show_lines([], curves.notes, console=Console())
-
-
-def curve_rows(curves: Curves, names: int | None) -> list[Row]:
-    """The contents of a file of curves of a rig's controls, as table rows.
-
-    Raises:
-        InputError: a value is no finite number.
-    """
-    controls = curves.names or [f"control {number}" for number in range(1, curves.values.shape[1] + 1)]
-    for column, name in enumerate(controls):
-        curves.check_column(column, name)
-    motion = None if curves.motion is None else np.ptp(curves.motion, axis=0).reshape(2, 3).max(axis=1)
-    return [
-        ("format", f"{curves.format}: controls of a rig, without meshes"),
-        ("rig", curves.rig or "not stated"),
-        ("frames", frames_text(span_of(curves.frame_numbers))),
-        ("rate", f"{curves.fps:g} frames a second ({curves.rate_source})" if curves.fps else "not known"),
-        ("controls", f"{len(controls):,}" + ("" if curves.names else ", without names")),
-        *range_rows("controls", controls, curves.values, names),
-        ("rigid motion", "none" if motion is None else f"over {motion[0]:.3g} mm and {motion[1]:.3g} degrees, at most"),
-    ]
-
-
-def range_rows(what: str, columns: Sequence[str], values: np.ndarray, names: int | None) -> list[Row]:
-    """The columns of values `(frame, column)` that move, with their ranges, and those that do not."""
-    least, most = values.min(axis=0), values.max(axis=0)
-    order = np.argsort(least - most, kind="stable").tolist()
-    moving = [f"{columns[row]} ({least[row]:.2g} to {most[row]:.2g})" for row in order if most[row] > least[row]]
-    still = [columns[row] for row in order if most[row] == least[row]]
-    return [
-        (f"{what} that move", f"{len(moving):,}: {cell_of(moving, names)}" if moving else "none: it never moves"),
-        (f"{what} that do not", f"{len(still):,}: {cell_of(still, names)}" if still else "none"),
-    ]
-
-
-def recording_rows(recording: Recording, names: int | None) -> list[Row]:
-    """The contents of a Live Link Face recording, as table rows."""
-    count = len(recording.weights)
-    return [
-        ("format", "Live Link Face CSV"),
-        ("rows", f"{count:,}"),
-        ("columns", f"{len(recording.names):,} shapes"),
-        ("rate", f"{recording.fps:g} frames a second"),
-        ("length", f"{(count - 1) / recording.fps:.4g} s"),
-        *range_rows("shapes", recording.names, recording.weights.numpy(), names),
-    ]
-
-
-def bundle_rows(path: Path, names: int | None) -> list[Row]:
-    """The contents of a bundle, or of the run that holds it, as table rows."""
-    bundle = read_bundle(path)
-    rig, training = bundle.description["rig"], bundle.description["training"]
-    controls = [control.name for control in bundle.controls]
-    kind = {"inverse": "inverse: meshes to controls", "forward": "surrogate: controls to meshes"}[bundle.description["kind"]]
-    return [
-        ("bundle", kind),
-        ("rig", f"{rig['name']}, {len(bundle.space['rest_vertices']):,} vertices ({rig['config'].get('_target_', '')})"),
-        ("controls", f"{len(controls):,}: {cell_of(controls, names)}"),
-        ("network", str(bundle.description["network"].get("_target_", ""))),
-        ("mesh space", f"{len(bundle.space['frame']):,} coordinates"),
-        ("training", ", ".join(f"{key} {value}" for key, value in training.items())),
-    ]
 
 
 def show_rows(title: str, found: Sequence[Row]) -> None:

@@ -21,10 +21,11 @@ from riginv.clips.description import describe
 from riginv.clips.description_text import line, show_clip
 from riginv.clips.open import open_clip, open_sequence
 from riginv.clips.options import FrameOptions, ReadingOptions
+from riginv.clips.sequence import MeshSequence
 from riginv.clips.topology import TopologyError, check_topology
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
-from riginv.config.values import Bound, NonNegativeInt
+from riginv.config.values import Bound
 from riginv.errors import InputError
 from riginv.inference.bundle import bundle_folder
 from riginv.inference.inverse import Inverse, load_inverse
@@ -72,7 +73,6 @@ class InvertConfig(TrackingOptions):
     formats: Formats
     after: AfterOptions
     look: LookOptions
-    seed: NonNegativeInt
     mesh_space: MeshSpaceConfig
 
     def __post_init__(self) -> None:
@@ -96,11 +96,11 @@ def invert(config: DictConfig) -> None:
     if settings.correspondence == "markers":
         invert_markers(settings, rig, true_rig, out)
         return
-    is_surface, notes = by_surface(settings.clip, settings, true_rig, settings.reading, inverse is not None)
+    is_surface, notes, sequence = by_surface(settings.clip, settings, true_rig, settings.reading, inverse is not None)
     if is_surface:
         invert_surface(settings, rig, true_rig, notes, out)
         return
-    clip, read_notes = open_clip(settings.clip, true_rig, settings.reading, settings.frames)
+    clip, read_notes = open_clip(settings.clip, true_rig, settings.reading, settings.frames, sequence)
     invert_vertices(settings, clip, rig, true_rig, inverse, [*notes, *read_notes], out)
 
 
@@ -120,28 +120,29 @@ def build_rigs(settings: InvertConfig) -> tuple[Inverse | None, LinearRig, RigBa
 
 def by_surface(
     path: str, options: TrackingOptions, rig: RigBackend, reading: ReadingOptions, has_network: bool
-) -> tuple[bool, list[str]]:
-    """Whether a clip is inverted by its surface, and notes for the user.
+) -> tuple[bool, list[str], MeshSequence | None]:
+    """Whether a clip is inverted by its surface, notes for the user, and the clip where it was opened to know.
 
     Raises:
         InputError: the file cannot be read, or has the rig's vertices in another order.
     """
     if options.landmarks.is_given:
-        return True, []
+        return True, [], None
     if has_network and holds_scans(path):
         raise InputError(f"{path}: scans are fitted by their surface, without a network: give rig=NAME in place of bundle=DIR")
     if options.correspondence != "auto" or has_network or reading.vertices is not None or Path(path).suffix == ".csv":
-        return options.correspondence == "surface", []
+        return options.correspondence == "surface", [], None
     if holds_scans(path):
-        return True, ["scans: fitted by their surface (correspondence=surface)"]
+        return True, ["scans: fitted by their surface (correspondence=surface)"], None
+    sequence = open_sequence(path, rig, reading)
     try:
-        check_topology(open_sequence(path, rig, reading), rig, reading.check_faces)
+        check_topology(sequence, rig, reading.check_faces)
     except TopologyError as error:
         if error.same_count:  # the vertices are in another order, which the user must correct
             raise InputError(f"{error}, and correspondence=surface fits its surface") from None
         reason = str(error).removeprefix(f"{path}: ").partition(": ")[0]
-        return True, [f"{reason}: fitted by its surface (correspondence=vertices refuses such clips)"]
-    return False, ["the clip is read as the rig's own mesh, vertex by vertex (correspondence=surface: as a scan)"]
+        return True, [f"{reason}: fitted by its surface (correspondence=vertices refuses such clips)"], None
+    return False, ["the clip is read as the rig's own mesh, vertex by vertex (correspondence=surface: as a scan)"], sequence
 
 
 def invert_vertices(

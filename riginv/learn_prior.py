@@ -44,7 +44,6 @@ class LearnPriorConfig:
     last: NonNegativeInt | None
     fraction: TakeFraction
     mesh_space: MeshSpaceConfig
-    seed: NonNegativeInt
 
 
 @single_threaded()  # operations are small

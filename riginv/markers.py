@@ -49,7 +49,6 @@ class MarkersConfig:
     count: PositiveInt | None
     reading: ReadingOptions
     mesh_space: MeshSpaceConfig
-    seed: NonNegativeInt
 
     def __post_init__(self) -> None:
         if (self.clip is None) == (self.count is None):

@@ -17,7 +17,7 @@ from riginv.clips.open import open_clip
 from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.config.building import ClassSpec
 from riginv.config.typed import MeshSpaceConfig, to_typed
-from riginv.config.values import NonNegativeInt, PositiveInt
+from riginv.config.values import PositiveInt
 from riginv.errors import InputError
 from riginv.geometry.neighbours import evenly
 from riginv.inference.inverse import Inverse, load_inverse
@@ -51,7 +51,6 @@ class MissingConfig(TrackingOptions):
     shapes: PositiveInt
     factors: PositiveInt
     max_frames: PositiveInt
-    seed: NonNegativeInt
     mesh_space: MeshSpaceConfig
 
     def __post_init__(self) -> None:

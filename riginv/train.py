@@ -58,7 +58,9 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
         last: whether no further model is trained by these processes; then their process group is destroyed.
     """
     is_inverse = settings.model.module.target_class.kind == "inverse"
-    clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig) if is_inverse else None
+    poses, clip = settings.evaluation.test_poses, None
+    if is_inverse:
+        clip = build_clip(settings.capture, settings.reading, settings.frames, rig, true_rig, poses)
     if folder.is_writer:
         show_clip(clip)
         show_rig(rig, settings.rig.config)
@@ -68,7 +70,7 @@ def fit(settings: TrainConfig, folder: RunFolder, rig: LinearRig, true_rig: RigB
     if not folder.is_writer:
         return
     model = load_model(folder.path / BUNDLE, rig)
-    results = evaluate_model(model, true_rig, settings.evaluation.test_poses, clip)
+    results = evaluate_model(model, true_rig, poses, clip)
     facts = {"train/steps": training["steps"], "train/seconds": training["seconds"], "seed": settings.seed}
     log_results(trainer, write_results(folder.path, results, true_rig, facts, settings.pictures.final))
 

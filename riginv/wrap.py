@@ -15,7 +15,6 @@ from rich.console import Console
 from riginv.clips.options import ReadingOptions
 from riginv.config.building import ClassSpec
 from riginv.config.typed import to_typed
-from riginv.config.values import NonNegativeInt
 from riginv.meshes.obj import obj_text
 from riginv.meshes.rendering import Camera, grid, heat_colors
 from riginv.rig.interface import RigBackend
@@ -41,7 +40,6 @@ class WrapConfig:
     unit: str | float
     up: str
     reading: ReadingOptions
-    seed: NonNegativeInt
 
 
 @single_threaded()  # operations are small

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from riginv.clips.options import ReadingOptions
-from riginv.clips.sequence import MeshSequence, Polygons, ScansError, SourceFacts
+from riginv.clips.sequence import MeshesError, MeshSequence, Polygons, ScansError, SourceFacts
 from riginv.errors import InputError
 from riginv.meshes.mesh_file import MeshFile
 from riginv.rig.interface import RigBackend
@@ -58,7 +58,7 @@ class WorkerClip(MeshSequence):
         self.path, self.ragged = path, ragged
         self.pool = WorkerPool(source.command, load, 1, source.timeout_s)
         try:
-            facts, arrays = self.pool.describe()
+            facts, arrays = self.pool.describe(attempts=1)  # what ends its reader does so again, and a start takes seconds
         except (WorkerRefusedError, PoseLostError) as error:
             self.pool.close()
             raise self._error(error) from None
@@ -135,6 +135,8 @@ class WorkerClip(MeshSequence):
         """
 
     def _error(self, error: WorkerRefusedError | PoseLostError) -> InputError:
+        if isinstance(error, WorkerRefusedError) and error.meshes:
+            return MeshesError(self._failure(error), error.meshes)
         are_scans = isinstance(error, WorkerRefusedError) and error.are_scans
         return (ScansError if are_scans else InputError)(self._failure(error))
 

@@ -30,13 +30,18 @@ MARKERS = tuple(suffix for suffix in MARKER_SUFFIXES if suffix != TABLE)
 RIGS = {".blend": "blender", ".dna": "dna"}  # suffixes of rigs that users give as clips, and the config that reads them
 
 
-def open_clip(path: str, rig: RigBackend, reading: ReadingOptions, frames: FrameOptions) -> tuple[Clip, list[str]]:
+def open_clip(
+    path: str, rig: RigBackend, reading: ReadingOptions, frames: FrameOptions, sequence: MeshSequence | None = None
+) -> tuple[Clip, list[str]]:
     """A clip of a rig, and notes on what was guessed.
+
+    Args:
+        sequence: what `open_sequence` gave for these, where the file is open by now.
 
     Raises:
         InputError: it cannot be read, or is no clip of the rig.
     """
-    sequence = open_sequence(path, rig, reading)
+    sequence = open_sequence(path, rig, reading) if sequence is None else sequence
     if reading.vertices is not None:
         sequence = MappedVertices(sequence, Path(str(reading.vertices)))
     note = check_topology(sequence, rig, reading.check_faces)

@@ -1,7 +1,7 @@
 """The interface of clip readers: a sequence of meshes as the file has them, read window by window."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,6 +41,18 @@ class SourceFacts:
 
 class ScansError(InputError):
     """A file cannot be read as a clip of one mesh, and can as a clip of scans (`correspondence=surface`)."""
+
+
+class MeshesError(InputError):
+    """A file holds several meshes, and it is not clear which is meant.
+
+    Attributes:
+        meshes: name, vertices and frames of each; one frame: it never moves.
+    """
+
+    def __init__(self, message: str, meshes: Sequence[tuple[str, int, int]]) -> None:
+        super().__init__(message)
+        self.meshes = meshes
 
 
 Reader = Callable[[str, ReadingOptions], "MeshSequence"]  # opens a path

@@ -81,7 +81,9 @@ def resolve_units(clip: MeshSequence, rig: RigBackend, reading: ReadingOptions) 
     Raises:
         InputError: the clip would be absurdly small or large beside the rig.
     """
-    return units_from_size(clip, _size_of_clip(clip), _size(rig.rest_vertices.cpu().numpy()), rig.name, reading, SizeLimits())
+    return units_from_size(
+        clip, _size_of_clip(clip), rms_size(rig.rest_vertices.cpu().numpy()), rig.name, reading, SizeLimits()
+    )
 
 
 def units_from_size(
@@ -183,11 +185,11 @@ def _size_of_clip(clip: MeshSequence) -> float:
         points = clip.read(start, start + 1)[0]
         known = np.isfinite(points).all(axis=1)
         if known.mean() > 0.5:
-            return _size(points[known])
+            return rms_size(points[known])
     raise InputError(f"{clip.path}: no frame has more than half of its vertices: there is nothing to invert")
 
 
-def _size(points: np.ndarray) -> float:
-    """Twice the root mean square distance of points from their mean: a size that rotations do not change."""
+def rms_size(points: np.ndarray) -> float:
+    """Twice the root mean square distance of points `(point, 3)` from their mean: a size that rotations do not change."""
     points = points.astype(np.float64)
     return 2 * float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))

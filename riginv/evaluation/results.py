@@ -11,7 +11,7 @@ from torch import Tensor
 
 from riginv.config.building import ClassSpec
 from riginv.errors import InputError
-from riginv.evaluation.control_accuracy import ControlAccuracy, control_accuracy
+from riginv.evaluation.control_accuracy import control_accuracy
 from riginv.geometry.distances import mean_distance
 from riginv.meshes.metrics import roughness
 from riginv.meshes.rendering import Pair
@@ -28,12 +28,11 @@ class EvaluationResult:
 
     Attributes:
         metrics: by `SET/key`: the errors of `VertexError`, `neutral_mean_vertex_error_mm` (the error of neutral controls),
-            for a clip `roughness`, and those of `accuracy`; `evaluate_model` adds the optimum.
+            for a clip `roughness`, and the accuracy of the controls; `evaluate_model` adds the optimum.
         errors_mm: the mean vertex error of each mesh, `(mesh,)`.
         meshes: the set.
         rig: the rig that made the meshes: the true rig, or the surrogate being evaluated.
         controls: the predicted controls, `(mesh, control)`.
-        accuracy: of these controls; None: the true ones are not known, or were given.
     """
 
     metrics: dict[str, Any]
@@ -41,7 +40,6 @@ class EvaluationResult:
     meshes: MeshSet
     rig: RigBackend
     controls: Tensor
-    accuracy: ControlAccuracy | None = None
 
     def worst_and_median(self) -> list[Pair]:
         """The worst and the median mesh of the set, to look at."""
@@ -56,7 +54,7 @@ class EvaluationResult:
             return self
         accuracy = control_accuracy(effects, self.controls, true, self.meshes.fps is not None)
         figures = {f"{self.meshes.name}/{key}": value for key, value in accuracy.as_json().items()}
-        return replace(self, metrics={**self.metrics, **figures}, accuracy=accuracy)
+        return replace(self, metrics={**self.metrics, **figures})
 
     @torch.no_grad()
     def _pair(self, row: int, label: str) -> Pair:

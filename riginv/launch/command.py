@@ -12,7 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import hydra
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.object_type import ObjectType
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -239,7 +241,8 @@ def explained_keys(command: str) -> str:
     body = next(number for number, line in enumerate(lines[head + 1 :], head + 1) if not line.startswith(" "))
     shared = [line for line in _lines("run/sweep.yaml") if line.startswith("verbose:")]  # keys of every command
     reading = [row for group in READING if f"  - {group}:" in "\n".join(lines[head:body]) for row in _group_keys(group)]
-    return "\n".join(f"  {line}".rstrip() for line in [*lines[body:], *shared, *reading]).strip("\n")
+    own = re.sub(r"^reading:\n(?:  .*\n)*", "", "\n".join(lines[body:]) + "\n", flags=re.MULTILINE)  # what follows own keys
+    return "\n".join(f"  {line}".rstrip() for line in [*own.splitlines(), *shared, *reading]).strip("\n")
 
 
 def plain_help(command: str) -> str:
@@ -256,8 +259,9 @@ def _group_keys(group: str) -> list[str]:
 
 
 def group_choices(group: str) -> str:
-    """The choices of a group, by name."""
-    return ", ".join(sorted(path.stem for path in (CONFIGS / group).glob("*.yaml")))
+    """The choices of a group, by name; those of --config-dir, too."""
+    loader = GlobalHydra.instance().config_loader()
+    return ", ".join(sorted(loader.get_group_options(group, ObjectType.CONFIG)))
 
 
 def _lines(name: str) -> list[str]:

@@ -42,7 +42,6 @@ class Job:
     can_resume: bool
 
     def record(self) -> JobRecord:
-        """The job's record."""
         return read_record(self.sweep, self.number, self.name, self.swept)
 
 

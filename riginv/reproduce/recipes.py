@@ -55,7 +55,6 @@ def method_specs(names: Sequence[str], **arguments: Mapping[str, Any]) -> dict[s
 
 
 def network_settings(budget: Budget, name: str) -> list[str]:
-    """The settings of a network of a budget."""
     network: NetworkBudget = getattr(budget.networks, name)
     steps = [] if network.steps is None else [f"trainer.max_steps={network.steps}"]
     stored = [f"data.stored_poses={budget.training_samples}"] if name == "surrogate" else []

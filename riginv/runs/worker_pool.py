@@ -74,7 +74,6 @@ class Job:
             yield self.next_outcome()
 
     def next_outcome(self) -> tuple[Request, Outcome]:
-        """Wait for the next outcome."""
         while True:
             request, outcome = self._crew.next_outcome(self)
             self.pending -= 1

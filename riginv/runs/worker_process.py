@@ -34,11 +34,12 @@ class WorkerRefusedError(Exception):
 
     Attributes:
         are_scans: whether the file can be read as a clip of scans.
+        meshes: name, vertices and frames of each mesh of the file, where it is not clear which is meant.
     """
 
-    def __init__(self, message: str, are_scans: bool = False) -> None:
+    def __init__(self, message: str, are_scans: bool = False, meshes: Sequence[tuple[str, int, int]] = ()) -> None:
         super().__init__(message)
-        self.are_scans = are_scans
+        self.are_scans, self.meshes = are_scans, tuple((str(name), int(size), int(frames)) for name, size, frames in meshes)
 
 
 def write_message(stream: IO[bytes], header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
@@ -146,7 +147,7 @@ class WorkerProcess:
         finally:
             watchdog.cancel()
         if "error" in answer:
-            raise WorkerRefusedError(answer["error"], answer.get("are_scans") is True)
+            raise WorkerRefusedError(answer["error"], answer.get("are_scans") is True, answer.get("meshes") or ())
         if "fault" in answer:
             raise RuntimeError(f"a worker failed at {dict(header)}:\n{answer['fault']}")
         return answer, found

@@ -239,10 +239,12 @@ class TrackingOptions:
         """`noise_mm`, or its default."""
         return self.noise_mm or (0.3 if self.correspondence == "markers" else 0.1)
 
-    def refuse_fewer_controls(self, setting: str) -> None:
-        """Raise InputError for `solver.fewer_controls` with what it is not made for."""
+    def refuse_options_of_meshes(self, setting: str) -> None:
+        """Raise InputError for `solver.fewer_controls` or a `method` that is for meshes of the rig's own topology alone."""
         if self.solver.fewer_controls:
             raise InputError(f"solver.fewer_controls is for meshes of the rig's own topology, not {setting}: leave it out")
+        if self.method not in (None, "clip", "levenberg_marquardt"):
+            raise InputError(f"method={self.method} is not for {setting}: leave it out, or method=levenberg_marquardt")
 
     def resolved_method(self, has_network: bool) -> Method:
         """The method, or the default one for what is given.

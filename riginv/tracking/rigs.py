@@ -10,6 +10,8 @@ from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet, StoredMeshes
 
+FRAMES_TO_A_POSE = 4.5  # of a simulated performance: all of its 900 frames from 200 poses on
+
 
 def build_rig(spec: ClassSpec[RigBackend], mesh_space: MeshSpaceConfig, store: str | None = None) -> LinearRig:
     """The rig to train on or to solve through; one that does not end in a linear map gets a basis fitted to random poses.
@@ -49,12 +51,12 @@ def build_clip(
     frames: FrameOptions,
     rig: LinearRig,
     true_rig: RigBackend,
-    most: int | None = None,
+    poses: int | None = None,
 ) -> MeshSet | None:
     """The clip to evaluate on: the one given, or else the rig's own motion, or a simulated performance; None where it has none.
 
     Args:
-        most: frames of a simulated performance; None: as many as it has.
+        poses: in each random test set; a simulated performance has 4.5 frames to each. None: all of its frames.
 
     Raises:
         InputError: the clip cannot be read or is none of the rig, or the rig's motion holds what is no number.
@@ -65,7 +67,7 @@ def build_clip(
         return open_capture(capture, true_rig if true_rig.held_out is None else rig, rig, reading, frames)
     motion = true_rig.motion()
     if motion is None:
-        return simulated_performance(true_rig, most=most)
+        return simulated_performance(true_rig, most=None if poses is None else round(FRAMES_TO_A_POSE * poses))
     broken = (~motion.vertices.isfinite().all(dim=2).all(dim=1)).nonzero()[:, 0]
     if len(broken):
         raise InputError(

@@ -110,7 +110,6 @@ class Blueprint:
         return json.dumps(facts)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays by name."""
         arrays = {"rest_vertices": self.rest_vertices, "faces": self.faces, "deltas": self.deltas}
         if self.skeleton:
             arrays |= {name: getattr(self.skeleton, name) for name in Skeleton.ARRAYS}

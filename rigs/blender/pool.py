@@ -53,14 +53,17 @@ class PoseRequest(Request):
 class WorkerPool(ProcessPool):
     """Workers that all have loaded the same rig."""
 
-    def describe(self) -> Message:
+    def describe(self, attempts: int = ATTEMPTS) -> Message:
         """A worker's description of what it has loaded.
+
+        Args:
+            attempts: workers that loading may lose.
 
         Raises:
             WorkerRefusedError: it cannot be loaded.
             PoseLostError: loading lost several workers.
         """
-        (answer,) = self._run([PoseRequest({"command": "describe"})]).values()
+        (answer,) = self._run([PoseRequest({"command": "describe"})], attempts).values()
         return answer
 
     def evaluate(self, names: Sequence[str], controls: np.ndarray) -> np.ndarray:
@@ -89,17 +92,18 @@ class WorkerPool(ProcessPool):
         request = PoseRequest({"command": "evaluate", "names": list(names)}, {"controls": controls[None]}, rows=range(1))
         return self._run([request])[0][1]
 
-    def _run(self, requests: Sequence[PoseRequest]) -> dict[int, Message]:
+    def _run(self, requests: Sequence[PoseRequest], attempts: int = ATTEMPTS) -> dict[int, Message]:
         """The answers to requests, by the first row of each."""
         answers = {}
-        with self.job() as job:
+        with self.job(attempts) as job:
             job.submit(*requests)
             for request, outcome in job:
                 assert isinstance(request, PoseRequest)
                 if isinstance(outcome, WorkerLostError):
                     row = request.rows.start if request.rows else None
                     what = "opening the file" if row is None else f"pose {row}"
-                    raise PoseLostError(f"{what} cost {ATTEMPTS} workers in a row; of the last one: {outcome}", row)
+                    cost = f"cost {attempts} workers in a row; of the last one" if attempts > 1 else "ended the worker"
+                    raise PoseLostError(f"{what} {cost}: {outcome}", row)
                 if isinstance(outcome, BaseException):
                     raise outcome
                 answers[request.rows.start] = outcome

@@ -55,7 +55,6 @@ def central_controls() -> dict[str, Entry]:
 
 
 def leg_controls() -> dict[str, Entry]:
-    """One leg."""
     return {
         "hip_bend": (-30, 120, [("upperleg01", FIRST, -1.0)]),
         "hip_side": (-30, 60, [("upperleg01", MIDDLE, -1.0)]),
@@ -86,7 +85,6 @@ def arm_controls() -> dict[str, Entry]:
 
 
 def hand_controls() -> dict[str, Entry]:
-    """One hand."""
     long = {name: number for name, number in FINGERS.items() if name != "thumb"}
     fist = [(f"finger{number}-{bone}", FIRST, 1.0) for number in long.values() for bone in (1, 2, 3)]
     fist += [("finger1-1", FIRST, 0.3), ("finger1-2", FIRST, 0.5), ("finger1-3", FIRST, 0.8)]

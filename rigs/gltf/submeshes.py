@@ -58,7 +58,6 @@ class Submesh:
         return binding(file, scene, self.node, self.attributes, self.count, self.label)
 
     def rest_binding(self, file: GltfFile, scene: Scene) -> PosedBinding:
-        """Binding in the rest pose."""
         return self.binding(file, scene).posed(scene.world)
 
     def triangles(self, file: GltfFile) -> np.ndarray:

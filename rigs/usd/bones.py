@@ -26,7 +26,7 @@ def bones_clip(path: str, options: ReadingOptions, rig: RigBackend, timeout_s: f
     load = {"file": str(Path(path).absolute()), "animation": options.animation, "fps": options.fps}
     pool = WorkerPool([sys.executable, str(SCRIPT)], load, 1, timeout_s)
     try:
-        facts, arrays = pool.describe()
+        facts, arrays = pool.describe(attempts=1)
     except WorkerRefusedError as error:
         raise InputError(" ".join(str(error).split())) from None
     except PoseLostError as error:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from rigs.blender.in_blender.mesh_choice import choose_meshes, listing, unclear
+from rigs.blender.in_blender.mesh_choice import MOST_LISTED, choose_meshes, listing, unclear
 from rigs.usd.posed_mesh import PosedMesh
 from rigs.usd.skins import PROXIES, Skins, editable
 from rigs.usd.stage_clock import UnusableAsClipError, UnusableStageError
@@ -127,7 +127,8 @@ def chosen_meshes(contents: StageContents, names: Sequence[str], vertex_count: i
         moving = [mesh for mesh in moving if mesh.moves()] or moving
     found = choose_meshes(shown, moving, vertex_count, notes)
     if not found:
-        raise UnusableStageError(unclear(meshes, moving))
+        listed = [(mesh.path, mesh.vertex_count, len(mesh.times) if mesh in moving else 1) for mesh in meshes]
+        raise UnusableStageError(unclear(meshes, moving), listed[:MOST_LISTED])
     return found
 
 

@@ -125,7 +125,6 @@ def _frames(grid: Grid, samples: np.ndarray, low: float, high: float) -> tuple[n
 
 
 def _source(grid: Grid, rate: float, source: str, clock: StageClock) -> str:
-    """Source of the frame rate."""
     if abs(grid.step - 1) <= NEAR:
         return source
     for name, fps in (("framesPerSecond", clock.frames_per_second), ("reading.fps", clock.requested)):

@@ -82,7 +82,7 @@ class OpenedStage:
             yield
         except UnusableStageError as error:
             refused = RefusedScansError if error.are_scans else RefusedError
-            raise refused(f"{self.file}: {error}") from None
+            raise refused(f"{self.file}: {error}", error.meshes) from None
         except DAMAGED as error:
             raise RefusedError(
                 f"{self.file}: USD cannot {what} it ({type(error).__name__}): damaged, or no USD; export it again"

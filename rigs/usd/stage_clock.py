@@ -4,6 +4,7 @@ USD defines the clock: `timeCodesPerSecond`, else `framesPerSecond`, else 24. It
 time codes where the clock counts frames, and follow `framesPerSecond` or the samples where it counts seconds or ticks.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +23,17 @@ DRIFT = 0.1  # greatest drift in frames between a measured and a common rate
 
 
 class UnusableStageError(Exception):
-    """A stage cannot be read; the message is for the user, without the file's name."""
+    """A stage cannot be read; the message is for the user, without the file's name.
+
+    Args:
+        meshes: name, vertices and frames of each, where it is not clear which is meant; one frame: it never moves.
+    """
 
     are_scans = False
+
+    def __init__(self, message: str, meshes: Sequence[tuple[str, int, int]] = ()) -> None:
+        super().__init__(message)
+        self.meshes = meshes
 
 
 class UnusableAsClipError(UnusableStageError):

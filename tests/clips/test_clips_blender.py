@@ -1,5 +1,6 @@
 """Alembic and FBX, written by Blender and read through it; skipped where there is no Blender."""
 
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -94,3 +95,18 @@ def test_damaged_files_end_in_a_sentence(name, written, tmp_path):
 def test_a_mesh_that_is_not_there_is_said(written):
     with pytest.raises(InputError, match="there is no mesh 'body'; it has 'head'"):
         open_sequence(str(written / "head.abc"), ToyRig(), reading_options(fps=25.0, mesh="body"))
+
+
+def test_inspect_lists_the_meshes_of_an_archive(run, written, tmp_path):
+    more = MAKE.replace(
+        "bpy.ops.wm.alembic_export", "other = head.copy(); scene.collection.objects.link(other)\nbpy.ops.wm.alembic_export"
+    )
+    (tmp_path / "make.py").write_text(more)
+    shutil.copy(written / "meshes.npz", tmp_path)
+    done = subprocess.run(
+        [blender(), str(tmp_path / "make.py"), str(tmp_path / "meshes.npz")], capture_output=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    outcome = run("inspect", "head.abc", "reading.fps=25", f"reading.interpreter={blender()}")
+    assert outcome.code == 0 and "2, of which 2 move" in outcome.text, outcome.text
+    assert "head_001  162 vertices, 6 frames" in outcome.text and "reading.mesh=NAME reads one of them" in outcome.text

@@ -196,6 +196,39 @@ def test_bundles_and_stores_of_poses_are_told(run: Callable, tmp_path):
     assert stored.code == 0 and "64 of rig 'toy'" in stored.text
 
 
+def test_the_meshes_of_a_stage_are_listed_where_it_is_not_clear_which_is_meant(run: Callable, rig, meshes, tmp_path):
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    from pxr import Sdf, Usd
+
+    path = write_usd(tmp_path / "take.usda", meshes, rig.faces.numpy())
+    stage = Usd.Stage.Open(str(path))
+    (prim,) = [prim.GetPath() for prim in stage.Traverse() if prim.GetTypeName() == "Mesh"]
+    Sdf.CopySpec(stage.GetRootLayer(), prim, stage.GetRootLayer(), prim.GetParentPath().AppendChild("Twin"))
+    stage.Save()
+    outcome = run("inspect", "take.usda")
+    assert outcome.code == 0, outcome.text
+    found = table(outcome.text)
+    assert found["meshes"] == "2, of which 2 move" and found[str(prim)] == "162 vertices, 20 frames"
+    assert "reading.mesh=NAME reads one of them" in outcome.text
+    assert run("inspect", "take.usda", "reading.mesh=Twin").code == 0
+    unclear = run("inspect", "take.usda", *TOY)  # both fit the rig
+    assert unclear.code == 1 and "choose with reading.mesh=NAME" in unclear.text and table(unclear.text)["meshes"], unclear.text
+    assert unclear.text.count("2, of which 2 move") == 1
+
+
+def test_invert_opens_a_stage_once(run: Callable, rig, meshes, tmp_path, monkeypatch):
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    from rigs.usd.clip import UsdClip
+
+    opened, begin = [], UsdClip.__init__
+    monkeypatch.setattr(
+        UsdClip, "__init__", lambda self, *given, **more: (opened.append(given), begin(self, *given, **more))[1]
+    )
+    write_usd(tmp_path / "take.usda", meshes[:3], rig.faces.numpy())
+    done = run("invert", "clip=take.usda", "out=found", "look.page=false", "look.sheet=false", *TOY)
+    assert done.code == 0 and len(opened) == 1, done.text
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from riginv.clips.options import FrameOptions, ReadingOptions
 from riginv.clips.performance import simulated_performance
 from riginv.errors import InputError
 from riginv.rig.arkit import ARKIT_NAMES
+from riginv.tracking.rigs import build_clip
 from rigs.shapes import ShapesRig
 from tests.support import sculpts
 from tests.support.toys import BlackBox, ToyRig
@@ -31,6 +33,13 @@ def test_a_rig_without_arkits_names_performs_as_productions_do(tmp_path):
     together = (weights[:, ::2] - weights[:, 1::2]).abs().amax(dim=0) < 1e-6
     assert 0.1 < together.double().mean() < 0.95  # most left shapes move with the right one, not all
     assert torch.equal(clip.weights, simulated_performance(rig_of(tmp_path, NAMES)).weights)
+
+
+@pytest.mark.parametrize(("poses", "frames"), [(None, 900), (2000, 900), (200, 900), (20, 90), (1, 4)])
+def test_fewer_random_poses_shorten_it(poses, frames):
+    rig = ToyRig()
+    clip = build_clip(None, ReadingOptions(), FrameOptions(), rig, rig, poses)
+    assert len(clip) == frames and clip.name == "simulated_performance"
 
 
 @pytest.mark.parametrize("count", [1, 5, 300])

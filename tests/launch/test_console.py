@@ -34,6 +34,23 @@ def test_the_script_runs_a_command_as_python_does():
     assert script.returncode == 0 and script.stdout == module.stdout and "riginv.inspect PATH" in script.stdout
 
 
+def test_the_script_finds_classes_of_the_present_folder(tmp_path):
+    """As `python -m riginv.COMMAND` does; a module of the folder hides none that is installed."""
+    (tmp_path / "mine.py").write_text("from tests.support.toys import ToyRig\n\n\nclass Mine(ToyRig):\n    pass\n")
+    (tmp_path / "yaml.py").write_text("raise RuntimeError('not this one')\n")
+    (tmp_path / "conf/rig").mkdir(parents=True)
+    (tmp_path / "conf/rig/mine.yaml").write_text("_target_: mine.Mine\n")
+    code = "import sys; sys.path.remove(''); sys.argv[0] = 'riginv'; from riginv.__main__ import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "check", "--config-dir", "conf", "rig=mine"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and "The rig fulfils the contract" in done.stdout + done.stderr, done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "text"),
     [

@@ -73,6 +73,14 @@ def test_every_command_has_a_help_text_of_its_own(command, run):
     assert "powered by Hydra" not in done.text and "python -m ri" in done.text.partition("Keys:")[0], done.text
 
 
+def test_help_lists_what_the_command_takes_and_each_key_once(run):
+    said = run("wrap", "--help").text
+    keys = said.partition("Keys:")[2].partition("Groups (")[0]
+    assert keys.count("\n  reading:") == 1 and "${" not in keys, keys
+    groups = run("evaluate", "--help", *TOY).text.partition("Groups (")[2].partition("Values (")[0]
+    assert ", toy" in groups and "trainer" not in groups, groups  # rigs of --config-dir, and no groups of training
+
+
 def interrupted(*_args, **_more):
     raise KeyboardInterrupt
 

@@ -193,3 +193,13 @@ def test_a_forked_process_uses_workers_of_its_own():
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
         assert pool.process_ids() == workers and all(map(alive, workers))
         pool.describe()
+
+
+@pytest.mark.parametrize(("attempts", "says"), [(1, "opening the file ended the worker: "), (3, "cost 3 workers in a row")])
+def test_a_file_that_ends_its_reader_is_opened_as_often_as_is_said(attempts, says, monkeypatch):
+    started = []
+    begin = subprocess.Popen.__init__
+    monkeypatch.setattr(subprocess.Popen, "__init__", lambda self, *a, **k: (started.append(a), begin(self, *a, **k))[1])
+    with toys(1, load={"file": "crash"}) as pool, pytest.raises(PoseLostError, match=says):
+        pool.describe(attempts)
+    assert len(started) == attempts

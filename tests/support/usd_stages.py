@@ -139,7 +139,7 @@ class SameProcess:
 
         self.scene, self.load = UsdBones() if "play_bones" in command[-1] else UsdScene(), load
 
-    def describe(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def describe(self, attempts: int = 1) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         return self._answer(lambda: (self.scene.load(**self.load), self.scene.describe())[1])
 
     def evaluate(self, names: Sequence[str], controls: np.ndarray) -> np.ndarray:
@@ -152,7 +152,7 @@ class SameProcess:
         try:
             return ask()
         except RefusedError as error:
-            raise WorkerRefusedError(str(error), error.are_scans) from None
+            raise WorkerRefusedError(str(error), error.are_scans, error.meshes) from None
 
 
 def opened(path: Path, vertices: int | None = None, **options: Any) -> UsdClip:

@@ -213,6 +213,16 @@ def test_the_four_policies_for_names_that_do_not_match(toy_rig, policy, new, mis
                 matched(clip, placement, "map.yaml", ReadingOptions(unknown=policy))
 
 
+@pytest.mark.parametrize("policy", ["error", "ignore_new", "ignore_both"])
+def test_names_of_another_set_of_markers_are_told_as_such(toy_rig, policy):
+    """To ignore them, as was suggested, leaves none."""
+    placement = placed(toy_rig, 6)
+    clip = MarkerClip("a.csv", ("LFHD", "RFHD"), np.zeros((2, 2, 3)), np.arange(2), SourceFacts("CSV"))
+    with pytest.raises(InputError, match="0 of its markers are in the map map.yaml, .*'LFHD'.*'m00'.*riginv.markers") as caught:
+        matched(clip, placement, "map.yaml", ReadingOptions(unknown=policy))
+    assert "ignore" not in str(caught.value)
+
+
 def test_markers_are_inverted_from_the_command_line(run, toy_rig, tmp_path):
     placement, controls = placed(toy_rig, MARKERS, 2.0), played(toy_rig, FRAMES)
     points = turned(placement.points(toy_rig(controls))).numpy()

@@ -160,7 +160,6 @@ def absent_chunks(store: PoseStore, shard: Shard | None = None) -> list[int]:
 
 
 def make_chunks(maker: ChunkMaker, chunks: list[int]) -> Iterator[int]:
-    """Make chunks one by one."""
     for chunk in chunks:
         maker.make(chunk)
         yield chunk

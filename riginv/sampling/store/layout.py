@@ -34,7 +34,6 @@ ERRORS = (
     "vertices_mean_mm",
     "outside_mean_mm",  # root mean square distance from the span of a fitted basis, over all poses
 )
-DTYPES = ("float32", "float16")
 CHUNK_BYTES, MOST_IN_CHUNK, MOST_OF_A_SLOW_RIG = 16e6, 4096, 512
 CODECS = (ZstdCodec(level=1), Crc32cCodec())  # 45 % of the size and 20 % more time for the default face
 
@@ -49,7 +48,6 @@ class ArrayPlan:
     dimensions: tuple[str, ...]
 
     def create_in(self, group: zarr.Group, name: str) -> zarr.Array:
-        """Create the empty array."""
         return group.create_array(
             name,
             shape=self.shape,

@@ -78,5 +78,4 @@ def findings(store: PoseStore) -> dict[str, str]:
 
 
 def show(store: PoseStore, rows: dict[str, str]) -> None:
-    """Print a store."""
     Console().print(table(store, rows), highlight=False)

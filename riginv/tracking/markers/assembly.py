@@ -12,7 +12,7 @@ from riginv.clips.description import ClipDescription, FrameSpan, describe_points
 from riginv.clips.markers import MarkerClip, open_markers
 from riginv.clips.motion_check import ClipMotion
 from riginv.clips.options import FrameOptions, ReadingOptions
-from riginv.clips.units import DEFAULT_FPS, GUESSED, TO_Y_UP, UP_ASSUMED, ClipUnits, SizeLimits, units_from_size
+from riginv.clips.units import DEFAULT_FPS, GUESSED, TO_Y_UP, UP_ASSUMED, ClipUnits, SizeLimits, rms_size, units_from_size
 from riginv.errors import InputError
 from riginv.rig.interface import LinearRig
 from riginv.tracking.constraints import ControlConstraints, resolve_constraints
@@ -56,7 +56,6 @@ class MarkerParts:
     notes: list[str]
 
     def describe(self) -> ClipDescription:
-        """The description of the clip."""
         clip, numbers = self.clip, self.clip.frame_numbers
         flat = self.points[torch.isfinite(self.points).all(dim=2).sum(dim=1).argmax()].numpy()
         size = np.nan_to_num(np.nanmax(flat, axis=0) - np.nanmin(flat, axis=0))
@@ -135,9 +134,7 @@ def build_objective(
 
 def _check(options: TrackingOptions, constraints: ControlConstraints) -> None:
     """Raise InputError for options that are not supported for markers."""
-    options.refuse_fewer_controls("markers")
-    if options.method not in (None, "clip", "levenberg_marquardt"):
-        raise InputError(f"method={options.method} is not for markers: leave it out, or method=levenberg_marquardt")
+    options.refuse_options_of_meshes("markers")
     if bool(constraints.static.any()):
         raise InputError("controls.static is not for correspondence=markers yet: leave it out")
 
@@ -172,7 +169,7 @@ def marker_units(clip: MarkerClip, placement: Placement, rig: LinearRig, reading
         raise InputError(f"{clip.path}: no frame has more than {there.sum()} of {len(there)} markers: there is nothing to fit")
     rest = placement.points(rig.rest_vertices).cpu()[there]
     seen = torch.from_numpy(clip.points[row][there])
-    units = units_from_size(clip, _size(seen), _size(rest), rig.name, reading, LIMITS)
+    units = units_from_size(clip, rms_size(seen.numpy()), rms_size(rest.numpy()), rig.name, reading, LIMITS)
     if reading.up != "auto" or clip.up is not None:
         return units
     upright = fit_rigid(rest[None], units.mm * seen[None], torch.ones(len(rest)))[0, :3, 1]  # where the rig's y axis points
@@ -187,9 +184,4 @@ def frame_units(clip: MarkerClip, anchors: Placement | None, rig: LinearRig, rea
     points, rest = torch.from_numpy(clip.points[0]), rig.rest_vertices.cpu()
     if anchors is not None:
         points, rest = points[[clip.names.index(name) for name in anchors.names]], anchors.points(rest)
-    return units_from_size(clip, _size(points), _size(rest), rig.name, reading, LIMITS)
-
-
-def _size(points: Tensor) -> float:
-    """Twice the root mean square distance of points `(point, 3)` from their mean."""
-    return 2 * float((points - points.mean(dim=0)).square().sum(dim=1).mean().sqrt())
+    return units_from_size(clip, rms_size(points.numpy()), rms_size(rest.numpy()), rig.name, reading, LIMITS)

@@ -26,17 +26,27 @@ def read_map(path: Path, rig: RigBackend) -> Placement:
     Raises:
         InputError: the file is missing or damaged, names a marker twice, or a place that the rig does not have.
     """
+    named, markers = markers_in(path)
+    if named not in (None, rig.name):
+        raise InputError(f"{path}: a map for rig '{named}', and this is rig '{rig.name}': make a map for it")
+    places = [_place(f"{path}: marker {name!r}", place, rig) for name, place in markers.items()]
+    names = tuple(str(name) for name in markers)
+    corners, barycentric, offsets, calibrated = zip(*places)
+    return Placement(names, torch.stack(corners), torch.stack(barycentric), torch.tensor(offsets), torch.tensor(calibrated))
+
+
+def markers_in(path: Path) -> tuple[Any, dict[Any, Any]]:
+    """The rig that a map names, or None, and the place of each of its markers as the file has it.
+
+    Raises:
+        InputError: the file is missing or damaged, or names a marker twice.
+    """
     content = read_yaml(path)
     markers = content.get("markers")
     if not isinstance(markers, dict) or not markers:
         raise InputError(f"{path}: no markers in it, expected markers: with a name and a place each, as nose: {{vertex: 12}}")
     _check_names(path)
-    if content.get("rig", rig.name) != rig.name:
-        raise InputError(f"{path}: a map for rig '{content['rig']}', and this is rig '{rig.name}': make a map for it")
-    places = [_place(f"{path}: marker {name!r}", place, rig) for name, place in markers.items()]
-    names = tuple(str(name) for name in markers)
-    corners, barycentric, offsets, calibrated = zip(*places)
-    return Placement(names, torch.stack(corners), torch.stack(barycentric), torch.tensor(offsets), torch.tensor(calibrated))
+    return content.get("rig"), markers
 
 
 def read_points(path: Path, names: Sequence[str]) -> np.ndarray:
@@ -131,6 +141,13 @@ def matched(
     names, notes = list(clip.names), []
     if not set(names) & set(placement.names):
         names = _without_prefixes(names, placement.names)
+    rows = [row for row, name in enumerate(placement.names) if name in names]
+    if len(rows) < fewest:  # no policy helps
+        raise InputError(
+            f"{clip.path}: {len(rows)} of its markers are in the map {path}, expected {fewest} at least: the clip has "
+            f"{listed(map(repr, names))}, the map {listed(map(repr, placement.names))}; name the map's markers as the clip "
+            f"does, or make a map for this clip with riginv.markers"
+        )
     new = [name for name in names if name not in placement.names]
     missing = [name for name in placement.names if name not in names]
     if new and not reading.accepts_new:
@@ -147,9 +164,6 @@ def matched(
         notes.append(f"markers that the map lacks were left out: {listed(map(repr, new))}")
     if missing:
         notes.append(f"markers of the map that the clip lacks: {listed(map(repr, missing))}")
-    rows = [row for row, name in enumerate(placement.names) if name in names]
-    if len(rows) < fewest:
-        raise InputError(f"{clip.path}: {len(rows)} of its markers are in the map {path}, expected {fewest} at least")
     shared = placement.subset(rows)
     columns = [names.index(name) for name in shared.names]
     return clip.select(shared.names, clip.points[:, columns], clip.frame_numbers), shared, notes

@@ -1,6 +1,7 @@
 """Priors as files: numbers as safetensors, and beside them, in the same folder, what they belong to as YAML."""
 
 from pathlib import Path
+from typing import Any
 
 import torch
 import yaml
@@ -36,7 +37,15 @@ def save_prior(folder: Path, prior: ControlPrior, rig: LinearRig, frames: int) -
 
 
 def load_prior(folder: Path, rig: LinearRig) -> ControlPrior:
-    """Read a prior.
+    """A prior of a rig; errors as `read_prior`."""
+    return read_prior(folder, rig)[1]
+
+
+def read_prior(folder: Path, rig: LinearRig | None) -> tuple[dict[str, Any], ControlPrior]:
+    """The facts of a prior as its file has them, and the prior.
+
+    Args:
+        rig: that it should be of; None: any.
 
     Raises:
         InputError: it is missing or damaged, or belongs to another rig.
@@ -45,12 +54,14 @@ def load_prior(folder: Path, rig: LinearRig) -> ControlPrior:
     if facts.get("riginv_prior") != VERSION or not isinstance(facts.get("rig"), dict):
         raise InputError(f"{folder / FACTS}: no prior of this version of riginv: learn it again with riginv.learn_prior")
     try:
-        check_same_rig(str(folder), facts["rig"], rig)
+        if rig is not None:
+            check_same_rig(str(folder), facts["rig"], rig)
+        controls = rig.control_names if rig else tuple(str(control["name"]) for control in facts["rig"]["controls"])
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise InputError(f"{folder / FACTS}: damaged ({in_short(error)}): learn the prior again") from None
-    path, count = folder / NUMBERS, len(rig.controls)
+    path, count = folder / NUMBERS, len(controls)
     try:
         check_regular(path)
         if path.stat().st_size > LARGEST:
@@ -69,7 +80,7 @@ def load_prior(folder: Path, rig: LinearRig) -> ControlPrior:
     if not bool(torch.isfinite(mean).all()):
         raise InputError(f"{path}: its mean is not finite: damaged; learn the prior again")
     source = str(facts.get("source", ""))[:200]
-    return ControlPrior(rig.control_names, mean, _checked(path, "covariance", covariance, count), source, changes)
+    return facts, ControlPrior(controls, mean, _checked(path, "covariance", covariance, count), source, changes)
 
 
 def _checked(path: Path, name: str, matrix: Tensor, count: int) -> Tensor:

@@ -101,9 +101,7 @@ def build_scan_parts(
 
 def _check(options: TrackingOptions) -> None:
     """Raise InputError for options that are not supported for scans."""
-    options.refuse_fewer_controls("scans")
-    if options.method not in (None, "clip", "levenberg_marquardt"):
-        raise InputError(f"method={options.method} is not for scans: leave it out, or method=levenberg_marquardt")
+    options.refuse_options_of_meshes("scans")
     default = ControlOptions()
     for field in fields(ControlOptions):
         value, usual = getattr(options.controls, field.name), getattr(default, field.name)

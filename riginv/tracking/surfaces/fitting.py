@@ -226,7 +226,6 @@ class Linearised:
         return 0.5 * float(self.weights @ residual.square()) + float(self.fit.prior.cost(units[None]))
 
     def after(self, change: Tensor) -> State:
-        """The state after a step."""
         count = len(self.state.units)
         motion = self.state.motion
         if self.fit.moves:

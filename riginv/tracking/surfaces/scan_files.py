@@ -199,7 +199,6 @@ def is_ragged(path: str) -> bool:
 
 
 def _read(path: Path, options: ReadingOptions) -> MeshFile:
-    """The mesh in the file of one scan."""
     suffix = path.suffix.lower()
     if suffix in STILLS:
         return STILLS[suffix](path, read_bytes(path))

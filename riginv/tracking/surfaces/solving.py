@@ -66,13 +66,11 @@ class SolvedScan:
     Attributes:
         state: controls and rigid motion.
         quality: how well they explain it.
-        restarted: whether further starts were tried.
         turned: whether it was aligned only after a rotation by right angles.
     """
 
     state: State
     quality: Quality
-    restarted: bool = False
     turned: bool = False
 
 
@@ -104,7 +102,6 @@ class ScanSolver:
         self.hidden, self.fit_neutral = hidden_controls(first), first.neutral
 
     def target(self, surface: Surface, landmarks: Landmarks | None = None) -> Target:
-        """The target of a scan."""
         return Target.of(surface, self.settings.samples, landmarks=landmarks)
 
     def finer(self, target: Target) -> Target:
@@ -174,7 +171,7 @@ class ScanSolver:
         for poses, starts, count in ranked:
             for number in promising_starts(fit, target, motion, found, poses, count):
                 best = self._better(best, self._try(fit, target, State(starts[number], motion), self.settings.from_pose))
-        return replace(best, restarted=True)
+        return best
 
     def _try(self, fit: SurfaceFit, target: Target, start: State, schedule: Schedule) -> SolvedScan:
         state = fit.fit(target, start, schedule)

@@ -84,7 +84,6 @@ def discover(mesh: bpy.types.Object, datablocks: list[bpy.types.ID]) -> dict[str
 
 
 def drivers_of(datablock: bpy.types.ID) -> list[bpy.types.FCurve]:
-    """The driver F-curves of a datablock."""
     animation = getattr(datablock, "animation_data", None)
     return list(animation.drivers) if animation else []
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 LISTED = 12
+MOST_LISTED = 1000  # meshes that a refused choice hands on
 Faces = tuple[np.ndarray, np.ndarray]  # corners of each face, and the vertices at them
 
 

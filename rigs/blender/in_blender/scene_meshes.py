@@ -2,7 +2,7 @@
 
 import bpy
 import numpy as np
-from mesh_choice import Faces, choose_meshes, joined, listing, unclear
+from mesh_choice import MOST_LISTED, Faces, choose_meshes, joined, listing, unclear
 from worker import RefusedError
 
 LAST_FRAME = 1_048_574  # Blender's greatest frame number
@@ -47,7 +47,7 @@ class SceneMeshes:
     """
 
     def __init__(self, file: str) -> None:
-        self.file = file
+        self.file, self.frame_count = file, 1
         self.all = [SceneMesh(thing) for thing in bpy.data.objects if thing.type == "MESH"]
 
     def named(self, names: list[str]) -> list[SceneMesh]:
@@ -65,7 +65,7 @@ class SceneMeshes:
 
     def moving(self, names: list[str], frames: np.ndarray) -> list[SceneMesh]:
         """The named meshes, or without names all, that differ between some of Blender's frames."""
-        candidates = self.named(names) if names else self.all
+        candidates, self.frame_count = self.named(names) if names else self.all, len(frames)
         first: dict[str, np.ndarray] = {}
         moving: set[str] = set()
         for index in np.unique(np.linspace(0, len(frames) - 1, LOOKS).astype(int)).tolist():
@@ -89,7 +89,8 @@ class SceneMeshes:
             return self.named(names)
         found = choose_meshes(self.all, moving, vertices, notes)
         if not found:
-            raise RefusedError(f"{self.file}: {unclear(self.all, moving)}")
+            listed = [(mesh.path, mesh.vertex_count, self.frame_count if mesh in moving else 1) for mesh in self.all]
+            raise RefusedError(f"{self.file}: {unclear(self.all, moving)}", listed[:MOST_LISTED])
         return found
 
 

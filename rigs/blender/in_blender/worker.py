@@ -12,6 +12,7 @@ import math
 import os
 import struct
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,17 @@ COMMANDS = ("load", "describe", "evaluate")
 
 
 class RefusedError(Exception):
-    """A request cannot be met; the message is for the user."""
+    """A request cannot be met; the message is for the user.
+
+    Args:
+        meshes: name, vertices and frames of each mesh, where it is not clear which is meant; one frame: it never moves.
+    """
 
     are_scans = False
+
+    def __init__(self, message: str, meshes: Sequence[tuple[str, int, int]] = ()) -> None:
+        super().__init__(message)
+        self.meshes = meshes
 
 
 class RefusedScansError(RefusedError):
@@ -80,7 +89,7 @@ def serve(scene: Any) -> None:
                 raise RefusedError(f"there is no command '{command}'")
             answer = getattr(scene, command)(**header, **arrays)
         except RefusedError as error:
-            answer = {"error": str(error), "are_scans": error.are_scans}, {}
+            answer = {"error": str(error), "are_scans": error.are_scans, "meshes": list(error.meshes)}, {}
         channel.send(*answer)
 
 
