@@ -87,7 +87,11 @@ def _multiplies_bfloat16() -> bool:
 
 
 # Weights without these are of a network that was made without the option, also where the rig has features now.
-MADE_WITH = (("features", False, "features.scale"), ("descent_steps", 0, "preconditioner.matrix"))
+MADE_WITH = (
+    ("features", False, "features.scale"),
+    ("descent_steps", 0, "preconditioner.matrix"),
+    ("quasi_newton_steps", 0, "quasi_newton.hessian"),
+)
 MIN_SIZE_FOR_BFLOAT16 = 1_000_000  # numbers of a frame: below it there is nothing to gain
 
 

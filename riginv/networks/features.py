@@ -53,8 +53,8 @@ class RigFeatures(nn.Module):
 
     @staticmethod
     def offered_by(rig: RigInMeshSpace) -> bool:
-        """Whether a rig has features (`LinearRig.features`)."""
-        return rig.source.features(rig.neutral_coefficients) is not None
+        """Whether a rig has features (`LinearRig.features`), or a fitted basis, whose coefficients are these."""
+        return rig.source.gradient_steps > 0 or rig.source.features(rig.neutral_coefficients) is not None
 
     @classmethod
     def fitted(cls, rig: RigInMeshSpace) -> "RigFeatures":

@@ -15,8 +15,9 @@ from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
 from riginv.networks.correction import Correction, Descent, StageStart
 from riginv.networks.features import RigFeatures
-from riginv.networks.mlp import ZeroPreserving, mlp
+from riginv.networks.mlp import ZeroPreserving, mlp, small_outputs
 from riginv.networks.preconditioning import Preconditioner
+from riginv.networks.quasi_newton import QuasiNewton
 from riginv.rig.interface import Vjp
 from riginv.rig.mesh_space import RigInMeshSpace
 
@@ -136,7 +137,7 @@ class DirectInverse(InverseNetwork):
     ) -> None:
         super().__init__(rig, control_map)
         network = mlp(rig.space.size, hidden, len(rig.source.controls), activation)
-        self.network = ZeroPreserving(_start_small(network)) if control_map == "neutral_start" else network
+        self.network = ZeroPreserving(small_outputs(network, START_GAIN)) if control_map == "neutral_start" else network
 
     def learned_parts(self) -> list[nn.Module]:
         return [self.network]
@@ -175,6 +176,8 @@ class StagedInverse(InverseNetwork):
         gate: hidden width of a refinement step's gate.
         features: whether the rig's features are used, where it has any.
         descent_steps: refinement steps, at most, that are one `Descent`, where features are used; 0: nothing is preconditioned.
+        quasi_newton_steps: steps that are not learned, after all others, where a Jacobian costs far more than a gradient; there
+            every refinement step is a `Descent`, beside such a step (`riginv.networks.quasi_newton`).
     """
 
     coordinate_scale: Tensor
@@ -192,25 +195,24 @@ class StagedInverse(InverseNetwork):
         control_map: str = "neutral_start",
         features: bool = True,
         descent_steps: NonNegativeInt = 4,
+        quasi_newton_steps: NonNegativeInt = 24,
     ) -> None:
         super().__init__(rig, control_map)
-        for name, number, least in (
-            ("stages", stages, 1),
-            ("refinement_steps", refinement_steps, 0),
-            ("width", width, 1),
-            ("gate", gate, 1),
-        ):
-            if number < least:
+        numbers = {"stages": stages, "refinement_steps": refinement_steps, "width": width, "gate": gate}
+        for name, number in numbers.items():
+            if number < (least := 0 if name == "refinement_steps" else 1):
                 raise InputError(f"network: {name} is {number}, expected at least {least}")
         size, controls = rig.space.size, len(rig.source.controls)
         self.features = RigFeatures(rig) if features and RigFeatures.offered_by(rig) else None
         self.preconditioner = Preconditioner(rig) if self.features and descent_steps else None
-        self.descents = min(descent_steps, refinement_steps) if self.preconditioner else 0
+        self.quasi_newton = QuasiNewton(rig, quasi_newton_steps) if quasi_newton_steps and rig.source.gradient_steps else None
+        most = refinement_steps if self.quasi_newton else descent_steps
+        self.descents = min(most, refinement_steps) if self.preconditioner else 0
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN
         self.stages = nn.ModuleList(
-            ZeroPreserving(_start_small(mlp(count, hidden, controls, activation), gain)) for count in inputs
+            ZeroPreserving(small_outputs(mlp(count, hidden, controls, activation), gain)) for count in inputs
         )
         different = range(refinement_steps - self.descents)
         self.corrections = nn.ModuleList(Correction(size, controls, width, gate) for _ in different)
@@ -228,6 +230,8 @@ class StagedInverse(InverseNetwork):
         if self.features and self.preconditioner:
             guess = self.control_map.raw_of(self.features.guess(self.features(coordinates)))
             self.preconditioner.calibrate(self.rig, self.control_map, guess)
+        if self.quasi_newton:
+            self.quasi_newton.calibrate(self.rig)
 
     def learned_parts(self) -> list[nn.Module]:
         return [*self.stages, *self.corrections, *list(self.descent) * self.descents]
@@ -270,14 +274,18 @@ class StagedInverse(InverseNetwork):
             residual = (start.coordinates - target.coordinates) / -self.coordinate_scale
         given = residual, gradient, torch.tanh(0.3 * start.raw)
         step = stage(*given) if isinstance(stage, Correction) else stage(torch.cat([target.inputs, *given], dim=1))
-        return start.raw + (conditioner.step(step) if conditioner else step)
+        change = conditioner.step(step) if conditioner else step
+        if isinstance(stage, Descent) and self.quasi_newton:
+            change = change + self.quasi_newton.stage_step(self.control_map, start.raw, start.gradient)
+        return start.raw + change
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         """The last estimate; where the rig has features the best one of each mesh, since a stage may fail there."""
         target = self._target(coordinates)
         guess = self._guess(target)
         estimates = list(self._each_stage(target, guess))
-        return estimates[-1].controls if guess is None else self._best([guess, *estimates])
+        controls = estimates[-1].controls if guess is None else self._best([guess, *estimates])
+        return self.quasi_newton(self.rig, controls, coordinates) if self.quasi_newton else controls
 
     def _best(self, estimates: list[Estimate]) -> Tensor:
         errors = torch.stack([estimate.squares for estimate in estimates])
@@ -287,12 +295,3 @@ class StagedInverse(InverseNetwork):
 
 def _size(values: Tensor) -> Tensor:
     return values.square().mean().sqrt().clamp_min(1e-12)
-
-
-def _start_small(network: nn.Sequential, gain: float = START_GAIN) -> nn.Sequential:
-    last = network[-1]
-    assert isinstance(last, nn.Linear)
-    with torch.no_grad():
-        last.weight.mul_(gain)
-        last.bias.zero_()
-    return network

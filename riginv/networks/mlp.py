@@ -36,6 +36,16 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str = "lea
     return nn.Sequential(*layers, Linear(widths[-1], outputs))
 
 
+def small_outputs(network: nn.Sequential, gain: float) -> nn.Sequential:
+    """The network itself, its last layer's weights times `gain` and without a bias, so that training starts near 0."""
+    last = network[-1]
+    assert isinstance(last, nn.Linear)
+    with torch.no_grad():
+        last.weight.mul_(gain)
+        last.bias.zero_()
+    return network
+
+
 class ZeroPreserving(nn.Module):
     """A network minus its output at 0, so that it maps 0 to 0 exactly: the neutral mesh to the neutral controls."""
 

@@ -29,7 +29,7 @@ class _Step(NamedTuple):
 
 
 class PackedInverse:
-    """As `StagedInverse.forward` without features, for weights that no longer change; on a CPU in float32.
+    """As `StagedInverse.forward` without features or quasi-Newton steps, for weights that stay; on a CPU in float32.
 
     Args:
         network: the trained network.
@@ -59,7 +59,7 @@ class PackedInverse:
     @classmethod
     def of(cls, network: nn.Module) -> "PackedInverse | None":
         """None where a network has other parts, is not on a CPU in float32, or there are no kernels."""
-        if type(network) is not StagedInverse or network.features or len(network.stages) != 1:
+        if type(network) is not StagedInverse or network.features or network.quasi_newton or len(network.stages) != 1:
             return None
         if not isinstance(network.control_map, NeutralStart) or not network.rig.source.differentiable:
             return None

@@ -119,8 +119,7 @@ class Objective:
     @functools.cached_property
     def features(self) -> RigFeatures | None:
         """The rig's calibrated features (`LinearRig.features`), or coefficients of a fitted basis; None: it has neither."""
-        has_any = self.gradient_steps > 0 or RigFeatures.offered_by(self.rig)
-        return RigFeatures.fitted(self.rig) if has_any else None
+        return RigFeatures.fitted(self.rig) if RigFeatures.offered_by(self.rig) else None
 
     def by_mean_distance(self, corner_mm: float = CORNER_MM, vertices: int = VERTICES) -> "Objective":
         """The same objective with the mean distance in place of the mean squared distance (`MeanDistance`)."""

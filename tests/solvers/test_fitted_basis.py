@@ -3,25 +3,19 @@
 import pytest
 import torch
 
-from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.contract import random_controls
-from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
 from riginv.solvers.every_mesh import refine_meshes
 from riginv.solvers.fewer_controls import with_fewer_controls
 from riginv.solvers.objective import Objective
 from riginv.solvers.starts import first_start, start_by_derivative
-from rigs.dna import DnaRig
-from tests.rigs.dna.files import written
-from tests.rigs.dna.heads import many_joints
+from tests.rigs.dna.heads import many_joints_fitted
 
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory) -> tuple[Objective, torch.Tensor, torch.Tensor]:
     """An objective, and the coordinates and controls of some poses."""
-    path = written(tmp_path_factory.mktemp("head") / "many.dna", many_joints().file())
-    rig = BlackBoxRig.sampled(DnaRig(str(path)), samples=150, residual_mm=0.05)
-    objective = Objective(RigInMeshSpace(rig, MeshSpace.from_rig(rig)))
-    controls = random_controls(rig, 12, 3)
+    objective = Objective(many_joints_fitted(tmp_path_factory.mktemp("head") / "many.dna"))
+    controls = random_controls(objective.rig.source, 12, 3)
     return objective, objective.rig(controls), controls
 
 

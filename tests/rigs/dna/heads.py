@@ -1,11 +1,16 @@
 """Heads for tests: one of blendshapes alone, and one with more joints than an exact basis can have."""
 
+from pathlib import Path
+
 import numpy as np
 from scipy import sparse
 
+from riginv.rig.black_box import BlackBoxRig
+from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from rigs.dna import DnaRig
 from rigs.dna.draft import Draft, Group, Joint, MeshDraft, Row
 from rigs.dna.exports.blendshapes import Drive, Factor, Shape, blendshape_draft, triangles
-from tests.rigs.dna.files import ball
+from tests.rigs.dna.files import ball, written
 
 
 def blendshape_head() -> Draft:
@@ -45,3 +50,9 @@ def many_joints(count: int = 40) -> Draft:
     deltas = {number: random.normal(size=3) * np.exp(-away[:, number : number + 1] / 20) for number in range(8)}
     found.meshes = [MeshDraft("skin", vertices, triangles(faces), skin, deltas)]
     return found
+
+
+def many_joints_fitted(path: Path) -> RigInMeshSpace:
+    """The head `many_joints`, written to a file, with a basis fitted to its poses."""
+    rig = BlackBoxRig.sampled(DnaRig(str(written(path, many_joints().file()))), samples=150, residual_mm=0.05)
+    return RigInMeshSpace(rig, MeshSpace.from_rig(rig))

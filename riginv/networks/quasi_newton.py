@@ -1,0 +1,167 @@
+"""Steps by gradients alone in and after an inverse network, for rigs whose Jacobian costs a hundred times as much as one.
+
+L-BFGS (Nocedal 1980, "Updating quasi-Newton matrices with limited storage") from the mean Gauss-Newton Hessian over random
+poses. A control that is neutral inside its range often drives two shapes, one on either side, so that the derivative jumps
+there: the Hessian is kept for either side of each control, and each mesh takes that of its own sides (docs/experiments.md).
+"""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from riginv.networks.control_maps import ControlMap
+from riginv.rig.batches import generator_at
+from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.rig.random_controls import sparse_controls
+
+POSES, BATCH_SIZE = 64, 16  # that the Hessian is a mean over; BATCH_SIZE bounds the memory
+DAMPING = 1.0  # of the diagonal, relative
+STAGE_DAMPING = 0.3  # the same, of a network's stages, which take single steps
+LEAST_DERIVATIVE = 0.1  # of a control by its raw output, as a fraction of its range: close to a limit it vanishes
+LEAST, TINY = 1e-9, 1e-12  # lower bounds of the diagonal, relative to its greatest element, and of that and of curvatures
+SOLVE_STEPS = 12  # of conjugate gradients: no factorisation, which ONNX does not have
+LONGEST_STEP, LONGEST_RAW_STEP = 0.3, 1.0  # as a fraction of a control's range; of a raw output
+SHORTER = 0.5  # a step that fails is tried again at this fraction
+
+
+class _State(NamedTuple):
+    """Controls as fractions of their ranges `(mesh, control)`, half the squared errors `(mesh,)`, and their gradients."""
+
+    units: Tensor
+    cost: Tensor
+    gradient: Tensor
+
+
+class QuasiNewton(nn.Module):
+    """Lowers the squared error of each mesh from an estimate, within the controls' limits.
+
+    Args:
+        rig: in mesh space.
+        steps: their number; each takes one gradient through the rig.
+    """
+
+    hessian: Tensor
+    lower: Tensor
+    span: Tensor
+    neutral: Tensor
+
+    def __init__(self, rig: RigInMeshSpace, steps: int) -> None:
+        super().__init__()
+        self.steps, source = steps, rig.source
+        span = source.upper - source.lower
+        self.register_buffer("lower", source.lower, persistent=False)
+        self.register_buffer("span", span, persistent=False)
+        self.register_buffer("neutral", (source.neutral_controls - source.lower) / span, persistent=False)
+        self.register_buffer("hessian", torch.eye(2 * len(span)).to(rig.linear_map))
+
+    @torch.no_grad()
+    def calibrate(self, rig: RigInMeshSpace) -> None:
+        """Set the Hessian from random poses of the rig.
+
+        With J the Jacobian, P its mean over the poses with a control on one side, column by column and for both sides, and R
+        what is left of J: P^T P, to which the mean of R^T R is added for any sides.
+        """
+        source = rig.source
+        limits = source.lower, source.upper, source.neutral_controls
+        controls = sparse_controls(*limits, len(self.span), POSES, generator_at(0, "quasi-Newton", device=source.lower.device))
+        jacobians = torch.cat([self._jacobian(rig, batch) for batch in controls.split(BATCH_SIZE)])
+        sides = self._sides((controls - self.lower) / self.span)
+        counts = sides.sum(dim=0).clamp_min(1)
+        means = torch.einsum("pci,psi->csi", jacobians, sides) / counts
+        rest = jacobians - torch.einsum("csi,psi->pci", means, sides)
+        shared = torch.einsum("pci,pcj->ij", rest, rest) / len(rest)
+        columns = means.flatten(1)
+        self.hessian.copy_(columns.T @ columns + shared.repeat(2, 2))
+
+    def forward(
+        self,
+        rig: RigInMeshSpace,
+        controls: Float[Tensor, "mesh control"],
+        coordinates: Float[Tensor, "mesh coordinate"],
+    ) -> Float[Tensor, "mesh control"]:
+        """The controls `(mesh, control)` after the steps, without a graph; no mesh's error is greater than at the start.
+
+        Args:
+            controls: the estimate.
+            coordinates: of the target meshes.
+        """
+        with torch.no_grad():
+            start = ((controls.detach() - self.lower) / self.span).clamp(0, 1)
+            best = self._state(rig, start, coordinates)
+            length = torch.ones_like(best.cost)
+            pairs: list[tuple[Tensor, Tensor]] = []
+            for _ in range(self.steps):
+                step = (-length[:, None] * self._direction(best, pairs)).clamp(-LONGEST_STEP, LONGEST_STEP)
+                new = self._state(rig, (best.units + step).clamp(0, 1), coordinates)
+                pairs.append((new.units - best.units, new.gradient - best.gradient))
+                better = new.cost < best.cost
+                length = torch.where(better, 1.0, SHORTER * length)
+                best = _State(*(torch.where(better.view(-1, *[1] * (b.dim() - 1)), b, a) for a, b in zip(best, new)))
+            return self.lower + self.span * best.units
+
+    def stage_step(
+        self, control_map: ControlMap, raw: Float[Tensor, "mesh control"], gradient: Float[Tensor, "mesh control"]
+    ) -> Float[Tensor, "mesh control"]:
+        """A single step of a network's raw outputs `(mesh, control)`, from the gradient of half the squared error by these."""
+        controls, to_raw = control_map.with_vjp(raw)
+        derivatives = (to_raw(torch.ones_like(raw)) / self.span).clamp_min(LEAST_DERIVATIVE)
+        sides = self._sides((controls - self.lower) / self.span) * derivatives[:, None]
+        return -self._solve(sides, gradient, STAGE_DAMPING).clamp(-LONGEST_RAW_STEP, LONGEST_RAW_STEP)
+
+    def _state(self, rig: RigInMeshSpace, units: Tensor, coordinates: Tensor) -> _State:
+        found, vjp = rig.coordinates_and_vjp(self.lower + self.span * units)
+        error = found - coordinates
+        return _State(units, 0.5 * error.square().sum(dim=1), self.span * vjp(error))
+
+    def _direction(self, state: _State, pairs: list[tuple[Tensor, Tensor]]) -> Tensor:
+        """The inverse of the updated Hessian times the gradient, by Nocedal's two loops over all pairs of steps so far."""
+        vector, factors = state.gradient, []
+        for step, change in reversed(pairs):
+            product = (step * change).sum(dim=1, keepdim=True)
+            sizes = step.norm(dim=1, keepdim=True) * change.norm(dim=1, keepdim=True)
+            inverse = torch.where(product > LEAST * sizes, 1 / product.clamp_min(TINY), 0.0)
+            factor = inverse * (step * vector).sum(dim=1, keepdim=True)
+            vector = vector - factor * change
+            factors.append((inverse, factor))
+        vector = self._solve(self._sides(state.units), vector)
+        for (step, change), (inverse, factor) in zip(pairs, reversed(factors)):
+            vector = vector + (factor - inverse * (change * vector).sum(dim=1, keepdim=True)) * step
+        return vector
+
+    def _sides(self, units: Tensor) -> Float[Tensor, "mesh 2 control"]:
+        """Which side of neutral each control is on; one with a single side counts as above."""
+        below = (units < self.neutral) & (self.neutral < 1)
+        return torch.stack([~below, below], dim=1).to(units)
+
+    def _solve(self, sides: Tensor, gradient: Tensor, damping: float = DAMPING) -> Tensor:
+        """The inverse of each mesh's damped Hessian times a vector `(mesh, control)`, by conjugate gradients.
+
+        Sides may be multiplied by derivatives of the controls; damping is proportional to these, and not to their squares, so
+        that controls close to a limit move less.
+        """
+        diagonals = self.hessian.diagonal()
+        diagonals = torch.maximum(diagonals, LEAST * diagonals.max() + TINY).view(2, -1)
+        diagonal = (sides * diagonals).sum(dim=1)
+        root = (diagonal * (1 + damping)).sqrt()
+
+        def product(vector: Tensor) -> Tensor:
+            vector = vector / root
+            both = (sides * vector[:, None]).flatten(1) @ self.hessian
+            return ((sides * both.view_as(sides)).sum(dim=1) + damping * diagonal * vector) / root
+
+        residual = gradient / root
+        result, direction = torch.zeros_like(residual), residual
+        square = residual.square().sum(dim=1, keepdim=True)
+        for _ in range(SOLVE_STEPS):
+            image = product(direction)
+            rate = square / (direction * image).sum(dim=1, keepdim=True).clamp_min(TINY)
+            result, residual = result + rate * direction, residual - rate * image
+            before, square = square, residual.square().sum(dim=1, keepdim=True)
+            direction = residual + square / before.clamp_min(TINY) * direction
+        return result / root
+
+    def _jacobian(self, rig: RigInMeshSpace, controls: Tensor) -> Float[Tensor, "pose coordinate control"]:
+        """The Jacobians of mesh coordinates by controls as fractions of their ranges."""
+        return rig.linear_map.T @ rig.source.coefficient_jacobian(controls)[1].dense() * self.span
