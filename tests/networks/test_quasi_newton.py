@@ -77,15 +77,15 @@ def test_they_follow_networks_of_fitted_rigs_alone(toy, head):
     assert not controls.requires_grad and PackedInverse.of(network) is None
 
 
-@pytest.mark.parametrize("before", [{"features": False, "quasi_newton_steps": 0}, {"quasi_newton_steps": 0}])
-def test_a_bundle_from_before_goes_on_without(head, path, tmp_path, before):
+@pytest.mark.parametrize("before", [{"features": False, "quasi_newton_steps": 0}, {"quasi_newton_steps": 0}, {}])
+def test_a_bundle_keeps_them_and_one_from_before_goes_on_without(head, path, tmp_path, before):
     network = StagedInverse(head, **SMALL, **before)
     network.calibrate(head(random_controls(head.source, 64, 4)))
     config = {"_target_": "riginv.networks.inverse.StagedInverse", **SMALL}
     rig_config = {"_target_": "rigs.dna.DnaRig", "file": str(path)}
     write_bundle(tmp_path / "bundle", "inverse", network, head, config, rig_config, {})
     loaded = load_inverse(tmp_path / "bundle").network
-    assert loaded.quasi_newton is None and (loaded.features is None) == ("features" in before)
+    assert (loaded.quasi_newton is None) == bool(before) and (loaded.features is None) == ("features" in before)
     coordinates = head(random_controls(head.source, 3, 5))
     torch.testing.assert_close(loaded(coordinates), network(coordinates), rtol=1e-3, atol=1e-3)
 

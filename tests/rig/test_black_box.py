@@ -37,7 +37,7 @@ def test_a_black_box_is_fitted_to_its_poses():
 
 
 def test_a_differentiable_rig_without_a_linear_end_is_trained_on_as_it_is(run):
-    made = run("train", "rig=plain", *FEW)
+    made = run("train", "rig=plain", *FEW, "model.network.quasi_newton_steps=0")  # they would leave rounding errors alone
     assert made.code == 0, made.text
     assert not (made.folder / "surrogate").exists()
     configs = f"--config-dir={ROOT / 'tests/conf'}"
