@@ -90,6 +90,7 @@ def _multiplies_bfloat16() -> bool:
 MADE_WITH = (
     ("features", False, "features.scale"),
     ("descent_steps", 0, "preconditioner.matrix"),
+    ("weighted_steps", 0, "weights.frame"),
     ("quasi_newton_steps", 0, "quasi_newton.hessian"),
 )
 MIN_SIZE_FOR_BFLOAT16 = 1_000_000  # numbers of a frame: below it there is nothing to gain

@@ -1,23 +1,94 @@
-"""One step of a learned optimiser: from a residual to a change of the controls."""
+"""One step of a learned optimiser: from an estimate and its residual to a change of the controls."""
 
+import functools
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from riginv.networks.control_maps import ControlMap
 from riginv.networks.mlp import Linear
+from riginv.rig.interface import Vjp
+from riginv.rig.mesh_space import RigInMeshSpace
 
 START_GAIN = 0.05  # of the last layer: steps start small
 SMALLEST = 1e-5  # of a typical gradient: the lower bound of its size under the logarithm
 LOG_SCALE = 0.2
 
 
+class Estimate:
+    """An estimate of the controls, with derived quantities that are computed on first use.
+
+    Training uses only `raw` and a gradient by it (`riginv.training.inverse`), so the rig is evaluated without autograd.
+
+    Args:
+        raw: the network's raw outputs `(batch, control)`, with its graph.
+        target: the target's mesh coordinates `(batch, coordinate)`.
+        control_map: from raw outputs to controls.
+        rig: the rig of the controls.
+    """
+
+    def __init__(
+        self,
+        raw: Float[Tensor, "batch control"],
+        target: Float[Tensor, "batch coordinate"],
+        control_map: ControlMap,
+        rig: RigInMeshSpace,
+    ) -> None:
+        self.raw, self.target, self.control_map, self.rig = raw, target, control_map, rig
+
+    @functools.cached_property
+    def controls(self) -> Tensor:
+        """The controls within the limits, `(batch, control)`, with a graph from the network."""
+        return self.control_map(self.raw)
+
+    @functools.cached_property
+    def coordinates(self) -> Tensor:
+        """The mesh coordinates of the rig at these controls, `(batch, coordinate)`, with a graph from the network."""
+        return self.rig(self.controls)
+
+    @functools.cached_property
+    def _posed(self) -> tuple[Tensor, Vjp]:
+        """`detached_coordinates`, and the vector-Jacobian product from coordinates to raw outputs."""
+        controls, to_raw = self.control_map.with_vjp(self.raw.detach())
+        coordinates, to_controls = self.rig.coordinates_and_vjp(controls)
+        return coordinates, lambda gradient: to_raw(to_controls(gradient))
+
+    @property
+    def detached_coordinates(self) -> Tensor:
+        """As `coordinates`, without a graph."""
+        return self._posed[0]
+
+    @functools.cached_property
+    def error(self) -> Tensor:
+        """`detached_coordinates` minus the target, `(batch, coordinate)`, without a graph."""
+        return self.detached_coordinates - self.target
+
+    @functools.cached_property
+    def squares(self) -> Tensor:
+        """The squared length of each error, `(batch,)`, without a graph."""
+        return self.error.square().sum(dim=1)
+
+    def vjp(self, gradient: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
+        """The vector-Jacobian product from coordinates `(batch, coordinate)` to raw outputs, `(batch, control)`; no graph."""
+        return self._posed[1](gradient)
+
+    @functools.cached_property
+    def gradient(self) -> Tensor:
+        """The gradient of half the squared error by the raw outputs, `(batch, control)`, without a graph."""
+        return self.vjp(self.error)
+
+
 class StageStart(NamedTuple):
-    """What a stage starts from, without a graph: the raw outputs of an estimate and what follows from them."""
+    """What a stage starts from, without a graph: the raw outputs of an estimate and what follows from them.
+
+    The error may be weighted (`riginv.networks.distance_weights`), and then the gradient is that of half its square.
+    """
 
     raw: Tensor
     coordinates: Tensor
+    error: Tensor
     gradient: Tensor
     squares: Tensor
 

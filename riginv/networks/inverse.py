@@ -1,6 +1,5 @@
 """Networks from mesh coordinates to controls."""
 
-import functools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -12,80 +11,17 @@ from torch import Tensor, nn
 from riginv.config.values import NonNegativeInt, PositiveInt, Widths
 from riginv.errors import InputError
 from riginv.networks.base import RigNetwork
-from riginv.networks.control_maps import CONTROL_MAPS, ControlMap
-from riginv.networks.correction import Correction, Descent, StageStart
+from riginv.networks.control_maps import CONTROL_MAPS
+from riginv.networks.correction import Correction, Descent, Estimate, StageStart
+from riginv.networks.distance_weights import DistanceWeights
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import ZeroPreserving, mlp, small_outputs
-from riginv.networks.preconditioning import Preconditioner
+from riginv.networks.preconditioning import Preconditioner, weak_poses
 from riginv.networks.quasi_newton import QuasiNewton
-from riginv.rig.interface import Vjp
 from riginv.rig.mesh_space import RigInMeshSpace
 
 START_GAIN = 0.3  # of the last layer: estimates start close to neutral
 CORRECTION_GAIN = 0.02  # of the last layer where a guess precedes the first MLP: estimates start close to that
-
-
-class Estimate:
-    """An estimate of the controls, with derived quantities that are computed on first use.
-
-    Training uses only `raw` and a gradient by it (`riginv.training.inverse`), so the rig is evaluated without autograd.
-
-    Args:
-        raw: the network's raw outputs `(batch, control)`, with its graph.
-        target: the target's mesh coordinates `(batch, coordinate)`.
-        control_map: from raw outputs to controls.
-        rig: the rig of the controls.
-    """
-
-    def __init__(
-        self,
-        raw: Float[Tensor, "batch control"],
-        target: Float[Tensor, "batch coordinate"],
-        control_map: ControlMap,
-        rig: RigInMeshSpace,
-    ) -> None:
-        self.raw, self.target, self.control_map, self.rig = raw, target, control_map, rig
-
-    @functools.cached_property
-    def controls(self) -> Tensor:
-        """The controls within the limits, `(batch, control)`, with a graph from the network."""
-        return self.control_map(self.raw)
-
-    @functools.cached_property
-    def coordinates(self) -> Tensor:
-        """The mesh coordinates of the rig at these controls, `(batch, coordinate)`, with a graph from the network."""
-        return self.rig(self.controls)
-
-    @functools.cached_property
-    def _posed(self) -> tuple[Tensor, Vjp]:
-        """`detached_coordinates`, and the vector-Jacobian product from coordinates to raw outputs."""
-        controls, to_raw = self.control_map.with_vjp(self.raw.detach())
-        coordinates, to_controls = self.rig.coordinates_and_vjp(controls)
-        return coordinates, lambda gradient: to_raw(to_controls(gradient))
-
-    @property
-    def detached_coordinates(self) -> Tensor:
-        """As `coordinates`, without a graph."""
-        return self._posed[0]
-
-    @functools.cached_property
-    def error(self) -> Tensor:
-        """`detached_coordinates` minus the target, `(batch, coordinate)`, without a graph."""
-        return self.detached_coordinates - self.target
-
-    @functools.cached_property
-    def squares(self) -> Tensor:
-        """The squared length of each error, `(batch,)`, without a graph."""
-        return self.error.square().sum(dim=1)
-
-    def vjp(self, gradient: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
-        """The vector-Jacobian product from coordinates `(batch, coordinate)` to raw outputs, `(batch, control)`; no graph."""
-        return self._posed[1](gradient)
-
-    @functools.cached_property
-    def gradient(self) -> Tensor:
-        """The gradient of half the squared error by the raw outputs, `(batch, control)`, without a graph."""
-        return self.vjp(self.error)
 
 
 class InverseNetwork(RigNetwork, ABC):
@@ -162,11 +98,12 @@ class StagedInverse(InverseNetwork):
 
     The input of the first MLP is the mesh. Every further one also gets the residual of the estimate before it, the gradient of
     the squared error through the rig, and the controls so far; so do the refinement steps (`riginv.networks.correction`). Each
-    is trained on its own error alone.
+    is trained on its own error alone. Gradients and steps are preconditioned (`riginv.networks.preconditioning`), and the last
+    steps get residuals whose gradient is that of the mean distance (`riginv.networks.distance_weights`).
 
     Where the rig has features they replace mesh coordinates, and a guess from them precedes the first MLP
-    (`riginv.networks.features`). Every stage then starts from the best estimate of each mesh so far, gradients and steps are
-    preconditioned (`riginv.networks.preconditioning`), and the last refinement steps are one that is repeated.
+    (`riginv.networks.features`). Every stage then starts from the best estimate of each mesh so far, and the last refinement
+    steps are one that is repeated.
 
     Args:
         stages: the number of MLPs.
@@ -176,6 +113,8 @@ class StagedInverse(InverseNetwork):
         gate: hidden width of a refinement step's gate.
         features: whether the rig's features are used, where it has any.
         descent_steps: refinement steps, at most, that are one `Descent`, where features are used; 0: nothing is preconditioned.
+        weighted_steps: refinement steps at the end, at most, with weighted residuals, where no features are used; 0: nothing is
+            preconditioned.
         quasi_newton_steps: steps that are not learned, after all others, where a Jacobian costs far more than a gradient; there
             every refinement step is a `Descent`, beside such a step (`riginv.networks.quasi_newton`).
     """
@@ -195,6 +134,7 @@ class StagedInverse(InverseNetwork):
         control_map: str = "neutral_start",
         features: bool = True,
         descent_steps: NonNegativeInt = 4,
+        weighted_steps: NonNegativeInt = 2,
         quasi_newton_steps: NonNegativeInt = 24,
     ) -> None:
         super().__init__(rig, control_map)
@@ -204,10 +144,13 @@ class StagedInverse(InverseNetwork):
                 raise InputError(f"network: {name} is {number}, expected at least {least}")
         size, controls = rig.space.size, len(rig.source.controls)
         self.features = RigFeatures(rig) if features and RigFeatures.offered_by(rig) else None
-        self.preconditioner = Preconditioner(rig) if self.features and descent_steps else None
+        is_preconditioned = descent_steps if self.features else weighted_steps
+        self.preconditioner = Preconditioner(rig, bool(self.features)) if is_preconditioned else None
         self.quasi_newton = QuasiNewton(rig, quasi_newton_steps) if quasi_newton_steps and rig.source.gradient_steps else None
         most = refinement_steps if self.quasi_newton else descent_steps
-        self.descents = min(most, refinement_steps) if self.preconditioner else 0
+        self.descents = min(most, refinement_steps) if self.features and self.preconditioner else 0
+        self.weighted = 0 if self.features else min(weighted_steps, refinement_steps)
+        self.weights = DistanceWeights(rig.space) if self.weighted else None
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN
@@ -227,9 +170,11 @@ class StagedInverse(InverseNetwork):
         self.gradient_scale.copy_(each if self.features else _size(gradient))
         if self.features:
             self.features.calibrate(self.rig, coordinates)
-        if self.features and self.preconditioner:
-            guess = self.control_map.raw_of(self.features.guess(self.features(coordinates)))
-            self.preconditioner.calibrate(self.rig, self.control_map, guess)
+        if self.preconditioner:
+            controls = self.features.guess(self.features(coordinates)) if self.features else weak_poses(self.rig.source)
+            self.preconditioner.calibrate(self.rig, self.control_map, self.control_map.raw_of(controls))
+        if self.weights:
+            self.weights.calibrate(self.rig.space)
         if self.quasi_newton:
             self.quasi_newton.calibrate(self.rig)
 
@@ -254,13 +199,20 @@ class StagedInverse(InverseNetwork):
 
     def _each_stage(self, target: _Target, before: Estimate | None) -> Iterator[Estimate]:
         start: StageStart | None = None
-        for stage in self.learned_parts():
+        parts = self.learned_parts()
+        for number, stage in enumerate(parts):
             if before is not None:
-                latest = StageStart(before.raw.detach(), before.detached_coordinates, before.gradient, before.squares)
+                latest = self._start(before, is_weighted=number >= len(parts) - self.weighted)
                 start = latest if start is None or not self.features else start.or_lower_error(latest)
             raw = stage(target.inputs) if start is None else self._refined(stage, start, target)
             before = self.estimate(raw, target.coordinates)
             yield before
+
+    def _start(self, before: Estimate, is_weighted: bool) -> StageStart:
+        """What a stage starts from, after an estimate."""
+        error = self.weights(before.error) if is_weighted and self.weights else before.error
+        gradient = before.gradient if error is before.error else before.vjp(error)
+        return StageStart(before.raw.detach(), before.detached_coordinates, error, gradient, before.squares)
 
     def _refined(self, stage: nn.Module, start: StageStart, target: _Target) -> Tensor:
         """The raw outputs `(batch, control)` of a start, refined by a stage."""
@@ -271,7 +223,7 @@ class StagedInverse(InverseNetwork):
         elif self.features and target.features is not None:
             residual = self.features.change(self.features.unscaled(start.coordinates), target.features)
         else:
-            residual = (start.coordinates - target.coordinates) / -self.coordinate_scale
+            residual = start.error / -self.coordinate_scale
         given = residual, gradient, torch.tanh(0.3 * start.raw)
         step = stage(*given) if isinstance(stage, Correction) else stage(torch.cat([target.inputs, *given], dim=1))
         change = conditioner.step(step) if conditioner else step

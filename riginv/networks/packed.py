@@ -10,6 +10,7 @@ from riginv.geometry.kernels.library import Kernels, kernels, kernels_for
 from riginv.geometry.products import linear, matmul
 from riginv.networks.control_maps import NeutralStart
 from riginv.networks.correction import LOG_SCALE, SMALLEST, Correction
+from riginv.networks.distance_weights import DistanceWeights
 from riginv.networks.inverse import StagedInverse
 from riginv.networks.mlp import ZeroPreserving
 from riginv.runs.huge_pages import in_huge_pages
@@ -18,7 +19,10 @@ MAP = ("direction", "depth", "edge", "norm", "least", "above", "below", "neutral
 
 
 class _Step(NamedTuple):
-    """The weights of a refinement step, as `Correction` has them, those of the residual times the scale of coordinates."""
+    """The weights of a refinement step, as `Correction` has them.
+
+    Those of the residual are divided by the scale of coordinates, and the last ones are multiplied by the preconditioner.
+    """
 
     features: Tensor
     hidden: Tensor
@@ -41,6 +45,7 @@ class PackedInverse:
         assert isinstance(first, ZeroPreserving) and isinstance(first.network, nn.Sequential)
         self.layers = list(first.network)
         layers = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
+        self.conditioner, self.distance_weights, self.weighted = network.preconditioner, network.weights, network.weighted
         steps = [self._step(correction, network.coordinate_scale) for correction in network.corrections]
         packed = in_huge_pages(
             [each for layer in layers for each in (layer.weight, layer.bias)]
@@ -53,7 +58,8 @@ class PackedInverse:
         self.linear_map = packed[-1]
         self.coordinate_scale = network.coordinate_scale
         self.map = torch.stack([getattr(network.control_map, name) for name in MAP])
-        self.scales = torch.stack([network.gradient_scale, torch.tensor(SMALLEST), torch.tensor(LOG_SCALE)])
+        gradient_scale = torch.ones_like(network.gradient_scale) if self.conditioner else network.gradient_scale
+        self.scales = torch.stack([gradient_scale, torch.tensor(SMALLEST), torch.tensor(LOG_SCALE)])
         self.at_zero = self._mlp(torch.zeros(1, self.size))
 
     @classmethod
@@ -74,8 +80,9 @@ class PackedInverse:
         if compiled is None or target.dtype != torch.float32 or not len(target):
             return None
         raw = self._first(target / self.coordinate_scale).contiguous()
-        for step in self.steps:
-            raw = self._refined(compiled, step, raw, target)
+        for number, step in enumerate(self.steps):
+            weights = self.distance_weights if number >= len(self.steps) - self.weighted else None
+            raw = self._refined(compiled, step, raw, target, weights)
         return self._controls(compiled, raw)[0]
 
     def _step(self, correction: nn.Module, coordinate_scale: Tensor) -> _Step:
@@ -84,7 +91,8 @@ class PackedInverse:
         assert isinstance(hidden, nn.Linear) and isinstance(gates, nn.Linear)
         features = correction.features.weight.detach().clone()
         features[:, : self.size] /= -coordinate_scale
-        return _Step(features, hidden.weight, hidden.bias, gates.weight, gates.bias + 1, correction.mix.weight)
+        mix = self.conditioner.step(correction.mix.weight.detach().T).T if self.conditioner else correction.mix.weight
+        return _Step(features, hidden.weight, hidden.bias, gates.weight, gates.bias + 1, mix)
 
     def _first(self, inputs: Tensor) -> Tensor:
         """The first MLP less its outputs at 0, rounded in the same way, which depends on the number of rows."""
@@ -109,7 +117,7 @@ class PackedInverse:
         compiled.call("neutral_start", raw.dtype, raw, self.map, raw.shape[1], controls, derivatives, len(raw))
         return controls, derivatives
 
-    def _refined(self, compiled: Kernels, step: _Step, raw: Tensor, target: Tensor) -> Tensor:
+    def _refined(self, compiled: Kernels, step: _Step, raw: Tensor, target: Tensor, weights: DistanceWeights | None) -> Tensor:
         """The raw outputs `(batch, control)` after a refinement step."""
         batch, count = raw.shape
         controls, derivatives = self._controls(compiled, raw)
@@ -117,7 +125,12 @@ class PackedInverse:
         inputs, gate = raw.new_empty(batch, self.size + count), raw.new_empty(batch, 2 * count + 1)
         residual = inputs[:, : self.size]
         torch.sub(matmul(coefficients - self.rig.neutral_coefficients, self.linear_map), target, out=residual)
+        if weights:
+            residual.copy_(weights(residual))
         gradients = vjp(linear(residual, self.linear_map)).contiguous()
+        if self.conditioner:
+            gradients = self.conditioner.gradient(gradients * derivatives).contiguous()
+            derivatives = torch.ones_like(derivatives)
         given = (raw, gradients, derivatives, self.scales, count, inputs, self.size, gate, batch)
         compiled.call("refinement_inputs", raw.dtype, *given)
         hidden = linear(gate, step.hidden, step.hidden_bias)

@@ -10,12 +10,17 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.networks.control_maps import ControlMap
+from riginv.rig.batches import generator_at
+from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
+from riginv.rig.random_controls import sparse_controls
 
-SIZE_MM = 10.0  # the root mean square displacement of the vertices by a step of length 1
+SKIN_SIZE_MM = 10.0  # the root mean square displacement of the vertices by a step of length 1, where a rig has features
+SIZE = 0.004  # the same for other rigs, as a fraction of the mesh's diagonal
 DAMPING = 0.3  # of the Hessian with a unit diagonal: for controls without effect, and those that do the same
 LEAST, TINY = 1e-9, 1e-9  # lower bounds of the diagonal: of its greatest element, and of that
 MESHES, BATCH_SIZE = 128, 64  # that the Hessian is a mean over: some rigs take 0.1 s for each; BATCH_SIZE bounds the memory
+STRENGTH = 0.5  # of the random controls that it is computed at, where there is no guess
 
 
 class Preconditioner(nn.Module):
@@ -27,15 +32,18 @@ class Preconditioner(nn.Module):
 
     Args:
         rig: in mesh space.
+        has_features: whether the network uses the rig's features.
     """
 
     matrix: Tensor
 
-    def __init__(self, rig: RigInMeshSpace) -> None:
+    def __init__(self, rig: RigInMeshSpace, has_features: bool) -> None:
         super().__init__()
         count = len(rig.source.controls)
         self.register_buffer("matrix", torch.eye(count).to(rig.linear_map))
-        self.squared_size = rig.space.vertex_count * SIZE_MM**2
+        rest = rig.space.rest_vertices
+        size = SKIN_SIZE_MM if has_features else SIZE * float((rest.amax(dim=0) - rest.amin(dim=0)).norm())
+        self.squared_size = rig.space.vertex_count * size**2
 
     @torch.no_grad()
     def calibrate(self, rig: RigInMeshSpace, control_map: ControlMap, raw: Float[Tensor, "batch control"]) -> None:
@@ -56,6 +64,14 @@ class Preconditioner(nn.Module):
     def step(self, step: Float[Tensor, "batch control"]) -> Float[Tensor, "batch control"]:
         """The change of the raw outputs by a step, both `(batch, control)`."""
         return step @ self.matrix.T
+
+
+def weak_poses(rig: LinearRig) -> Float[Tensor, "mesh control"]:
+    """Random controls at a part of their strength, `(MESHES, control)`: the typical Hessian is between neutral and extremes."""
+    limits = rig.lower, rig.upper, rig.neutral_controls
+    generator = generator_at(0, "weak poses", device=rig.lower.device)
+    controls = sparse_controls(*limits, len(rig.controls), MESHES, generator)
+    return rig.neutral_controls + STRENGTH * (controls - rig.neutral_controls)
 
 
 def mean_hessian(

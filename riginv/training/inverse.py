@@ -5,7 +5,8 @@ from torch import Tensor, nn
 
 from riginv.config.values import NonNegativeFloat, NonNegativeInt
 from riginv.errors import InputError
-from riginv.networks.inverse import Estimate, InverseNetwork
+from riginv.networks.correction import Estimate
+from riginv.networks.inverse import InverseNetwork
 from riginv.rig.batches import PoseBatch, known_controls
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
@@ -22,7 +23,8 @@ class InverseModule(RigModule):
 
     Args:
         loss: of the estimate of every stage.
-        sampled_vertices: the last stage's loss is the mean distance of this many vertices; 0: `loss`, as for the others.
+        sampled_vertices: the last stage's loss is the mean distance of this many vertices (`MeanDistanceLoss`); 0: `loss`, as
+            for the others.
         control_weight: mm of loss for a control that is off by its whole range, on poses of the rig, whose controls are known:
             they decide between several controls that make one mesh. Other meshes, and the last `MESH_STAGES` stages of all, are
             compared by their vertices alone.

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from riginv.networks.inverse import Estimate
+from riginv.networks.correction import Estimate
 from riginv.rig.batches import PoseBatch, split_batch
 from riginv.runs.threads import Workers
 

@@ -28,10 +28,10 @@ def random_network(rig, **settings):
     return network.requires_grad_(False).eval(), coordinates
 
 
-@pytest.mark.parametrize("activation", ["gelu", "silu"])
 @pytest.mark.parametrize("batch", [1, 2, 33])
-def test_it_equals_the_network(toy, activation, batch):
-    network, coordinates = random_network(toy, activation=activation)
+@pytest.mark.parametrize("settings", [{}, {"activation": "silu"}, {"weighted_steps": 0}, {"weighted_steps": 6}], ids=str)
+def test_it_equals_the_network(toy, settings, batch):
+    network, coordinates = random_network(toy, **settings)
     found, expected = PackedInverse.of(network)(coordinates[:batch]), network(coordinates[:batch])
     with pure_torch():
         exact = deepcopy(network).double()(coordinates[:batch].double())

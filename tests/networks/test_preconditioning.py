@@ -24,7 +24,7 @@ def test_the_hessian_is_the_mean_of_those_of_autograd(toy, raw):
 
 def test_the_preconditioned_hessian_is_near_the_identity(toy, raw):
     control_map = CONTROL_MAPS["neutral_start"](toy.source)
-    conditioner = Preconditioner(toy)
+    conditioner = Preconditioner(toy, has_features=False)
     conditioner.calibrate(toy, control_map, raw)
     hessian = mean_hessian(toy, control_map, raw)
     matrix = conditioner.matrix.double()
@@ -39,7 +39,7 @@ def test_the_preconditioned_hessian_is_near_the_identity(toy, raw):
 def test_a_gradient_is_the_negative_of_a_gauss_newton_step_where_nothing_is_damped(toy, raw, monkeypatch):
     monkeypatch.setattr("riginv.networks.preconditioning.DAMPING", 0.0)
     control_map = CONTROL_MAPS["neutral_start"](toy.source)
-    conditioner = Preconditioner(toy)
+    conditioner = Preconditioner(toy, has_features=False)
     conditioner.calibrate(toy, control_map, raw)
     hessian, gradient = mean_hessian(toy, control_map, raw), torch.randn(3, raw.shape[1]).double()
     expected = torch.linalg.solve(hessian, gradient.T).T
@@ -48,6 +48,6 @@ def test_a_gradient_is_the_negative_of_a_gauss_newton_step_where_nothing_is_damp
 
 
 def test_controls_without_effect_get_finite_steps(toy, raw):
-    conditioner = Preconditioner(toy)
+    conditioner = Preconditioner(toy, has_features=False)
     conditioner.calibrate(toy, CONTROL_MAPS["range_tanh"](toy.source), torch.full_like(raw, 40.0))  # at their limits
     assert torch.isfinite(conditioner.matrix).all()

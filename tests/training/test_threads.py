@@ -116,7 +116,7 @@ def test_a_single_thread_for_a_while():
     assert torch.get_num_threads() == before
 
 
-def one_step(toy, workers, kind, rows=33):
+def one_step(toy, workers, kind, rows=40):
     torch.manual_seed(0)
     network = kind(toy, hidden=[512, 512])
     module = InverseModule(toy, network, RmsVertexDistanceLoss(162), ADAM, CONSTANT, sampled_vertices=40)

@@ -1,0 +1,60 @@
+"""Weights of vertices with which the gradient of squared distances is that of the mean distance.
+
+The gradient of sum |d_v| is that of half the sum of w_v |d_v|^2 with w_v = 1 / |d_v| held fixed: iteratively reweighted least
+squares (Weiszfeld's algorithm).
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from riginv.geometry.products import matmul
+from riginv.rig.batches import generator_at
+from riginv.rig.mesh_space import MeshSpace
+
+CLUSTERS = 512  # of vertices: more of them tell more of the mean distance, and take longer
+ROUNDS = 5  # of Lloyd's algorithm
+LEAST = 0.1  # of the mean distance: what nearer vertices are taken for
+
+
+class DistanceWeights(nn.Module):
+    """Weights the errors of mesh coordinates by vertices, one for each cluster of vertices that move alike.
+
+    With d_k = Q_k z the displacement of a cluster's central vertex, n_k its number of vertices and m the mean distance, the
+    weighted error of z is sum_k n_k w_k Q_k^T d_k, w_k = m / |d_k|.
+
+    Args:
+        space: the mesh space.
+    """
+
+    frame: Tensor
+    counts: Tensor
+
+    def __init__(self, space: MeshSpace) -> None:
+        super().__init__()
+        clusters = min(CLUSTERS, space.vertex_count)
+        self.register_buffer("frame", space.directions.new_zeros(space.size, 3 * clusters))
+        self.register_buffer("counts", space.directions.new_ones(clusters))
+
+    @torch.no_grad()
+    def calibrate(self, space: MeshSpace) -> None:
+        """Find the clusters, of vertices with similar directions of the mesh space."""
+        moves = space.directions.transpose(0, 1).flatten(1)
+        order = torch.randperm(len(moves), generator=generator_at(0, "clusters")).to(moves.device)
+        centres = moves[order[: len(self.counts)]]
+        for _ in range(ROUNDS):
+            nearest = torch.cdist(moves, centres).argmin(dim=1)
+            counts = torch.bincount(nearest, minlength=len(centres))
+            sums = torch.zeros_like(centres).index_add_(0, nearest, moves)
+            centres = torch.where(counts[:, None] > 0, sums / counts.clamp_min(1)[:, None], centres)
+        distances = torch.cdist(moves, centres)
+        self.counts.copy_(torch.bincount(distances.argmin(dim=1), minlength=len(centres)))
+        self.frame.copy_(space.directions[:, distances.argmin(dim=0)].flatten(1))
+
+    def forward(self, error: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch coordinate"]:
+        """The weighted error `(batch, coordinate)`, about of the size of the error."""
+        displacement = matmul(error, self.frame).unflatten(1, (-1, 3))
+        squares = displacement.square().sum(dim=2)
+        mean = (squares.sqrt() @ self.counts / self.counts.sum())[:, None]
+        weights = self.counts * mean / (squares + (LEAST * mean).square() + torch.finfo(mean.dtype).tiny).sqrt()
+        return matmul((weights[:, :, None] * displacement).flatten(1), self.frame.T)

@@ -1,0 +1,52 @@
+"""Weighted errors: their gradient is that of the mean distance, exactly where every vertex is a cluster, else nearly."""
+
+from copy import deepcopy
+
+import pytest
+import torch
+
+from riginv.networks.distance_weights import LEAST, DistanceWeights
+from riginv.rig.batches import generator_at
+
+
+def errors(space, count=6):
+    return torch.randn(count, space.size, generator=generator_at(0, "errors"), dtype=torch.float64)
+
+
+def expected(space, error):
+    """The gradient of the mean distance by the error, each root rounded off at `LEAST` of the mesh's own mean."""
+    error = error.clone().requires_grad_()
+    squares = space.decode(error).sub(space.rest_vertices).square().sum(dim=2)
+    mean = squares.sqrt().mean(dim=1, keepdim=True).detach()
+    gradient = torch.autograd.grad((squares + (LEAST * mean).square()).sqrt().sum(), error)[0]
+    return mean * gradient
+
+
+def weights_of(space):
+    weights = DistanceWeights(space).double()
+    weights.calibrate(space)
+    return weights
+
+
+def test_the_gradient_is_that_of_the_mean_distance(toy):
+    space = deepcopy(toy.space).double()
+    weights, error = weights_of(space), errors(space)
+    assert (weights.counts == 1).all() and len(weights.counts) == space.vertex_count
+    torch.testing.assert_close(weights(error), expected(space, error), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("clusters", [24, 60])
+def test_fewer_clusters_are_nearer_to_it_than_the_error_is(toy, monkeypatch, clusters):
+    monkeypatch.setattr("riginv.networks.distance_weights.CLUSTERS", clusters)
+    space = deepcopy(toy.space).double()
+    weights, error = weights_of(space), errors(space)
+    wanted = expected(space, error)
+    assert len(weights.counts) == clusters and int(weights.counts.sum()) == space.vertex_count
+    scaled = error * ((wanted * error).sum(dim=1) / error.square().sum(dim=1))[:, None]
+    assert (weights(error) - wanted).norm() < (scaled - wanted).norm()
+
+
+def test_no_error_stays_none(toy):
+    weights = DistanceWeights(toy.space)
+    weights.calibrate(toy.space)
+    assert torch.equal(weights(torch.zeros(3, toy.space.size)), torch.zeros(3, toy.space.size))
