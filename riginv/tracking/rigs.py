@@ -10,7 +10,7 @@ from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_sets import MeshSet, StoredMeshes
 
-FRAMES_TO_A_POSE = 4.5  # of a simulated performance: all of its 900 frames from 200 poses on
+FEW_POSES, FRAMES_TO_A_POSE = 20, 4.5  # below so many poses a simulated performance has so many frames to each
 
 
 def build_rig(spec: ClassSpec[RigBackend], mesh_space: MeshSpaceConfig, store: str | None = None) -> LinearRig:
@@ -56,7 +56,7 @@ def build_clip(
     """The clip to evaluate on: the one given, or else the rig's own motion, or a simulated performance; None where it has none.
 
     Args:
-        poses: in each random test set; a simulated performance has 4.5 frames to each. None: all of its frames.
+        poses: in each random test set; below 20 a simulated performance has 4.5 frames to each. None: all of its frames.
 
     Raises:
         InputError: the clip cannot be read or is none of the rig, or the rig's motion holds what is no number.
@@ -67,7 +67,8 @@ def build_clip(
         return open_capture(capture, true_rig if true_rig.held_out is None else rig, rig, reading, frames)
     motion = true_rig.motion()
     if motion is None:
-        return simulated_performance(true_rig, most=None if poses is None else round(FRAMES_TO_A_POSE * poses))
+        most = round(FRAMES_TO_A_POSE * poses) if poses is not None and poses < FEW_POSES else None
+        return simulated_performance(true_rig, most=most)
     broken = (~motion.vertices.isfinite().all(dim=2).all(dim=1)).nonzero()[:, 0]
     if len(broken):
         raise InputError(
