@@ -161,7 +161,10 @@ class Workers:
 @functools.cache
 def workers() -> Workers:
     """The threads that solvers use."""
-    return Workers()
+    shared = Workers()
+    if shared.cores.numbers == _SINCE_IMPORT.numbers:
+        shared.cores = _SINCE_IMPORT  # so that the first look need not wait
+    return shared
 
 
 @contextmanager
@@ -213,3 +216,6 @@ def _from_environment() -> int | None:
 def _limit() -> int:
     found = os.environ.get(LIMIT, "").partition(",")[0]
     return max(1, int(found)) if found.isdigit() else os.cpu_count() or 1
+
+
+_SINCE_IMPORT = Cores()  # what other processes do is known from here on

@@ -12,7 +12,7 @@ import torch
 from riginv.networks.ablations import NormalisedInverse
 from riginv.networks.inverse import DirectInverse, StagedInverse
 from riginv.rig.batches import PoseBatch, generator_at
-from riginv.runs.threads import Workers, single_threaded
+from riginv.runs.threads import Workers, single_threaded, workers
 from riginv.sampling.controls import PlausibleControls
 from riginv.sampling.meshes import RigPoses
 from riginv.training.data import PoseDataModule, bare_trainer
@@ -71,6 +71,12 @@ def test_the_number_can_be_asked_for(unlimited, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setattr(time, "sleep", lambda seconds: pytest.fail("free cores were counted"))
     assert Workers().update_count() == 1 and "counted" not in Workers().describe()
+
+
+def test_what_others_do_is_known_without_waiting(unlimited, monkeypatch):
+    monkeypatch.setattr(time, "sleep", lambda seconds: pytest.fail("the first look waits"))
+    found = workers.__wrapped__()
+    assert 1 <= found.update_count() <= found.cores.count and found.counts_cores == (found.cores.count > 1)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
