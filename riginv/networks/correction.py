@@ -83,7 +83,7 @@ class Estimate:
 class StageStart(NamedTuple):
     """What a stage starts from, without a graph: the raw outputs of an estimate and what follows from them.
 
-    The error may be weighted (`riginv.networks.distance_weights`), and then the gradient is that of half its square.
+    The error may be weighted (`riginv.networks.distance_weights`); the gradient is its vector-Jacobian product.
     """
 
     raw: Tensor

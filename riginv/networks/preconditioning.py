@@ -67,7 +67,7 @@ class Preconditioner(nn.Module):
 
 
 def weak_poses(rig: LinearRig) -> Float[Tensor, "mesh control"]:
-    """Random controls at a part of their strength, `(MESHES, control)`: the typical Hessian is between neutral and extremes."""
+    """Random controls at `STRENGTH` of their distance from neutral, `(MESHES, control)`, where the Hessian is typical."""
     limits = rig.lower, rig.upper, rig.neutral_controls
     generator = generator_at(0, "weak poses", device=rig.lower.device)
     controls = sparse_controls(*limits, len(rig.controls), MESHES, generator)

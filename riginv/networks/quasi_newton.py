@@ -61,7 +61,7 @@ class QuasiNewton(nn.Module):
         """Set the Hessian from random poses of the rig.
 
         With J the Jacobian, P its mean over the poses with a control on one side, column by column and for both sides, and R
-        what is left of J: P^T P, to which the mean of R^T R is added for any sides.
+        the residual J - P: P^T P, to which the mean of R^T R is added for any sides.
         """
         source = rig.source
         limits = source.lower, source.upper, source.neutral_controls

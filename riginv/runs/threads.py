@@ -218,4 +218,4 @@ def _limit() -> int:
     return max(1, int(found)) if found.isdigit() else os.cpu_count() or 1
 
 
-_SINCE_IMPORT = Cores()  # what other processes do is known from here on
+_SINCE_IMPORT = Cores()  # counts from here on what other processes use

@@ -9,7 +9,7 @@ from riginv.geometry.products import matmul
 from riginv.rig.batches import generator_at
 
 EPSILON_MM = 0.01  # keeps the root's gradient finite where the error vanishes
-SUBSETS = 4  # of the vertices, in turn for the meshes of a batch: one alone would be fitted better than the other vertices
+SUBSETS = 4  # of vertices, in turn for the meshes of a batch: a single one is fitted better than the other vertices
 
 
 class LengthLoss(nn.Module, ABC):
