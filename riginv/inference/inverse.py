@@ -8,6 +8,7 @@ controls = inverse(vertices)  # (frame, 8447, 3) in mm -> (frame, 137)
 
 import functools
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -89,8 +90,9 @@ def _multiplies_bfloat16() -> bool:
 # Weights without these are of a network that was made without the option, also where the rig has features now.
 MADE_WITH = (
     ("features", False, "features.scale"),
-    ("descent_steps", 0, "preconditioner.matrix"),
+    ("preconditioned", False, "preconditioner.matrix"),
     ("weighted_steps", 0, "weights.frame"),
+    ("distance_steps", 0, "quasi_newton.distance.frame"),
     ("quasi_newton_steps", 0, "quasi_newton.hessian"),
 )
 MIN_SIZE_FOR_BFLOAT16 = 1_000_000  # numbers of a frame: below it there is nothing to gain
@@ -160,6 +162,17 @@ class Inverse(nn.Module):
         """The network's controls `(batch, control)` for mesh coordinates `(batch, coordinate)`, without a graph."""
         found = None if self.packed is None else self.packed(coordinates)
         return self.network(coordinates) if found is None else found
+
+    @property
+    def has_distance_steps(self) -> bool:
+        """Whether the network ends in steps on the mean distance."""
+        return isinstance(self.network, StagedInverse) and self.network.has_distance_steps
+
+    def after_distance_steps(self, coordinates: Tensor, controls: Tensor, steps: int) -> Tensor:
+        """Controls `(batch, control)` after so many of these steps, without a graph."""
+        packed = None if kernels_for(coordinates) is None else self.packed
+        method = cast(StagedInverse, self.network) if packed is None else packed
+        return method.after_distance_steps(coordinates, controls, steps)
 
     @functools.cached_property
     def packed(self) -> PackedInverse | None:

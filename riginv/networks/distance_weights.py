@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from riginv.geometry.products import matmul
+from riginv.geometry.products import linear, matmul
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import MeshSpace
 
@@ -20,8 +20,9 @@ LEAST = 0.1  # of the mean distance: what nearer vertices are taken for
 class DistanceWeights(nn.Module):
     """Weights the errors of mesh coordinates by vertices, one for each cluster of vertices that move alike.
 
-    With d_k = Q_k z the displacement of a cluster's central vertex, n_k its number of vertices and m the mean distance, the
-    weighted error of z is sum_k n_k w_k Q_k^T d_k, w_k = m / |d_k|.
+    With d_k = Q_k z the displacement of a cluster's central vertex, n_k its number of vertices, n their sum and m the mean
+    distance, the weighted error of z is sum_k n_k w_k Q_k^T d_k, w_k = m / |d_k|: the gradient of n m^2 / 2, which is half the
+    squared length of z where all vertices move alike.
 
     Args:
         space: the mesh space.
@@ -51,10 +52,20 @@ class DistanceWeights(nn.Module):
         self.counts.copy_(torch.bincount(distances.argmin(dim=1), minlength=len(centres)))
         self.frame.copy_(space.directions[:, distances.argmin(dim=0)].flatten(1))
 
-    def forward(self, error: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch coordinate"]:
-        """The weighted error `(batch, coordinate)`, about of the size of the error."""
-        displacement = matmul(error, self.frame).unflatten(1, (-1, 3))
-        squares = displacement.square().sum(dim=2)
-        mean = (squares.sqrt() @ self.counts / self.counts.sum())[:, None]
-        weights = self.counts * mean / (squares + (LEAST * mean).square() + torch.finfo(mean.dtype).tiny).sqrt()
-        return matmul((weights[:, :, None] * displacement).flatten(1), self.frame.T)
+    def forward(
+        self, error: Float[Tensor, "batch coordinate"]
+    ) -> tuple[Float[Tensor, " batch"], Float[Tensor, "batch coordinate"]]:
+        """The mean distance `(batch,)`, and the weighted error `(batch, coordinate)`."""
+        mean, weighted = self.of_displacements(matmul(error, self.frame))
+        return mean, linear(weighted, self.frame)
+
+    def of_displacements(
+        self, displacements: Float[Tensor, "batch move"]
+    ) -> tuple[Float[Tensor, " batch"], Float[Tensor, "batch move"]]:
+        """The mean distance `(batch,)`, and n_k w_k d_k, from the displacements `(batch, 3 * cluster)` of all clusters."""
+        moves = displacements.unflatten(1, (-1, 3))
+        squares = moves.square().sum(dim=2)
+        mean = squares.sqrt() @ self.counts / self.counts.sum()
+        least = (LEAST * mean).square()[:, None] + torch.finfo(mean.dtype).tiny
+        weights = self.counts * mean[:, None] * (squares + least).rsqrt()
+        return mean, (weights[:, :, None] * moves).flatten(1)

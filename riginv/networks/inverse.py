@@ -21,6 +21,7 @@ from riginv.networks.quasi_newton import QuasiNewton
 from riginv.rig.mesh_space import RigInMeshSpace
 
 START_GAIN = 0.3  # of the last layer: estimates start close to neutral
+REFINEMENT_STEPS = (4, 6)  # without features and with; bundles rely on these numbers
 CORRECTION_GAIN = 0.02  # of the last layer where a guess precedes the first MLP: estimates start close to that
 
 
@@ -98,8 +99,8 @@ class StagedInverse(InverseNetwork):
 
     The input of the first MLP is the mesh. Every further one also gets the residual of the estimate before it, the gradient of
     the squared error through the rig, and the controls so far; so do the refinement steps (`riginv.networks.correction`). Each
-    is trained on its own error alone. Gradients and steps are preconditioned (`riginv.networks.preconditioning`), and the last
-    steps get residuals whose gradient is that of the mean distance (`riginv.networks.distance_weights`).
+    is trained on its own error alone. Gradients and steps are preconditioned (`riginv.networks.preconditioning`). Steps on the
+    mean distance that are not learned follow (`riginv.networks.quasi_newton`).
 
     Where the rig has features they replace mesh coordinates, and a guess from them precedes the first MLP
     (`riginv.networks.features`). Every stage then starts from the best estimate of each mesh so far, and the last refinement
@@ -108,15 +109,17 @@ class StagedInverse(InverseNetwork):
     Args:
         stages: the number of MLPs.
         hidden: their hidden widths.
-        refinement_steps: their number.
+        refinement_steps: their number; None: `REFINEMENT_STEPS`.
         width: linear features of a refinement step.
         gate: hidden width of a refinement step's gate.
         features: whether the rig's features are used, where it has any.
-        descent_steps: refinement steps, at most, that are one `Descent`, where features are used; 0: nothing is preconditioned.
-        weighted_steps: refinement steps at the end, at most, with weighted residuals, where no features are used; 0: nothing is
-            preconditioned.
-        quasi_newton_steps: steps that are not learned, after all others, where a Jacobian costs far more than a gradient; there
-            every refinement step is a `Descent`, beside such a step (`riginv.networks.quasi_newton`).
+        descent_steps: refinement steps, at most, that are one `Descent`, where features are used.
+        distance_steps: steps on the mean distance, after all others, where no features are used.
+        quasi_newton_steps: steps on the squared error, after all others, where a Jacobian costs far more than a gradient; there
+            every refinement step is a `Descent`, beside such a step.
+        preconditioned: whether gradients and steps are, as in all networks but those of old bundles.
+        weighted_steps: refinement steps at the end, at most, whose residuals are weighted (`riginv.networks.distance_weights`);
+            `distance_steps` do the same at a lower cost.
     """
 
     coordinate_scale: Tensor
@@ -127,26 +130,28 @@ class StagedInverse(InverseNetwork):
         rig: RigInMeshSpace,
         stages: PositiveInt = 1,
         hidden: Widths = (1024, 512),
-        refinement_steps: NonNegativeInt = 6,
-        width: PositiveInt = 384,
-        gate: PositiveInt = 256,
+        refinement_steps: NonNegativeInt | None = None,
+        width: PositiveInt = 256,
+        gate: PositiveInt = 128,
         activation: str = "gelu",
         control_map: str = "neutral_start",
         features: bool = True,
         descent_steps: NonNegativeInt = 4,
-        weighted_steps: NonNegativeInt = 2,
+        distance_steps: NonNegativeInt = 5,
         quasi_newton_steps: NonNegativeInt = 24,
+        preconditioned: bool = True,
+        weighted_steps: NonNegativeInt = 0,
     ) -> None:
         super().__init__(rig, control_map)
-        numbers = {"stages": stages, "refinement_steps": refinement_steps, "width": width, "gate": gate}
-        for name, number in numbers.items():
-            if number < (least := 0 if name == "refinement_steps" else 1):
-                raise InputError(f"network: {name} is {number}, expected at least {least}")
+        for name, number in {"stages": stages, "width": width, "gate": gate}.items():
+            if number < 1:
+                raise InputError(f"network: {name} is {number}, expected at least 1")
         size, controls = rig.space.size, len(rig.source.controls)
         self.features = RigFeatures(rig) if features and RigFeatures.offered_by(rig) else None
-        is_preconditioned = descent_steps if self.features else weighted_steps
-        self.preconditioner = Preconditioner(rig, bool(self.features)) if is_preconditioned else None
-        self.quasi_newton = QuasiNewton(rig, quasi_newton_steps) if quasi_newton_steps and rig.source.gradient_steps else None
+        if refinement_steps is None:
+            refinement_steps = REFINEMENT_STEPS[bool(self.features)]
+        self.preconditioner = Preconditioner(rig, bool(self.features)) if preconditioned else None
+        self.quasi_newton = self._quasi_newton(quasi_newton_steps, distance_steps)
         most = refinement_steps if self.quasi_newton else descent_steps
         self.descents = min(most, refinement_steps) if self.features and self.preconditioner else 0
         self.weighted = 0 if self.features else min(weighted_steps, refinement_steps)
@@ -162,6 +167,12 @@ class StagedInverse(InverseNetwork):
         self.descent = nn.ModuleList([Descent(controls, width, gate)] if self.descents else [])
         self.register_buffer("coordinate_scale", torch.ones(()))
         self.register_buffer("gradient_scale", torch.ones(controls) if self.features else torch.ones(()))
+
+    def _quasi_newton(self, steps: int, distance_steps: int) -> QuasiNewton | None:
+        if self.rig.source.gradient_steps:
+            return QuasiNewton(self.rig, steps) if steps else None
+        on_distance = distance_steps and not self.features
+        return QuasiNewton(self.rig, distance_steps, DistanceWeights(self.rig.space)) if on_distance else None
 
     def calibrate(self, coordinates: Float[Tensor, "batch coordinate"]) -> None:
         self.coordinate_scale.copy_(_size(coordinates))
@@ -210,7 +221,7 @@ class StagedInverse(InverseNetwork):
 
     def _start(self, before: Estimate, is_weighted: bool) -> StageStart:
         """What a stage starts from, after an estimate."""
-        error = self.weights(before.error) if is_weighted and self.weights else before.error
+        error = self.weights(before.error)[1] if is_weighted and self.weights else before.error
         gradient = before.gradient if error is before.error else before.vjp(error)
         return StageStart(before.raw.detach(), before.detached_coordinates, error, gradient, before.squares)
 
@@ -238,6 +249,17 @@ class StagedInverse(InverseNetwork):
         estimates = list(self._each_stage(target, guess))
         controls = estimates[-1].controls if guess is None else self._best([guess, *estimates])
         return self.quasi_newton(self.rig, controls, coordinates) if self.quasi_newton else controls
+
+    @property
+    def has_distance_steps(self) -> bool:
+        return self.quasi_newton is not None and self.quasi_newton.distance is not None
+
+    def after_distance_steps(
+        self, coordinates: Float[Tensor, "batch coordinate"], controls: Float[Tensor, "batch control"], steps: int
+    ) -> Float[Tensor, "batch control"]:
+        """Controls `(batch, control)` for mesh coordinates, after steps on the mean distance; of a network that has these."""
+        assert self.quasi_newton is not None
+        return self.quasi_newton(self.rig, controls, coordinates, steps)
 
     def _best(self, estimates: list[Estimate]) -> Tensor:
         errors = torch.stack([estimate.squares for estimate in estimates])

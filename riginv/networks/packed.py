@@ -1,5 +1,6 @@
 """A trained inverse on a CPU, with few operations between its matrix products and its weights in one block of memory."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -33,7 +34,7 @@ class _Step(NamedTuple):
 
 
 class PackedInverse:
-    """As `StagedInverse.forward` without features or quasi-Newton steps, for weights that stay; on a CPU in float32.
+    """As `StagedInverse.forward` without features, for weights that stay; on a CPU in float32.
 
     Args:
         network: the trained network.
@@ -46,16 +47,17 @@ class PackedInverse:
         self.layers = list(first.network)
         layers = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
         self.conditioner, self.distance_weights, self.weighted = network.preconditioner, network.weights, network.weighted
+        self.quasi_newton = network.quasi_newton
         steps = [self._step(correction, network.coordinate_scale) for correction in network.corrections]
         packed = in_huge_pages(
             [each for layer in layers for each in (layer.weight, layer.bias)]
             + [each for step in steps for each in step]
-            + [network.rig.linear_map]
+            + [network.rig.linear_map, self._cluster_map(network)]
         )
-        of_layers, of_steps = packed[: 2 * len(layers)], packed[2 * len(layers) : -1]
+        of_layers, of_steps = packed[: 2 * len(layers)], packed[2 * len(layers) : -2]
         self.weights = dict(zip(map(id, layers), zip(of_layers[::2], of_layers[1::2])))
         self.steps = [_Step(*of_steps[start : start + 6]) for start in range(0, len(of_steps), 6)]
-        self.linear_map = packed[-1]
+        self.linear_map, self.cluster_map = packed[-2:]
         self.coordinate_scale = network.coordinate_scale
         self.map = torch.stack([getattr(network.control_map, name) for name in MAP])
         gradient_scale = torch.ones_like(network.gradient_scale) if self.conditioner else network.gradient_scale
@@ -65,7 +67,9 @@ class PackedInverse:
     @classmethod
     def of(cls, network: nn.Module) -> "PackedInverse | None":
         """None where a network has other parts, is not on a CPU in float32, or there are no kernels."""
-        if type(network) is not StagedInverse or network.features or network.quasi_newton or len(network.stages) != 1:
+        if type(network) is not StagedInverse or network.features or len(network.stages) != 1:
+            return None
+        if network.quasi_newton and not network.quasi_newton.distance:
             return None
         if not isinstance(network.control_map, NeutralStart) or not network.rig.source.differentiable:
             return None
@@ -83,7 +87,30 @@ class PackedInverse:
         for number, step in enumerate(self.steps):
             weights = self.distance_weights if number >= len(self.steps) - self.weighted else None
             raw = self._refined(compiled, step, raw, target, weights)
-        return self._controls(compiled, raw)[0]
+        controls = self._controls(compiled, raw)[0]
+        return self.after_distance_steps(target, controls, self.quasi_newton.steps) if self.quasi_newton else controls
+
+    @torch.no_grad()
+    def after_distance_steps(
+        self, target: Float[Tensor, "batch coordinate"], controls: Float[Tensor, "batch control"], steps: int
+    ) -> Float[Tensor, "batch control"]:
+        """As `StagedInverse.after_distance_steps`."""
+        method, source, neutral = self.quasi_newton, self.rig.source, self.rig.neutral_coefficients
+        assert method is not None and method.distance is not None
+        distance, of_target = method.distance, matmul(target, method.distance.frame)
+
+        def evaluate(units: Tensor) -> tuple[Tensor, Callable[[], Tensor]]:
+            coefficients, vjp = source.coefficients_and_vjp(method.lower + method.span * units)
+            mean, weighted = distance.of_displacements(matmul(coefficients - neutral, self.cluster_map).sub_(of_target))
+            return mean, lambda: method.span * vjp(linear(weighted, self.cluster_map))
+
+        return method.minimise(evaluate, controls, steps)
+
+    @staticmethod
+    def _cluster_map(network: StagedInverse) -> Tensor:
+        """From the rig's coefficients to the displacements of clusters, `(coefficient, 3 * cluster)`."""
+        distance = network.quasi_newton.distance if network.quasi_newton else None
+        return network.rig.linear_map @ distance.frame if distance else network.rig.linear_map[:0]
 
     def _step(self, correction: nn.Module, coordinate_scale: Tensor) -> _Step:
         assert isinstance(correction, Correction)
@@ -126,7 +153,7 @@ class PackedInverse:
         residual = inputs[:, : self.size]
         torch.sub(matmul(coefficients - self.rig.neutral_coefficients, self.linear_map), target, out=residual)
         if weights:
-            residual.copy_(weights(residual))
+            residual.copy_(weights(residual)[1])
         gradients = vjp(linear(residual, self.linear_map)).contiguous()
         if self.conditioner:
             gradients = self.conditioner.gradient(gradients * derivatives).contiguous()

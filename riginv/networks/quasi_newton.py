@@ -1,10 +1,12 @@
-"""Steps by gradients alone in and after an inverse network, for rigs whose Jacobian costs a hundred times as much as one.
+"""Steps by gradients alone after an inverse network, and in it for rigs whose Jacobian costs a hundred times as much as one.
 
 L-BFGS (Nocedal 1980, "Updating quasi-Newton matrices with limited storage") from the mean Gauss-Newton Hessian over random
 poses. A control that is neutral inside its range often drives two shapes, one on either side, so that the derivative jumps
 there: the Hessian is kept for either side of each control, and each mesh takes that of its own sides (docs/experiments.md).
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -12,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from riginv.networks.control_maps import ControlMap
+from riginv.networks.distance_weights import DistanceWeights
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.rig.random_controls import sparse_controls
@@ -19,6 +22,7 @@ from riginv.rig.random_controls import sparse_controls
 POSES, BATCH_SIZE = 64, 16  # that the Hessian is a mean over; BATCH_SIZE bounds the memory
 DAMPING = 1.0  # of the diagonal, relative
 STAGE_DAMPING = 0.3  # the same, of a network's stages, which take single steps
+DISTANCE_DAMPING = 6.0  # the same, of steps on the mean distance, whose Hessian is that of squares in its diagonal alone
 LEAST_DERIVATIVE = 0.1  # of a control by its raw output, as a fraction of its range: close to a limit it vanishes
 LEAST, TINY = 1e-9, 1e-12  # lower bounds of the diagonal, relative to its greatest element, and of that and of curvatures
 SOLVE_STEPS = 12  # of conjugate gradients: no factorisation, which ONNX does not have
@@ -26,8 +30,11 @@ LONGEST_STEP, LONGEST_RAW_STEP = 0.3, 1.0  # as a fraction of a control's range;
 SHORTER = 0.5  # a step that fails is tried again at this fraction
 
 
+Evaluate = Callable[[Tensor], tuple[Tensor, Callable[[], Tensor]]]
+
+
 class _State(NamedTuple):
-    """Controls as fractions of their ranges `(mesh, control)`, half the squared errors `(mesh,)`, and their gradients."""
+    """Controls as fractions of their ranges `(mesh, control)`, each mesh's error `(mesh,)`, and its gradient."""
 
     units: Tensor
     cost: Tensor
@@ -35,11 +42,12 @@ class _State(NamedTuple):
 
 
 class QuasiNewton(nn.Module):
-    """Lowers the squared error of each mesh from an estimate, within the controls' limits.
+    """Lowers the error of each mesh from an estimate, within the controls' limits.
 
     Args:
         rig: in mesh space.
         steps: their number; each takes one gradient through the rig.
+        distance: whose mean distance is the error; None: it is half the squared error.
     """
 
     hessian: Tensor
@@ -47,9 +55,9 @@ class QuasiNewton(nn.Module):
     span: Tensor
     neutral: Tensor
 
-    def __init__(self, rig: RigInMeshSpace, steps: int) -> None:
+    def __init__(self, rig: RigInMeshSpace, steps: int, distance: DistanceWeights | None = None) -> None:
         super().__init__()
-        self.steps, source = steps, rig.source
+        self.steps, self.distance, source = steps, distance, rig.source
         span = source.upper - source.lower
         self.register_buffer("lower", source.lower, persistent=False)
         self.register_buffer("span", span, persistent=False)
@@ -58,11 +66,13 @@ class QuasiNewton(nn.Module):
 
     @torch.no_grad()
     def calibrate(self, rig: RigInMeshSpace) -> None:
-        """Set the Hessian from random poses of the rig.
+        """Set the Hessian from random poses of the rig, and the clusters of the distance.
 
         With J the Jacobian, P its mean over the poses with a control on one side, column by column and for both sides, and R
         the residual J - P: P^T P, to which the mean of R^T R is added for any sides.
         """
+        if self.distance:
+            self.distance.calibrate(rig.space)
         source = rig.source
         limits = source.lower, source.upper, source.neutral_controls
         controls = sparse_controls(*limits, len(self.span), POSES, generator_at(0, "quasi-Newton", device=source.lower.device))
@@ -80,26 +90,46 @@ class QuasiNewton(nn.Module):
         rig: RigInMeshSpace,
         controls: Float[Tensor, "mesh control"],
         coordinates: Float[Tensor, "mesh coordinate"],
+        steps: int | None = None,
     ) -> Float[Tensor, "mesh control"]:
         """The controls `(mesh, control)` after the steps, without a graph; no mesh's error is greater than at the start.
 
         Args:
             controls: the estimate.
             coordinates: of the target meshes.
+            steps: their number, if not as always.
         """
-        with torch.no_grad():
-            start = ((controls.detach() - self.lower) / self.span).clamp(0, 1)
-            best = self._state(rig, start, coordinates)
-            length = torch.ones_like(best.cost)
-            pairs: list[tuple[Tensor, Tensor]] = []
-            for _ in range(self.steps):
-                step = (-length[:, None] * self._direction(best, pairs)).clamp(-LONGEST_STEP, LONGEST_STEP)
-                new = self._state(rig, (best.units + step).clamp(0, 1), coordinates)
-                pairs.append((new.units - best.units, new.gradient - best.gradient))
-                better = new.cost < best.cost
-                length = torch.where(better, 1.0, SHORTER * length)
-                best = _State(*(torch.where(better.view(-1, *[1] * (b.dim() - 1)), b, a) for a, b in zip(best, new)))
-            return self.lower + self.span * best.units
+        steps = self.steps if steps is None else steps
+        return self.minimise(partial(self._evaluate, rig, coordinates), controls.detach(), steps)
+
+    @torch.no_grad()
+    def minimise(
+        self, evaluate: Evaluate, controls: Float[Tensor, "mesh control"], steps: int
+    ) -> Float[Tensor, "mesh control"]:
+        """As `forward`, of an error that is given.
+
+        Args:
+            evaluate: from controls as fractions of their ranges to each mesh's error, and a function that returns its gradient
+                by these, or a multiple of that.
+            steps: their number.
+        """
+        units = ((controls - self.lower) / self.span).clamp(0, 1)
+        cost, gradient = evaluate(units)
+        length = torch.ones_like(cost)
+        pairs: list[tuple[Tensor, Tensor]] = []
+        best = _State(units, cost, gradient()) if steps else _State(units, cost, units)
+        for number in range(steps):
+            step = (-length[:, None] * self._direction(best, pairs)).clamp(-LONGEST_STEP, LONGEST_STEP)
+            units = (best.units + step).clamp(0, 1)
+            cost, gradient = evaluate(units)
+            better = cost < best.cost
+            if number + 1 == steps:
+                return self.lower + self.span * torch.where(better[:, None], units, best.units)
+            new = _State(units, cost, gradient())
+            pairs.append((units - best.units, new.gradient - best.gradient))
+            length = torch.where(better, 1.0, SHORTER * length)
+            best = _State(*(torch.where(better.view(-1, *[1] * (b.dim() - 1)), b, a) for a, b in zip(best, new)))
+        return self.lower + self.span * best.units
 
     def stage_step(
         self, control_map: ControlMap, raw: Float[Tensor, "mesh control"], gradient: Float[Tensor, "mesh control"]
@@ -110,10 +140,11 @@ class QuasiNewton(nn.Module):
         sides = self._sides((controls - self.lower) / self.span) * derivatives[:, None]
         return -self._solve(sides, gradient, STAGE_DAMPING).clamp(-LONGEST_RAW_STEP, LONGEST_RAW_STEP)
 
-    def _state(self, rig: RigInMeshSpace, units: Tensor, coordinates: Tensor) -> _State:
+    def _evaluate(self, rig: RigInMeshSpace, coordinates: Tensor, units: Tensor) -> tuple[Tensor, Callable[[], Tensor]]:
         found, vjp = rig.coordinates_and_vjp(self.lower + self.span * units)
         error = found - coordinates
-        return _State(units, 0.5 * error.square().sum(dim=1), self.span * vjp(error))
+        cost, weighted = self.distance(error) if self.distance else (0.5 * error.square().sum(dim=1), error)
+        return cost, lambda: self.span * vjp(weighted)
 
     def _direction(self, state: _State, pairs: list[tuple[Tensor, Tensor]]) -> Tensor:
         """The inverse of the updated Hessian times the gradient, by Nocedal's two loops over all pairs of steps so far."""
@@ -125,7 +156,11 @@ class QuasiNewton(nn.Module):
             factor = inverse * (step * vector).sum(dim=1, keepdim=True)
             vector = vector - factor * change
             factors.append((inverse, factor))
-        vector = self._solve(self._sides(state.units), vector)
+        sides = self._sides(state.units)
+        if self.distance:
+            vector = vector / ((sides * self._diagonals).sum(dim=1) * (1 + DISTANCE_DAMPING))
+        else:
+            vector = self._solve(sides, vector)
         for (step, change), (inverse, factor) in zip(pairs, reversed(factors)):
             vector = vector + (factor - inverse * (change * vector).sum(dim=1, keepdim=True)) * step
         return vector
@@ -135,15 +170,19 @@ class QuasiNewton(nn.Module):
         below = (units < self.neutral) & (self.neutral < 1)
         return torch.stack([~below, below], dim=1).to(units)
 
+    @property
+    def _diagonals(self) -> Float[Tensor, "2 control"]:
+        """Of the Hessian, for either side."""
+        diagonals = self.hessian.diagonal()
+        return torch.maximum(diagonals, LEAST * diagonals.max() + TINY).view(2, -1)
+
     def _solve(self, sides: Tensor, gradient: Tensor, damping: float = DAMPING) -> Tensor:
         """The inverse of each mesh's damped Hessian times a vector `(mesh, control)`, by conjugate gradients.
 
         Sides may be multiplied by derivatives of the controls; damping is proportional to these, and not to their squares, so
         that controls close to a limit move less.
         """
-        diagonals = self.hessian.diagonal()
-        diagonals = torch.maximum(diagonals, LEAST * diagonals.max() + TINY).view(2, -1)
-        diagonal = (sides * diagonals).sum(dim=1)
+        diagonal = (sides * self._diagonals).sum(dim=1)
         root = (diagonal * (1 + damping)).sqrt()
 
         def product(vector: Tensor) -> Tensor:

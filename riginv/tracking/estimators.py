@@ -2,6 +2,7 @@
 
 import itertools
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -19,6 +20,7 @@ from riginv.tracking.constraints import ControlConstraints
 from riginv.tracking.fixed_controls import FixedControlsRig
 
 BATCH_SIZE = 512  # meshes per network call
+DISTANCE_STEPS = 2  # of a network, from controls of a slightly different mesh
 UPDATE_STEPS = 3  # solver steps from controls of a slightly different mesh
 MOSTLY = 0.9  # of the frames of a clip: so many that are exact make it one of the rig's own
 UNCONVERGED_MM = 0.02  # root mean square distance that a further solver step would gain
@@ -74,16 +76,23 @@ class NetworkEstimator(ControlEstimator):
 
     @torch.no_grad()
     def estimate(self, vertices: Tensor, motion: Tensor | None = None) -> Tensor:
-        motions = itertools.repeat(None) if motion is None else motion.split(BATCH_SIZE)
-        batches = zip(vertices.split(BATCH_SIZE), motions)
-        controls = torch.cat([self.inverse.answer(self.encode(*batch) / self.scale) for batch in batches])
+        controls = torch.cat([self.inverse.answer(batch) for batch in self._encoded(vertices, motion)])
         return torch.where(self.constraints.free, controls, self.constraints.values)
 
     def refine(self, vertices: Tensor, controls: Tensor, motion: Tensor | None = None) -> Tensor:
-        return self.estimate(vertices, motion)
+        if not self.inverse.has_distance_steps:
+            return self.estimate(vertices, motion)
+        batches = zip(self._encoded(vertices, motion), controls.split(BATCH_SIZE))
+        refined = torch.cat([self.inverse.after_distance_steps(*batch, DISTANCE_STEPS) for batch in batches])
+        return torch.where(self.constraints.free, refined, self.constraints.values)
+
+    def _encoded(self, vertices: Tensor, motion: Tensor | None = None) -> Iterator[Tensor]:
+        """The mesh coordinates of batches."""
+        motions = itertools.repeat(None) if motion is None else motion.split(BATCH_SIZE)
+        return (self.encode(*batch) / self.scale for batch in zip(vertices.split(BATCH_SIZE), motions))
 
     def finish(self, vertices: Tensor, controls: Tensor) -> Tensor:
-        coordinates = torch.cat([self.encode(batch) for batch in vertices.split(BATCH_SIZE)]) / self.scale
+        coordinates = torch.cat(list(self._encoded(vertices)))
         return self.inverse.after_mean_steps(coordinates, controls, self.mean_steps, ~self.constraints.free)
 
     def converged(self, vertices: Tensor, controls: Tensor) -> Tensor:

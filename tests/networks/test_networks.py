@@ -52,7 +52,7 @@ def test_a_batch_equals_its_rows_and_gradients_do_not_matter(network, toy):
     with torch.no_grad():
         alone = torch.cat([network(row[None]) for row in coordinates])
     torch.testing.assert_close(together.detach(), alone, atol=1e-5, rtol=1e-4)
-    assert together.requires_grad and not alone.requires_grad
+    assert network.estimates(coordinates)[-1].controls.requires_grad and not alone.requires_grad
 
 
 def test_neutral_start_keeps_every_gradient_at_neutral_where_a_clamp_would_not(toy):

@@ -66,9 +66,30 @@ def test_steps_lower_every_error_within_the_limits(toy, on_toy):
     torch.testing.assert_close(on_toy(toy, start, coordinates), start)
 
 
-def test_they_follow_networks_of_fitted_rigs_alone(toy, head):
+def test_steps_on_the_mean_distance_lower_it_for_every_mesh(toy):
+    network = StagedInverse(toy, **SMALL, distance_steps=30)
+    controls = random_controls(toy.source, 32, 0)
+    noise = torch.randn(32, toy.space.size, generator=torch.Generator().manual_seed(1))
+    coordinates = toy(controls) + 0.5 * toy(controls).square().mean().sqrt() * noise  # meshes that the rig cannot make
+    network.calibrate(coordinates)
+    method, start = network.quasi_newton, network.estimates(coordinates)[-1].controls.detach()
+
+    def mean_distances(controls: torch.Tensor) -> torch.Tensor:
+        return (toy.space.decode(toy(controls)) - toy.space.decode(coordinates)).norm(dim=2).mean(dim=1)
+
+    before, after = mean_distances(start), mean_distances(network(coordinates))
+    assert len(method.distance.counts) == toy.space.vertex_count  # so that the error is exact
+    assert bool((after <= before * (1 + 1e-5)).all()) and float((after / before).mean()) < 0.9
+    on_squares = QuasiNewton(toy, 30)
+    on_squares.calibrate(toy)
+    assert float(after.mean()) < float(mean_distances(on_squares(toy, start, coordinates)).mean())
+
+
+def test_steps_on_squares_follow_networks_of_fitted_rigs_alone(toy, head):
     assert isinstance(head.source, BlackBoxRig) and head.source.gradient_steps > 0
-    assert StagedInverse(toy, **SMALL).quasi_newton is None
+    assert (
+        StagedInverse(toy, **SMALL).quasi_newton.distance and StagedInverse(toy, **SMALL, distance_steps=0).quasi_newton is None
+    )
     network = StagedInverse(head, **SMALL)
     coordinates = head(random_controls(head.source, 64, 4))
     network.calibrate(coordinates)

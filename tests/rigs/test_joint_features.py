@@ -90,7 +90,9 @@ def test_for_a_root_without_vertices_stands_the_joint_with_most(tmp_path: Path):
     assert mean_error(rig, features.guess(features(space(controls))), controls) < 1e-4
 
 
-@pytest.mark.parametrize("before", [{"features": False, "weighted_steps": 0}, {"descent_steps": 0}])
+@pytest.mark.parametrize(
+    "before", [{"features": False, "preconditioned": False, "distance_steps": 0}, {"preconditioned": False}]
+)
 def test_a_bundle_from_before_the_features_or_the_preconditioning_goes_on_without(rig, tmp_path, before):
     space, target = in_mesh_space(rig), "riginv.networks.inverse.StagedInverse"
     sizes = {"hidden": (8,), "refinement_steps": 1, "width": 8, "gate": 4}
