@@ -60,7 +60,7 @@ class Run:
         network.calibrate(self._batch()["coordinates"])
         adam = partial(torch.optim.Adam, lr=1e-3, fused=True)
         constant = partial(torch.optim.lr_scheduler.ConstantLR, factor=1.0)
-        self.module = InverseModule(in_space, network, RmsVertexDistanceLoss(vertices), adam, constant, sampled_vertices=768)
+        self.module = InverseModule(in_space, network, RmsVertexDistanceLoss(vertices), adam, constant, sampled_vertices=512)
         self.module.workers, self.module.log = Workers(threads), lambda *args, **kwargs: None  # there is no trainer to log to
         self.optimizer = self.module.configure_optimizers()["optimizer"]
 

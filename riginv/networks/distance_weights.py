@@ -4,6 +4,8 @@ The gradient of sum |d_v| is that of half the sum of w_v |d_v|^2 with w_v = 1 / 
 squares (Weiszfeld's algorithm).
 """
 
+from typing import NamedTuple
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -17,6 +19,21 @@ ROUNDS = 5  # of Lloyd's algorithm
 LEAST = 0.1  # of the mean distance: what nearer vertices are taken for
 
 
+class Weighted(NamedTuple):
+    """What `DistanceWeights` makes of a batch of errors.
+
+    Attributes:
+        distance: the mean distance, where those of less than `LEAST` of it are rounded up, `(batch,)`.
+        scale: the mean distance itself, `(batch, 1)`; divided by it and by the number of vertices, `error` is the derivative of
+            `distance`.
+        error: the weighted error.
+    """
+
+    distance: Tensor
+    scale: Tensor
+    error: Tensor
+
+
 class DistanceWeights(nn.Module):
     """Weights the errors of mesh coordinates by vertices, one for each cluster of vertices that move alike.
 
@@ -26,14 +43,15 @@ class DistanceWeights(nn.Module):
 
     Args:
         space: the mesh space.
+        clusters: their number, at most.
     """
 
     frame: Tensor
     counts: Tensor
 
-    def __init__(self, space: MeshSpace) -> None:
+    def __init__(self, space: MeshSpace, clusters: int = CLUSTERS) -> None:
         super().__init__()
-        clusters = min(CLUSTERS, space.vertex_count)
+        clusters = min(clusters, space.vertex_count)
         self.register_buffer("frame", space.directions.new_zeros(space.size, 3 * clusters))
         self.register_buffer("counts", space.directions.new_ones(clusters))
 
@@ -52,20 +70,17 @@ class DistanceWeights(nn.Module):
         self.counts.copy_(torch.bincount(distances.argmin(dim=1), minlength=len(centres)))
         self.frame.copy_(space.directions[:, distances.argmin(dim=0)].flatten(1))
 
-    def forward(
-        self, error: Float[Tensor, "batch coordinate"]
-    ) -> tuple[Float[Tensor, " batch"], Float[Tensor, "batch coordinate"]]:
-        """The mean distance `(batch,)`, and the weighted error `(batch, coordinate)`."""
-        mean, weighted = self.of_displacements(matmul(error, self.frame))
-        return mean, linear(weighted, self.frame)
+    def forward(self, error: Float[Tensor, "batch coordinate"]) -> Weighted:
+        """The distance of an error of mesh coordinates `(batch, coordinate)`, and the weighted error `(batch, coordinate)`."""
+        found = self.of_displacements(matmul(error, self.frame))
+        return found._replace(error=linear(found.error, self.frame))
 
-    def of_displacements(
-        self, displacements: Float[Tensor, "batch move"]
-    ) -> tuple[Float[Tensor, " batch"], Float[Tensor, "batch move"]]:
-        """The mean distance `(batch,)`, and n_k w_k d_k, from the displacements `(batch, 3 * cluster)` of all clusters."""
+    def of_displacements(self, displacements: Float[Tensor, "batch move"]) -> Weighted:
+        """The same of the displacements of all clusters `(batch, 3 * cluster)`, with n_k w_k d_k for the weighted error."""
         moves = displacements.unflatten(1, (-1, 3))
         squares = moves.square().sum(dim=2)
-        mean = squares.sqrt() @ self.counts / self.counts.sum()
-        least = (LEAST * mean).square()[:, None] + torch.finfo(mean.dtype).tiny
-        weights = self.counts * mean[:, None] * (squares + least).rsqrt()
-        return mean, (weights[:, :, None] * moves).flatten(1)
+        count = self.counts.sum()
+        mean = (squares.detach().sqrt() @ self.counts / count)[:, None]
+        distances = (squares + (LEAST * mean).square() + torch.finfo(mean.dtype).tiny).sqrt()
+        weights = self.counts * mean / distances.detach()
+        return Weighted(distances @ self.counts / count, mean, (weights[:, :, None] * moves).flatten(1))

@@ -221,7 +221,7 @@ class StagedInverse(InverseNetwork):
 
     def _start(self, before: Estimate, is_weighted: bool) -> StageStart:
         """What a stage starts from, after an estimate."""
-        error = self.weights(before.error)[1] if is_weighted and self.weights else before.error
+        error = self.weights(before.error).error if is_weighted and self.weights else before.error
         gradient = before.gradient if error is before.error else before.vjp(error)
         return StageStart(before.raw.detach(), before.detached_coordinates, error, gradient, before.squares)
 

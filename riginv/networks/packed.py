@@ -101,8 +101,8 @@ class PackedInverse:
 
         def evaluate(units: Tensor) -> tuple[Tensor, Callable[[], Tensor]]:
             coefficients, vjp = source.coefficients_and_vjp(method.lower + method.span * units)
-            mean, weighted = distance.of_displacements(matmul(coefficients - neutral, self.cluster_map).sub_(of_target))
-            return mean, lambda: method.span * vjp(linear(weighted, self.cluster_map))
+            weighted = distance.of_displacements(matmul(coefficients - neutral, self.cluster_map).sub_(of_target))
+            return weighted.distance, lambda: method.span * vjp(linear(weighted.error, self.cluster_map))
 
         return method.minimise(evaluate, controls, steps)
 
@@ -153,7 +153,7 @@ class PackedInverse:
         residual = inputs[:, : self.size]
         torch.sub(matmul(coefficients - self.rig.neutral_coefficients, self.linear_map), target, out=residual)
         if weights:
-            residual.copy_(weights(residual)[1])
+            residual.copy_(weights(residual).error)
         gradients = vjp(linear(residual, self.linear_map)).contiguous()
         if self.conditioner:
             gradients = self.conditioner.gradient(gradients * derivatives).contiguous()

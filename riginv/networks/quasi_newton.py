@@ -143,8 +143,10 @@ class QuasiNewton(nn.Module):
     def _evaluate(self, rig: RigInMeshSpace, coordinates: Tensor, units: Tensor) -> tuple[Tensor, Callable[[], Tensor]]:
         found, vjp = rig.coordinates_and_vjp(self.lower + self.span * units)
         error = found - coordinates
-        cost, weighted = self.distance(error) if self.distance else (0.5 * error.square().sum(dim=1), error)
-        return cost, lambda: self.span * vjp(weighted)
+        if self.distance is None:
+            return 0.5 * error.square().sum(dim=1), lambda: self.span * vjp(error)
+        weighted = self.distance(error)
+        return weighted.distance, lambda: self.span * vjp(weighted.error)
 
     def _direction(self, state: _State, pairs: list[tuple[Tensor, Tensor]]) -> Tensor:
         """The inverse of the updated Hessian times the gradient, by Nocedal's two loops over all pairs of steps so far."""

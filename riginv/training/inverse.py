@@ -6,7 +6,7 @@ from torch import Tensor, nn
 from riginv.config.values import NonNegativeFloat, NonNegativeInt
 from riginv.errors import InputError
 from riginv.networks.correction import Estimate
-from riginv.networks.inverse import InverseNetwork
+from riginv.networks.inverse import InverseNetwork, StagedInverse
 from riginv.rig.batches import PoseBatch, known_controls
 from riginv.rig.interface import LinearRig
 from riginv.rig.mesh_space import RigInMeshSpace
@@ -15,7 +15,7 @@ from riginv.training.losses import LengthLoss, MeanDistanceLoss
 from riginv.training.module import OptimizerFactory, RigModule, ScheduleFactory
 from riginv.training.parallel import in_stages, with_gradients
 
-MESH_STAGES = 2  # stages at the end whose loss does not depend on the controls
+MESH_STAGES = 2  # stages at the end whose loss does not depend on the controls, where no quasi-Newton steps follow
 
 
 class InverseModule(RigModule):
@@ -26,8 +26,8 @@ class InverseModule(RigModule):
         sampled_vertices: the last stage's loss is the mean distance of this many vertices (`MeanDistanceLoss`); 0: `loss`, as
             for the others.
         control_weight: mm of loss for a control that is off by its whole range, on poses of the rig, whose controls are known:
-            they decide between several controls that make one mesh. Other meshes, and the last `MESH_STAGES` stages of all, are
-            compared by their vertices alone.
+            they decide between several controls that make one mesh. Other meshes are compared by their vertices alone, and so
+            are all in the last `MESH_STAGES` stages, unless quasi-Newton steps follow these.
 
     Raises:
         InputError: no gradient passes through the rig.
@@ -52,7 +52,9 @@ class InverseModule(RigModule):
                 f"with model=forward, then train the inverse through that with rig=surrogate rig.bundle=DIR"
             )
         self.loss, self.control_weight = loss, control_weight
-        self.last_loss = MeanDistanceLoss(rig.space.directions, sampled_vertices) if sampled_vertices else loss
+        steps_follow = isinstance(network, StagedInverse) and network.quasi_newton is not None
+        self.mesh_stages = 0 if steps_follow else MESH_STAGES
+        self.last_loss = MeanDistanceLoss(rig.space, sampled_vertices) if sampled_vertices else loss
 
     @classmethod
     def can_train_on(cls, rig: LinearRig) -> bool:
@@ -83,7 +85,7 @@ class InverseModule(RigModule):
         last = len(self.network.learned_parts()) - 1
         value, gradient = value_and_gradient(self.last_loss if number == last else self.loss, estimate)
         known = known_controls(batch)
-        if not self.control_weight or known is None or number > max(0, last - MESH_STAGES):
+        if not self.control_weight or known is None or number > max(0, last - self.mesh_stages):
             return value, gradient
         distance, by_raw = control_distance(estimate, known)
         return value + self.control_weight * distance, gradient + self.control_weight * by_raw
@@ -98,6 +100,9 @@ def value_and_gradient(loss: nn.Module, estimate: Estimate) -> tuple[Tensor, Ten
     if isinstance(loss, LengthLoss):
         factor = 2 / len(estimate.squares) * loss.derivatives(estimate.squares)
         return loss.of_squares(estimate.squares).mean(), factor[:, None] * estimate.gradient
+    if isinstance(loss, MeanDistanceLoss):
+        value, derivative = loss.value_and_derivative(estimate.error)
+        return value, estimate.vjp(derivative)
     with torch.enable_grad():
         coordinates = estimate.detached_coordinates.detach().requires_grad_()
         value = loss(coordinates, estimate.target)

@@ -5,11 +5,10 @@ from abc import ABC, abstractmethod
 import torch
 from torch import Tensor, nn
 
-from riginv.geometry.products import matmul
-from riginv.rig.batches import generator_at
+from riginv.networks.distance_weights import DistanceWeights
+from riginv.rig.mesh_space import MeshSpace
 
 EPSILON_MM = 0.01  # keeps the root's gradient finite where the error vanishes
-SUBSETS = 4  # of vertices, in turn for the meshes of a batch: a single one is fitted better than the other vertices
 
 
 class LengthLoss(nn.Module, ABC):
@@ -65,36 +64,32 @@ class RmsVertexDistanceLoss(LengthLoss):
 
 
 class MeanDistanceLoss(nn.Module):
-    """The mean distance of random vertices, mm: an estimate of the reported mean vertex error.
+    """The mean distance of the central vertices of clusters, weighted by the clusters' sizes, mm: about the reported error.
 
-    Squared losses are dominated by the largest errors of a mesh. Mesh i of a batch is compared at subset i modulo `SUBSETS` of
-    the vertices.
+    Squared losses are dominated by the largest errors of a mesh.
 
     Args:
-        frame: of the mesh space, `(coordinate, vertex, 3)`.
-        vertices: size of each subset; they are drawn once and have no vertex in common where the mesh has enough.
+        space: the mesh space.
+        vertices: the number of clusters.
     """
 
     mean_of_meshes = True
-    frames: Tensor
 
-    def __init__(self, frame: Tensor, vertices: int) -> None:
+    def __init__(self, space: MeshSpace, vertices: int) -> None:
         super().__init__()
-        order = torch.randperm(frame.shape[1], generator=generator_at(0, "loss vertices"))
-        picked = order.repeat(SUBSETS)[: SUBSETS * vertices] if vertices < len(order) else order.repeat(SUBSETS)
-        frames = frame[:, picked.to(frame.device)].unflatten(1, (SUBSETS, -1)).transpose(0, 1).flatten(2)
-        self.register_buffer("frames", frames.contiguous(), persistent=False)
+        self.distance = DistanceWeights(space, vertices)
+        self.distance.calibrate(space)
 
     def forward(self, coordinates: Tensor, target: Tensor) -> Tensor:
         """The loss, a scalar, of mesh coordinates against their target, both `(batch, coordinate)`."""
-        error = coordinates - target
-        sums = [self._sum(error[start::SUBSETS], frame) for start, frame in enumerate(self.frames)]
-        return sum(sums[1:], sums[0]) / len(error)
+        return self.distance(coordinates - target).distance.mean()
 
-    def _sum(self, error: Tensor, frame: Tensor) -> Tensor:
-        """The sum of the meshes' mean distances."""
-        displacement = matmul(error, frame).unflatten(1, (-1, 3))
-        return (displacement.square().sum(dim=2) + EPSILON_MM**2).sqrt().mean(dim=1).sum()
+    def value_and_derivative(self, error: Tensor) -> tuple[Tensor, Tensor]:
+        """The loss, a scalar, and its derivative by the errors of mesh coordinates `(batch, coordinate)`, without a graph."""
+        with torch.no_grad():
+            distance, scale, weighted = self.distance(error)
+            scale = len(error) * self.distance.counts.sum() * scale.clamp_min(torch.finfo(scale.dtype).tiny)
+            return distance.mean(), weighted / scale
 
 
 class CoefficientLoss(nn.Module):

@@ -22,8 +22,8 @@ def expected(space, error):
     return mean * gradient
 
 
-def weights_of(space):
-    weights = DistanceWeights(space).double()
+def weights_of(space, *clusters):
+    weights = DistanceWeights(space, *clusters).double()
     weights.calibrate(space)
     return weights
 
@@ -32,23 +32,26 @@ def test_the_gradient_is_that_of_the_mean_distance(toy):
     space = deepcopy(toy.space).double()
     weights, error = weights_of(space), errors(space)
     assert (weights.counts == 1).all() and len(weights.counts) == space.vertex_count
-    mean, weighted = weights(error)
-    torch.testing.assert_close(weighted, expected(space, error), rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(mean, space.decode(error).sub(space.rest_vertices).norm(dim=2).mean(dim=1))
+    found = weights(error.requires_grad_())
+    torch.testing.assert_close(found.error.detach(), expected(space, error.detach()), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(found.scale[:, 0], space.decode(error).sub(space.rest_vertices).norm(dim=2).mean(dim=1).detach())
+    derivative = torch.autograd.grad(found.distance.sum(), error)[0]
+    torch.testing.assert_close(found.error / (found.scale * space.vertex_count), derivative, rtol=1e-9, atol=1e-9)
+    assert bool((found.distance >= found.scale[:, 0]).all()) and bool((found.distance <= 1.02 * found.scale[:, 0]).all())
 
 
 @pytest.mark.parametrize("clusters", [24, 60])
-def test_fewer_clusters_are_nearer_to_it_than_the_error_is(toy, monkeypatch, clusters):
-    monkeypatch.setattr("riginv.networks.distance_weights.CLUSTERS", clusters)
+def test_fewer_clusters_are_nearer_to_it_than_the_error_is(toy, clusters):
     space = deepcopy(toy.space).double()
-    weights, error = weights_of(space), errors(space)
+    weights, error = weights_of(space, clusters), errors(space)
     wanted = expected(space, error)
     assert len(weights.counts) == clusters and int(weights.counts.sum()) == space.vertex_count
     scaled = error * ((wanted * error).sum(dim=1) / error.square().sum(dim=1))[:, None]
-    assert (weights(error)[1] - wanted).norm() < (scaled - wanted).norm()
+    assert (weights(error).error - wanted).norm() < (scaled - wanted).norm()
 
 
 def test_no_error_stays_none(toy):
     weights = DistanceWeights(toy.space)
     weights.calibrate(toy.space)
-    assert not any(part.any() for part in weights(torch.zeros(3, toy.space.size)))
+    found = weights(torch.zeros(3, toy.space.size))
+    assert not found.error.any() and not found.scale.any() and float(found.distance.max()) < 1e-18

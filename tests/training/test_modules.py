@@ -66,12 +66,12 @@ class Cubes(torch.nn.Module):
 @pytest.mark.parametrize(
     "loss", [RmsVertexDistanceLoss(162), SquaredVertexLoss(162), Cubes()], ids=lambda loss: type(loss).__name__
 )
-@pytest.mark.parametrize(("sampled_vertices", "control_weight"), [(0, 0.0), (50, 0.1)])
+@pytest.mark.parametrize(("sampled_vertices", "control_weight", "distance_steps"), [(0, 0.0, 5), (50, 0.1, 5), (50, 0.1, 0)])
 def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_rig(
-    loss, sampled_vertices, control_weight, face_in_space
+    loss, sampled_vertices, control_weight, distance_steps, face_in_space
 ):
     rig = copy.deepcopy(face_in_space).double()
-    network = StagedInverse(rig, hidden=[32], width=16, gate=8).double()
+    network = StagedInverse(rig, hidden=[32], width=16, gate=8, distance_steps=distance_steps).double()
     module = InverseModule(rig, network, loss, ADAM, CONSTANT, sampled_vertices, control_weight)
     poses = RigPoses(face_in_space, PlausibleControls(face_in_space))
     mixture = Mixture(None, {"poses": poses, "others": RandomCombinations(face_in_space)}, {"poses": 2, "others": 1})
@@ -84,7 +84,7 @@ def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_
     answers = network.estimates(target)
     losses = [*(loss for _ in answers[1:]), module.last_loss]
     total = sum(loss(answer.coordinates, target) for loss, answer in zip(losses, answers))
-    supervised = [answer.controls for answer in answers[:-MESH_STAGES]]
+    supervised = [answer.controls for answer in (answers if distance_steps else answers[:-MESH_STAGES])]
     away = [(controls - batch["known_controls"])[:4] / (rig.source.upper - rig.source.lower) for controls in supervised]
     total = total + control_weight * sum(each.abs().sum() for each in away) / 6
     for part in network.learned_parts():
