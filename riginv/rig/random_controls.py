@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -23,8 +24,9 @@ def sparse_controls(
 def choose(counts: Int[Tensor, " batch"], among: int, generator: torch.Generator) -> Bool[Tensor, "batch among"]:
     """Random masks `(batch, among)` with `counts` `(batch,)` entries set in each row, all equally likely."""
     scores = torch.rand(len(counts), among, generator=generator, device=generator.device)
-    threshold = scores.sort(dim=1).values.gather(1, counts[:, None] - 1)
-    return scores <= threshold
+    on_cpu = scores.device.type == "cpu"  # where NumPy sorts thirty times as fast as PyTorch
+    ordered = torch.from_numpy(np.sort(scores.numpy(), axis=1)) if on_cpu else scores.sort(dim=1).values
+    return scores <= ordered.gather(1, counts[:, None] - 1)
 
 
 def uniform_counts(count: int, most: int, generator: torch.Generator) -> Tensor:

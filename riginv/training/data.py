@@ -54,6 +54,7 @@ class PoseDataModule(L.LightningDataModule):
                 raise InputError(f"data.{name} is {value}, expected at least 1")
         self.sampler, self.validation = sampler, validation
         self.batch_size, self.steps_per_epoch, self.seed = batch_size, steps_per_epoch, seed
+        self._device: torch.device | None = None
         self._step, self._ahead = -1, cast(tuple[int, PoseBatch | None], (-1, None))  # the last step, and one that is drawn
 
     @property
@@ -89,8 +90,10 @@ class PoseDataModule(L.LightningDataModule):
     def _drawn(self, step: int) -> PoseBatch:
         self.sampler.at_step(step)
         device = self.attached_trainer.strategy.root_device
+        if device != self._device:  # asked of every tensor, this takes a tenth of a draw
+            self.sampler, self._device = self.sampler.to(device), device
         generator = generator_at(self.seed, "training", step, 0, device=device)
-        return self.sampler.to(device).sample_rows(self.batch_size, generator, self.rows)
+        return self.sampler.sample_rows(self.batch_size, generator, self.rows)
 
     @property
     def rows(self) -> slice:
