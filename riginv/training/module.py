@@ -3,6 +3,7 @@
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from typing import Any, cast
 
 import lightning as L
@@ -19,7 +20,7 @@ from riginv.networks.base import RigNetwork
 from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
-from riginv.runs.threads import Workers
+from riginv.runs.threads import Workers, single_threaded
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import all_reduce_means, check_normalisation, is_distributed
 from riginv.training.losses import root_mean_square_mm
@@ -132,6 +133,11 @@ class RigModule(L.LightningModule, ABC):
         plateau = isinstance(schedule, ReduceLROnPlateau)
         how = {"interval": "epoch", "monitor": "train/epoch_loss"} if plateau else {"interval": "step"}
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, **how}}
+
+    def optimizer_step(self, *args: Any, **kwargs: Any) -> None:
+        """A step, each operation of it on one thread where `workers` share it: beside a busy process others are waited for."""
+        with single_threaded() if self.workers is not None else nullcontext():
+            super().optimizer_step(*args, **kwargs)
 
     def lr_scheduler_step(self, scheduler: LRScheduler | ReduceLROnPlateau, metric: Tensor | None) -> None:
         super().lr_scheduler_step(scheduler, metric)

@@ -144,6 +144,32 @@ def test_threads_give_the_gradients_of_one_and_the_same_bits(kind, toy, monkeypa
         torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-5 * float(wanted.abs().max()) + 1e-7)
 
 
+def test_all_of_a_step_runs_on_one_thread_where_workers_share_it(toy):
+    numbers: list[int] = []
+    before = torch.get_num_threads()
+
+    class Recording(torch.optim.Adam):
+        def step(self, closure=None):
+            loss = super().step(closure)
+            numbers.append(torch.get_num_threads())
+            return loss
+
+    def trained(workers: Workers | None) -> list[int]:
+        numbers.clear()
+        module = InverseModule(toy, StagedInverse(toy, hidden=[8]), RmsVertexDistanceLoss(162), Recording, CONSTANT)
+        module.workers = workers
+        module.train()
+        data = PoseDataModule(RigPoses(toy, PlausibleControls(toy)), {}, 4, 2, seed=0)
+        bare_trainer(accelerator="cpu", max_steps=2).fit(module, data)
+        return list(numbers)
+
+    try:
+        torch.set_num_threads(3)
+        assert trained(Workers(1)) == [1, 1] and trained(None) == [3, 3]
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_the_next_batch_is_drawn_ahead_once_and_is_the_same(toy, monkeypatch):
     monkeypatch.setattr("riginv.training.parallel.WORTH_SPLITTING", 1)
     drawn = []
