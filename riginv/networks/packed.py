@@ -11,7 +11,7 @@ from riginv.geometry.kernels.library import Kernels, kernels, kernels_for
 from riginv.geometry.products import linear, matmul
 from riginv.networks.control_maps import NeutralStart
 from riginv.networks.correction import LOG_SCALE, SMALLEST, Correction
-from riginv.networks.distance_weights import DistanceWeights
+from riginv.networks.distance_weights import DistanceWeights, axis_by_axis
 from riginv.networks.inverse import StagedInverse
 from riginv.networks.mlp import ZeroPreserving
 from riginv.runs.huge_pages import in_huge_pages
@@ -52,12 +52,12 @@ class PackedInverse:
         packed = in_huge_pages(
             [each for layer in layers for each in (layer.weight, layer.bias)]
             + [each for step in steps for each in step]
-            + [network.rig.linear_map, self._cluster_map(network)]
+            + [network.rig.linear_map, *self._cluster_maps(network)]
         )
-        of_layers, of_steps = packed[: 2 * len(layers)], packed[2 * len(layers) : -2]
+        of_layers, of_steps = packed[: 2 * len(layers)], packed[2 * len(layers) : -3]
         self.weights = dict(zip(map(id, layers), zip(of_layers[::2], of_layers[1::2])))
         self.steps = [_Step(*of_steps[start : start + 6]) for start in range(0, len(of_steps), 6)]
-        self.linear_map, self.cluster_map = packed[-2:]
+        self.linear_map, self.cluster_map, self.cluster_frame = packed[-3:]
         self.coordinate_scale = network.coordinate_scale
         self.map = torch.stack([getattr(network.control_map, name) for name in MAP])
         gradient_scale = torch.ones_like(network.gradient_scale) if self.conditioner else network.gradient_scale
@@ -97,20 +97,24 @@ class PackedInverse:
         """As `StagedInverse.after_distance_steps`."""
         method, source, neutral = self.quasi_newton, self.rig.source, self.rig.neutral_coefficients
         assert method is not None and method.distance is not None
-        distance, of_target = method.distance, matmul(target, method.distance.frame)
+        distance, of_target = method.distance, matmul(target, self.cluster_frame)
 
         def evaluate(units: Tensor) -> tuple[Tensor, Callable[[], Tensor]]:
             coefficients, vjp = source.coefficients_and_vjp(method.lower + method.span * units)
-            weighted = distance.of_displacements(matmul(coefficients - neutral, self.cluster_map).sub_(of_target))
-            return weighted.distance, lambda: method.span * vjp(linear(weighted.error, self.cluster_map))
+            displacements = matmul(coefficients - neutral, self.cluster_map).sub_(of_target)
+            weighted = distance.of_displacements(displacements.unflatten(1, (3, -1)))
+            return weighted.distance, lambda: method.span * vjp(linear(weighted.error.flatten(1), self.cluster_map))
 
         return method.minimise(evaluate, controls, steps)
 
     @staticmethod
-    def _cluster_map(network: StagedInverse) -> Tensor:
-        """From the rig's coefficients to the displacements of clusters, `(coefficient, 3 * cluster)`."""
-        distance = network.quasi_newton.distance if network.quasi_newton else None
-        return network.rig.linear_map @ distance.frame if distance else network.rig.linear_map[:0]
+    def _cluster_maps(network: StagedInverse) -> tuple[Tensor, Tensor]:
+        """From the rig's coefficients and from mesh coordinates to the displacements of clusters, `(row, 3 * cluster)`."""
+        if not network.has_distance_steps:
+            return network.rig.linear_map[:0], network.rig.linear_map[:0]
+        assert network.quasi_newton is not None and network.quasi_newton.distance is not None
+        frame = axis_by_axis(network.quasi_newton.distance.frame).flatten(1)
+        return network.rig.linear_map @ frame, frame
 
     def _step(self, correction: nn.Module, coordinate_scale: Tensor) -> _Step:
         assert isinstance(correction, Correction)

@@ -41,6 +41,23 @@ class _State(NamedTuple):
     gradient: Tensor
 
 
+class _Pair(NamedTuple):
+    """A step and the change of the gradient by it, `(mesh, control)`, and one over their inner product, `(mesh, 1)`.
+
+    That is 0 where the error is not convex along the step.
+    """
+
+    step: Tensor
+    change: Tensor
+    inverse: Tensor
+
+    @classmethod
+    def of(cls, step: Tensor, change: Tensor) -> "_Pair":
+        product = (step * change).sum(dim=1, keepdim=True)
+        sizes = step.norm(dim=1, keepdim=True) * change.norm(dim=1, keepdim=True)
+        return cls(step, change, torch.where(product > LEAST * sizes, 1 / product.clamp_min(TINY), 0.0))
+
+
 class QuasiNewton(nn.Module):
     """Lowers the error of each mesh from an estimate, within the controls' limits.
 
@@ -116,7 +133,7 @@ class QuasiNewton(nn.Module):
         units = ((controls - self.lower) / self.span).clamp(0, 1)
         cost, gradient = evaluate(units)
         length = torch.ones_like(cost)
-        pairs: list[tuple[Tensor, Tensor]] = []
+        pairs: list[_Pair] = []
         best = _State(units, cost, gradient()) if steps else _State(units, cost, units)
         for number in range(steps):
             step = (-length[:, None] * self._direction(best, pairs)).clamp(-LONGEST_STEP, LONGEST_STEP)
@@ -126,7 +143,7 @@ class QuasiNewton(nn.Module):
             if number + 1 == steps:
                 return self.lower + self.span * torch.where(better[:, None], units, best.units)
             new = _State(units, cost, gradient())
-            pairs.append((units - best.units, new.gradient - best.gradient))
+            pairs.append(_Pair.of(units - best.units, new.gradient - best.gradient))
             length = torch.where(better, 1.0, SHORTER * length)
             best = _State(*(torch.where(better.view(-1, *[1] * (b.dim() - 1)), b, a) for a, b in zip(best, new)))
         return self.lower + self.span * best.units
@@ -148,23 +165,19 @@ class QuasiNewton(nn.Module):
         weighted = self.distance(error)
         return weighted.distance, lambda: self.span * vjp(weighted.error)
 
-    def _direction(self, state: _State, pairs: list[tuple[Tensor, Tensor]]) -> Tensor:
+    def _direction(self, state: _State, pairs: list[_Pair]) -> Tensor:
         """The inverse of the updated Hessian times the gradient, by Nocedal's two loops over all pairs of steps so far."""
         vector, factors = state.gradient, []
-        for step, change in reversed(pairs):
-            product = (step * change).sum(dim=1, keepdim=True)
-            sizes = step.norm(dim=1, keepdim=True) * change.norm(dim=1, keepdim=True)
-            inverse = torch.where(product > LEAST * sizes, 1 / product.clamp_min(TINY), 0.0)
-            factor = inverse * (step * vector).sum(dim=1, keepdim=True)
-            vector = vector - factor * change
-            factors.append((inverse, factor))
+        for pair in reversed(pairs):
+            factors.append(pair.inverse * (pair.step * vector).sum(dim=1, keepdim=True))
+            vector = vector - factors[-1] * pair.change
         sides = self._sides(state.units)
         if self.distance:
             vector = vector / ((sides * self._diagonals).sum(dim=1) * (1 + DISTANCE_DAMPING))
         else:
             vector = self._solve(sides, vector)
-        for (step, change), (inverse, factor) in zip(pairs, reversed(factors)):
-            vector = vector + (factor - inverse * (change * vector).sum(dim=1, keepdim=True)) * step
+        for pair, factor in zip(pairs, reversed(factors)):
+            vector = vector + (factor - pair.inverse * (pair.change * vector).sum(dim=1, keepdim=True)) * pair.step
         return vector
 
     def _sides(self, units: Tensor) -> Float[Tensor, "mesh 2 control"]:
