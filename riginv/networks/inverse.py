@@ -21,7 +21,7 @@ from riginv.networks.quasi_newton import QuasiNewton
 from riginv.rig.mesh_space import RigInMeshSpace
 
 START_GAIN = 0.3  # of the last layer: estimates start close to neutral
-REFINEMENT_STEPS = (4, 6)  # without features and with; bundles rely on these numbers
+REFINEMENT_STEPS = (4, 6)  # without features and with; bundles do not store them
 CORRECTION_GAIN = 0.02  # of the last layer where a guess precedes the first MLP: estimates start close to that
 
 
@@ -252,6 +252,7 @@ class StagedInverse(InverseNetwork):
 
     @property
     def has_distance_steps(self) -> bool:
+        """Whether the network ends in steps on the mean distance."""
         return self.quasi_newton is not None and self.quasi_newton.distance is not None
 
     def after_distance_steps(

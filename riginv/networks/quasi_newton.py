@@ -22,7 +22,7 @@ from riginv.rig.random_controls import sparse_controls
 POSES, BATCH_SIZE = 64, 16  # that the Hessian is a mean over; BATCH_SIZE bounds the memory
 DAMPING = 1.0  # of the diagonal, relative
 STAGE_DAMPING = 0.3  # the same, of a network's stages, which take single steps
-DISTANCE_DAMPING = 6.0  # the same, of steps on the mean distance, whose Hessian is that of squares in its diagonal alone
+DISTANCE_DAMPING = 6.0  # the same, of steps on the mean distance, which start from the diagonal alone
 LEAST_DERIVATIVE = 0.1  # of a control by its raw output, as a fraction of its range: close to a limit it vanishes
 LEAST, TINY = 1e-9, 1e-12  # lower bounds of the diagonal, relative to its greatest element, and of that and of curvatures
 SOLVE_STEPS = 12  # of conjugate gradients: no factorisation, which ONNX does not have
@@ -131,17 +131,20 @@ class QuasiNewton(nn.Module):
             steps: their number.
         """
         units = ((controls - self.lower) / self.span).clamp(0, 1)
+        if not steps:
+            return self.lower + self.span * units
         cost, gradient = evaluate(units)
         length = torch.ones_like(cost)
         pairs: list[_Pair] = []
-        best = _State(units, cost, gradient()) if steps else _State(units, cost, units)
-        for number in range(steps):
+        best = _State(units, cost, gradient())
+        for number in range(1, steps + 1):
             step = (-length[:, None] * self._direction(best, pairs)).clamp(-LONGEST_STEP, LONGEST_STEP)
             units = (best.units + step).clamp(0, 1)
             cost, gradient = evaluate(units)
             better = cost < best.cost
-            if number + 1 == steps:
-                return self.lower + self.span * torch.where(better[:, None], units, best.units)
+            if number == steps:  # the last gradient is not needed
+                best = best._replace(units=torch.where(better[:, None], units, best.units))
+                break
             new = _State(units, cost, gradient())
             pairs.append(_Pair.of(units - best.units, new.gradient - best.gradient))
             length = torch.where(better, 1.0, SHORTER * length)

@@ -150,11 +150,11 @@ class RigModule(L.LightningModule, ABC):
         Raises:
             NonFiniteLossError: the loss is NaN or infinite, in any process: all of them raise it.
         """
-        logged, factor, squared = loss.detach(), 1.0, torch.zeros(())
-        if is_distributed() or self.logs_step:
-            squared = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count).square()
+        logged, factor = loss.detach(), 1.0
+        error = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count)
         if is_distributed():
-            (logged, squared), factor = all_reduce_means(torch.stack([logged, squared]), len(target))
+            (logged, squared), factor = all_reduce_means(torch.stack([logged, error.square()]), len(target))
+            error = squared.sqrt()
         if not torch.isfinite(logged):
             raise NonFiniteLossError(
                 f"the loss became {logged.item()} at step {self.global_step}; the checkpoint holds the last good state saved "
@@ -163,12 +163,12 @@ class RigModule(L.LightningModule, ABC):
         self.epoch_loss.update(logged)
         if self.logs_step:
             self.log("train/loss", logged)
-            self.log("train/rms_vertex_error_mm", squared.sqrt(), prog_bar=True)
+            self.log("train/rms_vertex_error_mm", error, prog_bar=True)
         return loss if factor == 1.0 else factor * loss
 
     @property
     def logs_step(self) -> bool:
-        """Whether this training step is logged: Lightning drops what other steps log, which takes a twentieth of a step."""
+        """Whether Lightning keeps what this training step logs: logging in the others as well takes a twentieth of a step."""
         trainer = self._trainer
         return trainer is None or trainer.is_last_batch or (trainer.global_step + 1) % trainer.log_every_n_steps == 0  # type: ignore[attr-defined]
 
