@@ -24,7 +24,9 @@ from riginv.networks.packed import PackedInverse
 from riginv.rig.black_box import BlackBoxRig
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import MeshSpace, RigInMeshSpace
+from riginv.rig.sparse_basis import MESHES_OF_THREAD
 from riginv.rig.sparse_encoder import SparseEncoder
+from riginv.runs.threads import workers
 from riginv.solvers.every_mesh import mean_distance_steps, refine_meshes
 from riginv.solvers.fewer_controls import with_fewer_controls
 from riginv.solvers.objective import Objective
@@ -95,6 +97,7 @@ MADE_WITH = (
     ("distance_steps", 0, "quasi_newton.distance.frame"),
     ("quasi_newton_steps", 0, "quasi_newton.hessian"),
 )
+FIRST_LAYER = "stages.0.network.0.weight"  # its inputs are the mesh coordinates that a network sees, where it has no features
 MIN_SIZE_FOR_BFLOAT16 = 1_000_000  # numbers of a frame: below it there is nothing to gain
 
 
@@ -146,7 +149,7 @@ class Inverse(nn.Module):
                 f"(mesh, {space.vertex_count}, 3): the same vertices in the same order"
             )
         if not (self.refine or self.fewer_controls or self.mean_steps):
-            return self.answer(self.encoder(vertices))
+            return self._by_network(vertices)
         coordinates = space.encode(vertices)
         controls = self.answer(coordinates)
         if self.mean_steps:
@@ -156,6 +159,20 @@ class Inverse(nn.Module):
         if self.fewer_controls:
             found = with_fewer_controls(self.objective, coordinates, found)
         return self.objective.to_controls(found)
+
+    def _by_network(self, vertices: Tensor) -> Tensor:
+        """The network's controls for meshes; those of many meshes by two threads."""
+
+        def part(some: Tensor) -> Tensor:
+            with torch.no_grad():
+                return self.answer(self.encoder(some))
+
+        is_split = self.packed is not None and len(vertices) >= 2 * MESHES_OF_THREAD and torch.get_num_threads() > 1
+        parts = vertices.split(-(-len(vertices) // 2)) if is_split else [vertices]
+        if len(parts) == 1:
+            return part(vertices)
+        _ = self.encoder.sparse  # before threads use it
+        return torch.cat(workers().run([functools.partial(part, some) for some in parts]))
 
     @torch.no_grad()
     def answer(self, coordinates: Tensor) -> Tensor:
@@ -226,9 +243,8 @@ def load_inverse(
     space = MeshSpace(bundle.space["rest_vertices"], bundle.space["frame"])
     if not isinstance(rig, LinearRig):
         rig = BlackBoxRig(rig, (bundle.space["linear_map"] @ space.directions.flatten(1)).unflatten(1, rig.rest_vertices.shape))
-    options = MADE_WITH if _is_staged(bundle) else ()
-    without = {option: off for option, off, weights in options if weights not in bundle.weights}
-    network = build({**bundle.description["network"], **without}, RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
+    made_with = _made_with(bundle) if _is_staged(bundle) else {}
+    network = build({**bundle.description["network"], **made_with}, RigInMeshSpace(rig, space), kind=InverseNetwork, only=OURS)
     network.load_own_weights(bundle.weights)
     trained_seconds = float(bundle.description["training"].get("seconds", 0.0))
     return Inverse(network, refine, trained_seconds, fewer_controls, mean_steps).eval().requires_grad_(False)
@@ -236,6 +252,15 @@ def load_inverse(
 
 def _is_staged(bundle: Bundle) -> bool:
     return class_of(bundle.description["network"].get("_target_"), kind=InverseNetwork, only=OURS) is StagedInverse
+
+
+def _made_with(bundle: Bundle) -> dict[str, object]:
+    """The options of a staged network that its weights tell."""
+    options: dict[str, object] = {option: off for option, off, weights in MADE_WITH if weights not in bundle.weights}
+    first = bundle.weights.get(FIRST_LAYER)
+    if first is not None and "features" in options:
+        options["coordinates"] = first.shape[1]
+    return options
 
 
 def bundle_rig(bundle: Bundle) -> RigBackend:

@@ -12,11 +12,11 @@ from torch import Tensor, nn
 
 from riginv.errors import InputError
 
-RIG_PREFIX = "rig."
+RIG_PREFIXES = ("rig.", "leading.")
 
 
 class RigNetwork(nn.Module):
-    """A network; it may hold a rig as its attribute `rig`, whose weights are not saved with it."""
+    """A network; it may hold a rig as its attributes `rig` and `leading`, whose weights are not saved with it."""
 
     def learned_parts(self) -> list[nn.Module]:
         """The submodules that hold its weights and contain no rig."""
@@ -24,7 +24,7 @@ class RigNetwork(nn.Module):
 
     def own_weights(self) -> dict[str, Tensor]:
         """The network's weights and scales, without those of its rig."""
-        return {name: value for name, value in self.state_dict().items() if not name.startswith(RIG_PREFIX)}
+        return {name: value for name, value in self.state_dict().items() if not name.startswith(RIG_PREFIXES)}
 
     def load_own_weights(self, weights: dict[str, Tensor]) -> None:
         """Load the result of `own_weights`.

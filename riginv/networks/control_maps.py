@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from riginv.geometry.kernels.library import kernels_for
 from riginv.rig.interface import RigBackend, Vjp
 
 FULL, TINY = 0.995, 1e-12  # `raw_of` stops at this fraction of the range: closer to a limit the gradient vanishes
@@ -76,6 +77,7 @@ class NeutralStart(ControlMap):
     least: Tensor
     above: Tensor
     below: Tensor
+    table: Tensor
 
     def __init__(self, rig: RigBackend) -> None:
         super().__init__(rig)
@@ -96,6 +98,8 @@ class NeutralStart(ControlMap):
         }
         for name, values in buffers.items():
             self.register_buffer(name, values.to(self.lower), persistent=False)
+        rows = [*buffers.values(), self.neutral]
+        self.register_buffer("table", torch.stack([row.to(self.lower) for row in rows]), persistent=False)  # for the kernel
 
     def forward(self, raw: Float[Tensor, "batch control"]) -> Float[Tensor, "batch control"]:
         squashed = (torch.tanh(self.direction * raw - self.depth) + self.edge) / self.norm
@@ -104,10 +108,21 @@ class NeutralStart(ControlMap):
 
     @torch.no_grad()
     def with_vjp(self, raw: Float[Tensor, "batch control"]) -> tuple[Float[Tensor, "batch control"], Vjp]:
+        if raw.dtype == torch.float32 and kernels_for(raw, self.table) is not None:
+            controls, derivatives = self.with_derivatives(raw)
+            return controls, derivatives.mul
         tail = torch.tanh(self.direction * raw - self.depth)
         scale = torch.where(raw >= 0, self.above, self.below)
         controls = self.neutral + scale * torch.maximum((tail + self.edge) / self.norm, self.least)
         return controls, lambda gradient: _through_tanh(gradient * scale / self.norm, tail) * self.direction
+
+    def with_derivatives(self, raw: Float[Tensor, "batch control"]) -> tuple[Tensor, Tensor]:
+        """The controls, and the derivative of each by its raw output, both `(batch, control)`: by a kernel, in float32."""
+        compiled, raw = kernels_for(raw), raw.contiguous()
+        assert compiled is not None
+        controls, derivatives = torch.empty_like(raw), torch.empty_like(raw)
+        compiled.call("neutral_start", raw.dtype, raw, self.table, raw.shape[1], controls, derivatives, len(raw))
+        return controls, derivatives
 
     def raw_of(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch control"]:
         above, below = self.upper - self.neutral, self.neutral - self.lower

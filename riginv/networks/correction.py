@@ -9,12 +9,12 @@ from torch import Tensor, nn
 
 from riginv.networks.control_maps import ControlMap
 from riginv.networks.mlp import Linear
+from riginv.networks.refinement import LOG_SCALE, SMALLEST, fused_step
 from riginv.rig.interface import Vjp
 from riginv.rig.mesh_space import RigInMeshSpace
 
 START_GAIN = 0.05  # of the last layer: steps start small
-SMALLEST = 1e-5  # of a typical gradient: the lower bound of its size under the logarithm
-LOG_SCALE = 0.2
+SQUASH = 0.3  # of raw outputs, before tanh
 
 
 class Estimate:
@@ -37,6 +37,11 @@ class Estimate:
         rig: RigInMeshSpace,
     ) -> None:
         self.raw, self.target, self.control_map, self.rig = raw, target, control_map, rig
+
+    def split(self, sizes: list[int]) -> "list[Estimate]":
+        """Estimates of parts of the batch, without a graph."""
+        rows = zip(self.raw.detach().split(sizes), self.target.split(sizes))
+        return [Estimate(raw, target, self.control_map, self.rig) for raw, target in rows]
 
     @functools.cached_property
     def controls(self) -> Tensor:
@@ -132,10 +137,15 @@ class Correction(nn.Module):
         Args:
             residual: scaled.
             gradient: of the squared error by the raw outputs, scaled.
-            raw: the raw outputs so far, squashed.
+            raw: the raw outputs so far.
         """
+        hidden, _, last = self.gate
+        assert isinstance(hidden, Linear) and isinstance(last, Linear)
+        weights = [self.features.weight, hidden.weight, hidden.bias, last.weight, last.bias, self.mix.weight]
+        if (step := fused_step(residual, gradient, raw, weights)) is not None:
+            return step
         size = gradient.square().mean(dim=1, keepdim=True).sqrt() + SMALLEST
-        gates = 1 + self.gate(torch.cat([raw, gradient / size, LOG_SCALE * size.log()], dim=1))
+        gates = 1 + self.gate(torch.cat([torch.tanh(SQUASH * raw), gradient / size, LOG_SCALE * size.log()], dim=1))
         return self.mix(gates * self.features(torch.cat([residual, gradient], dim=1)))
 
 

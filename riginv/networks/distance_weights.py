@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from riginv.geometry.kernels.library import kernels_for
 from riginv.geometry.products import linear, matmul
 from riginv.rig.batches import generator_at
 from riginv.rig.mesh_space import MeshSpace
@@ -72,17 +73,35 @@ class DistanceWeights(nn.Module):
 
     def forward(self, error: Float[Tensor, "batch coordinate"]) -> Weighted:
         """The distance of an error of mesh coordinates `(batch, coordinate)`, and the weighted error `(batch, coordinate)`."""
-        found = self.of_displacements(axis_by_axis(matmul(error, self.frame)))
-        return found._replace(error=linear(found.error.mT.flatten(1), self.frame))
+        displacements = matmul(error, self.frame)
+        found = self._by_kernel(displacements, interleaved=True)
+        if found is None:
+            found = self.of_displacements(axis_by_axis(displacements))
+            found = found._replace(error=found.error.mT.flatten(1))
+        return found._replace(error=linear(found.error, self.frame))
 
     def of_displacements(self, displacements: Float[Tensor, "batch 3 cluster"]) -> Weighted:
         """The same of the displacements of all clusters, with n_k w_k d_k for the weighted error, `(batch, 3, cluster)`."""
+        if (found := self._by_kernel(displacements, interleaved=False)) is not None:
+            return found
         squares = displacements.square().sum(dim=1)
         count = self.counts.sum()
         mean = (squares.detach().sqrt() @ self.counts / count)[:, None]
         distances = (squares + (LEAST * mean).square() + torch.finfo(mean.dtype).tiny).sqrt()
         weights = self.counts * mean / distances.detach()
         return Weighted(distances @ self.counts / count, mean, weights[:, None] * displacements)
+
+    def _by_kernel(self, displacements: Tensor, interleaved: bool) -> Weighted | None:
+        """As `of_displacements`, or with the axes of each cluster together; None without a kernel, or with a graph."""
+        is_plain = displacements.dtype == torch.float32 and not (displacements.requires_grad and torch.is_grad_enabled())
+        compiled = kernels_for(displacements, self.counts) if is_plain else None
+        if compiled is None:
+            return None
+        displacements, batch = displacements.contiguous(), len(displacements)
+        error, distances = torch.empty_like(displacements), displacements.new_empty(2, batch, 1)
+        given = displacements, int(interleaved), self.counts, len(self.counts), displacements.new_tensor(LEAST)
+        compiled.call("weighted_distances", displacements.dtype, *given, error, distances, batch)
+        return Weighted(distances[0, :, 0], distances[1], error)
 
 
 def axis_by_axis(moves: Float[Tensor, "row move"]) -> Float[Tensor, "row 3 cluster"]:

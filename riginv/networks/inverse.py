@@ -12,7 +12,7 @@ from riginv.config.values import NonNegativeInt, PositiveInt, Widths
 from riginv.errors import InputError
 from riginv.networks.base import RigNetwork
 from riginv.networks.control_maps import CONTROL_MAPS
-from riginv.networks.correction import Correction, Descent, Estimate, StageStart
+from riginv.networks.correction import SQUASH, Correction, Descent, Estimate, StageStart
 from riginv.networks.distance_weights import DistanceWeights
 from riginv.networks.features import RigFeatures
 from riginv.networks.mlp import ZeroPreserving, mlp, small_outputs
@@ -20,8 +20,9 @@ from riginv.networks.preconditioning import Preconditioner, weak_poses
 from riginv.networks.quasi_newton import QuasiNewton
 from riginv.rig.mesh_space import RigInMeshSpace
 
+LEAST_COORDINATE = 1.3e-3  # of the greatest singular value of the map from coefficients to coordinates
 START_GAIN = 0.3  # of the last layer: estimates start close to neutral
-REFINEMENT_STEPS = (4, 6)  # without features and with; bundles do not store them
+REFINEMENT_STEPS, WIDTHS = (4, 6), (384, 256)  # without features and with; bundles do not store them
 CORRECTION_GAIN = 0.02  # of the last layer where a guess precedes the first MLP: estimates start close to that
 
 
@@ -30,13 +31,14 @@ class InverseNetwork(RigNetwork, ABC):
 
     Attributes:
         rig: the rig to invert, in mesh space; not saved with the network's weights.
+        leading: the same with the coordinates that the estimates are of, the first ones.
     """
 
     def __init__(self, rig: RigInMeshSpace, control_map: str) -> None:
         super().__init__()
         if control_map not in CONTROL_MAPS:
             raise InputError(f"network: control_map '{control_map}' is not known; choose one of {', '.join(CONTROL_MAPS)}")
-        self.rig = rig
+        self.rig = self.leading = rig
         self.control_map = CONTROL_MAPS[control_map](rig.source)
 
     @abstractmethod
@@ -52,7 +54,7 @@ class InverseNetwork(RigNetwork, ABC):
 
     def estimate(self, raw: Float[Tensor, "batch control"], target: Float[Tensor, "batch coordinate"]) -> Estimate:
         """The estimate from raw outputs `(batch, control)` for mesh coordinates `(batch, coordinate)`."""
-        return Estimate(raw, target, self.control_map, self.rig)
+        return Estimate(raw, target, self.control_map, self.leading)
 
     def forward(self, coordinates: Float[Tensor, "batch coordinate"]) -> Float[Tensor, "batch control"]:
         return self.estimates(coordinates)[-1].controls
@@ -110,7 +112,7 @@ class StagedInverse(InverseNetwork):
         stages: the number of MLPs.
         hidden: their hidden widths.
         refinement_steps: their number; None: `REFINEMENT_STEPS`.
-        width: linear features of a refinement step.
+        width: linear features of a refinement step; None: `WIDTHS`.
         gate: hidden width of a refinement step's gate.
         features: whether the rig's features are used, where it has any.
         descent_steps: refinement steps, at most, that are one `Descent`, where features are used.
@@ -120,6 +122,8 @@ class StagedInverse(InverseNetwork):
         preconditioned: whether gradients and steps are, as in all networks but those of old bundles.
         weighted_steps: refinement steps at the end, at most, whose residuals are weighted (`riginv.networks.distance_weights`);
             `distance_steps` do the same at a lower cost.
+        coordinates: the number of mesh coordinates that stages see, those of the greatest singular values; None: all where
+            features are used, else those that are not below `LEAST_COORDINATE`. Steps on the mean distance see all.
     """
 
     coordinate_scale: Tensor
@@ -131,7 +135,7 @@ class StagedInverse(InverseNetwork):
         stages: PositiveInt = 1,
         hidden: Widths = (1024, 512),
         refinement_steps: NonNegativeInt | None = None,
-        width: PositiveInt = 256,
+        width: PositiveInt | None = None,
         gate: PositiveInt = 128,
         activation: str = "gelu",
         control_map: str = "neutral_start",
@@ -141,21 +145,27 @@ class StagedInverse(InverseNetwork):
         quasi_newton_steps: NonNegativeInt = 24,
         preconditioned: bool = True,
         weighted_steps: NonNegativeInt = 0,
+        coordinates: PositiveInt | None = None,
     ) -> None:
         super().__init__(rig, control_map)
         for name, number in {"stages": stages, "width": width, "gate": gate}.items():
-            if number < 1:
+            if number is not None and number < 1:
                 raise InputError(f"network: {name} is {number}, expected at least 1")
-        size, controls = rig.space.size, len(rig.source.controls)
         self.features = RigFeatures(rig) if features and RigFeatures.offered_by(rig) else None
+        if coordinates is None:
+            coordinates = rig.space.size if self.features else rig.sizable_coordinates(LEAST_COORDINATE)
+        self.leading = rig.leading(coordinates)
+        size, controls = self.leading.space.size, len(rig.source.controls)
         if refinement_steps is None:
             refinement_steps = REFINEMENT_STEPS[bool(self.features)]
+        if width is None:
+            width = WIDTHS[bool(self.features)]
         self.preconditioner = Preconditioner(rig, bool(self.features)) if preconditioned else None
         self.quasi_newton = self._quasi_newton(quasi_newton_steps, distance_steps)
         most = refinement_steps if self.quasi_newton else descent_steps
         self.descents = min(most, refinement_steps) if self.features and self.preconditioner else 0
         self.weighted = 0 if self.features else min(weighted_steps, refinement_steps)
-        self.weights = DistanceWeights(rig.space) if self.weighted else None
+        self.weights = DistanceWeights(self.leading.space) if self.weighted else None
         size = self.features.size if self.features else size
         inputs = [size if number == 0 and not self.features else 2 * size + 2 * controls for number in range(stages)]
         gain = CORRECTION_GAIN if self.features else START_GAIN
@@ -175,6 +185,7 @@ class StagedInverse(InverseNetwork):
         return QuasiNewton(self.rig, distance_steps, DistanceWeights(self.rig.space)) if on_distance else None
 
     def calibrate(self, coordinates: Float[Tensor, "batch coordinate"]) -> None:
+        coordinates = coordinates[:, : self.leading.space.size]
         self.coordinate_scale.copy_(_size(coordinates))
         gradient = self.estimate(coordinates.new_zeros(len(coordinates), len(self.rig.source.controls)), coordinates).gradient
         each = gradient.square().mean(dim=0).sqrt().clamp_min(1e-12)
@@ -185,7 +196,7 @@ class StagedInverse(InverseNetwork):
             controls = self.features.guess(self.features(coordinates)) if self.features else weak_poses(self.rig.source)
             self.preconditioner.calibrate(self.rig, self.control_map, self.control_map.raw_of(controls))
         if self.weights:
-            self.weights.calibrate(self.rig.space)
+            self.weights.calibrate(self.leading.space)
         if self.quasi_newton:
             self.quasi_newton.calibrate(self.rig)
 
@@ -197,6 +208,7 @@ class StagedInverse(InverseNetwork):
         yield from self._each_stage(target, self._guess(target))
 
     def _target(self, coordinates: Tensor) -> _Target:
+        coordinates = coordinates[:, : self.leading.space.size]
         if not self.features:
             return _Target(coordinates, coordinates / self.coordinate_scale, None)
         features = self.features.unscaled(coordinates)
@@ -235,8 +247,10 @@ class StagedInverse(InverseNetwork):
             residual = self.features.change(self.features.unscaled(start.coordinates), target.features)
         else:
             residual = start.error / -self.coordinate_scale
-        given = residual, gradient, torch.tanh(0.3 * start.raw)
-        step = stage(*given) if isinstance(stage, Correction) else stage(torch.cat([target.inputs, *given], dim=1))
+        if isinstance(stage, Correction):
+            step = stage(residual, gradient, start.raw)
+        else:
+            step = stage(torch.cat([target.inputs, residual, gradient, torch.tanh(SQUASH * start.raw)], dim=1))
         change = conditioner.step(step) if conditioner else step
         if isinstance(stage, Descent) and self.quasi_newton:
             change = change + self.quasi_newton.stage_step(self.control_map, start.raw, start.gradient)

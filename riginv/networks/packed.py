@@ -10,13 +10,12 @@ from torch import Tensor, nn
 from riginv.geometry.kernels.library import Kernels, kernels, kernels_for
 from riginv.geometry.products import linear, matmul
 from riginv.networks.control_maps import NeutralStart
-from riginv.networks.correction import LOG_SCALE, SMALLEST, Correction
+from riginv.networks.correction import Correction
 from riginv.networks.distance_weights import DistanceWeights, axis_by_axis
 from riginv.networks.inverse import StagedInverse
 from riginv.networks.mlp import ZeroPreserving
+from riginv.networks.refinement import LOG_SCALE, SMALLEST
 from riginv.runs.huge_pages import in_huge_pages
-
-MAP = ("direction", "depth", "edge", "norm", "least", "above", "below", "neutral")  # as the kernel reads them
 
 
 class _Step(NamedTuple):
@@ -41,8 +40,9 @@ class PackedInverse:
     """
 
     def __init__(self, network: StagedInverse) -> None:
-        self.rig, self.size = network.rig, network.rig.space.size
-        first = network.stages[0]
+        self.rig, self.size = network.rig, network.leading.space.size
+        assert isinstance(network.control_map, NeutralStart)
+        self.control_map, first = network.control_map, network.stages[0]
         assert isinstance(first, ZeroPreserving) and isinstance(first.network, nn.Sequential)
         self.layers = list(first.network)
         layers = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
@@ -52,14 +52,13 @@ class PackedInverse:
         packed = in_huge_pages(
             [each for layer in layers for each in (layer.weight, layer.bias)]
             + [each for step in steps for each in step]
-            + [network.rig.linear_map, *self._cluster_maps(network)]
+            + [network.leading.linear_map, *self._cluster_maps(network)]
         )
         of_layers, of_steps = packed[: 2 * len(layers)], packed[2 * len(layers) : -3]
         self.weights = dict(zip(map(id, layers), zip(of_layers[::2], of_layers[1::2])))
         self.steps = [_Step(*of_steps[start : start + 6]) for start in range(0, len(of_steps), 6)]
         self.linear_map, self.cluster_map, self.cluster_frame = packed[-3:]
         self.coordinate_scale = network.coordinate_scale
-        self.map = torch.stack([getattr(network.control_map, name) for name in MAP])
         gradient_scale = torch.ones_like(network.gradient_scale) if self.conditioner else network.gradient_scale
         self.scales = torch.stack([gradient_scale, torch.tensor(SMALLEST), torch.tensor(LOG_SCALE)])
         self.at_zero = self._mlp(torch.zeros(1, self.size))
@@ -83,11 +82,12 @@ class PackedInverse:
         compiled = kernels_for(target)
         if compiled is None or target.dtype != torch.float32 or not len(target):
             return None
-        raw = self._first(target / self.coordinate_scale).contiguous()
+        leading = target[:, : self.size]
+        raw = self._first(leading / self.coordinate_scale).contiguous()
         for number, step in enumerate(self.steps):
             weights = self.distance_weights if number >= len(self.steps) - self.weighted else None
-            raw = self._refined(compiled, step, raw, target, weights)
-        controls = self._controls(compiled, raw)[0]
+            raw = self._refined(compiled, step, raw, leading, weights)
+        controls = self.control_map.with_derivatives(raw)[0]
         return self.after_distance_steps(target, controls, self.quasi_newton.steps) if self.quasi_newton else controls
 
     @torch.no_grad()
@@ -142,16 +142,10 @@ class PackedInverse:
                 values = layer(values)
         return values
 
-    def _controls(self, compiled: Kernels, raw: Tensor) -> tuple[Tensor, Tensor]:
-        """The controls of raw outputs, and the derivative of each by its raw output, both `(batch, control)`."""
-        controls, derivatives = torch.empty_like(raw), torch.empty_like(raw)
-        compiled.call("neutral_start", raw.dtype, raw, self.map, raw.shape[1], controls, derivatives, len(raw))
-        return controls, derivatives
-
     def _refined(self, compiled: Kernels, step: _Step, raw: Tensor, target: Tensor, weights: DistanceWeights | None) -> Tensor:
         """The raw outputs `(batch, control)` after a refinement step."""
         batch, count = raw.shape
-        controls, derivatives = self._controls(compiled, raw)
+        controls, derivatives = self.control_map.with_derivatives(raw)
         coefficients, vjp = self.rig.source.coefficients_and_vjp(controls)
         inputs, gate = raw.new_empty(batch, self.size + count), raw.new_empty(batch, 2 * count + 1)
         residual = inputs[:, : self.size]
@@ -161,8 +155,7 @@ class PackedInverse:
         gradients = vjp(linear(residual, self.linear_map)).contiguous()
         if self.conditioner:
             gradients = self.conditioner.gradient(gradients * derivatives).contiguous()
-            derivatives = torch.ones_like(derivatives)
-        given = (raw, gradients, derivatives, self.scales, count, inputs, self.size, gate, batch)
+        given = (raw, gradients, None if self.conditioner else derivatives, self.scales, count, inputs, self.size, gate, batch)
         compiled.call("refinement_inputs", raw.dtype, *given)
         hidden = linear(gate, step.hidden, step.hidden_bias)
         compiled.call("gelu", hidden.dtype, hidden, hidden.numel())

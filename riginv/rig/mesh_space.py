@@ -177,6 +177,23 @@ class RigInMeshSpace(nn.Module):
         self.register_buffer("linear_map", space.linear_map(rig.basis), persistent=False)
         self.register_buffer("neutral_coefficients", rig.neutral_coefficients().detach(), persistent=False)
 
+    def leading(self, count: int) -> "RigInMeshSpace":
+        """The rig with its first mesh coordinates alone; itself, where it has no more."""
+        if count >= self.space.size:
+            return self
+        space = MeshSpace(self.space.rest_vertices, self.space.directions[:count])
+        space._mapped = self.source.basis, space.directions, self.linear_map[:, :count].contiguous()
+        return RigInMeshSpace(self.source, space)
+
+    def sizable_coordinates(self, least: float) -> int:
+        """How many mesh coordinates there are up to the last that coefficients move by `least` of the most, or more.
+
+        A multiple of 16, which matrix products are faster for.
+        """
+        sizes = self.linear_map.norm(dim=0)
+        count = int((sizes >= least * sizes.amax()).nonzero().amax()) + 1
+        return min(-(-count // 16) * 16, self.space.size)
+
     def forward(self, controls: Float[Tensor, "batch control"]) -> Float[Tensor, "batch coordinate"]:
         """Controls `(batch, control)` to mesh coordinates `(batch, coordinate)`; 0 at the neutral controls."""
         return self.coordinates_of(self.source.coefficients(controls))

@@ -54,7 +54,7 @@ class InverseModule(RigModule):
         self.loss, self.control_weight = loss, control_weight
         steps_follow = isinstance(network, StagedInverse) and network.quasi_newton is not None
         self.mesh_stages = 0 if steps_follow else MESH_STAGES
-        self.last_loss = MeanDistanceLoss(rig.space, sampled_vertices) if sampled_vertices else loss
+        self.last_loss = MeanDistanceLoss(network.leading.space, sampled_vertices) if sampled_vertices else loss
 
     @classmethod
     def can_train_on(cls, rig: LinearRig) -> bool:
@@ -75,10 +75,8 @@ class InverseModule(RigModule):
         if len(parts) == 1:
             return super().loss_on_threads(batch, weights, workers)
 
-        def backward(estimate: Estimate, number: int) -> tuple[Tensor, Tensor]:
-            return self._value_and_gradient(estimate, number, batch)
-
-        return in_stages(self.network.each_estimate(batch["coordinates"]), parts, backward, workers, self.draw_ahead)
+        estimates = self.network.each_estimate(batch["coordinates"])
+        return in_stages(estimates, parts, self._value_and_gradient, batch, workers, self.draw_ahead)
 
     def _value_and_gradient(self, estimate: Estimate, number: int, batch: PoseBatch) -> tuple[Tensor, Tensor]:
         """The loss of a stage's estimate, and its gradient `(batch, control)` by the raw outputs; neither has a graph."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import chain
 from queue import SimpleQueue
+from threading import Lock
 from typing import Any
 
 import torch
@@ -33,52 +34,85 @@ def worth_splitting(rows: int, weights: Sequence[nn.Parameter]) -> bool:
     return rows >= HALVES and weights[0].device.type == "cpu" and rows * sum(w.numel() for w in weights) >= WORTH_SPLITTING
 
 
+def half_sizes(batch: PoseBatch) -> list[int]:
+    """The numbers of meshes of both halves of a batch."""
+    count = len(batch["coordinates"])
+    return [count - count // HALVES, count // HALVES]
+
+
 def in_stages(
     estimates: Iterable[Estimate],
     parts: Sequence[nn.Module],
-    backward: Callable[[Estimate, int], tuple[Tensor, Tensor]],
+    backward: Callable[[Estimate, int, PoseBatch], tuple[Tensor, Tensor]],
+    batch: PoseBatch,
     workers: Workers,
     meanwhile: Callable[[], None],
 ) -> tuple[Tensor, Tensor]:
     """The loss of a batch, with the gradients of all weights, and the coordinates of the last estimate.
 
     No gradient passes from a stage to the one before it, so one thread computes the estimates and another the gradients of each
-    stage as soon as its estimate is there.
+    stage as soon as its estimate is there. Nothing follows the last estimate, so each thread takes half of its meshes.
 
     Args:
         estimates: of all stages, computed as they are iterated over.
         parts: the stages' modules.
-        backward: from an estimate and its index to its loss and the gradient of that by its raw outputs, both without a graph.
+        backward: from an estimate, its index and its meshes to its mean loss and the gradient of that by its raw outputs, both
+            without a graph.
+        batch: at least two meshes.
         workers: threads.
         meanwhile: called by the second thread, which has nothing to do until the first estimate is there.
     """
-    waiting: SimpleQueue[tuple[int, Estimate] | None] = SimpleQueue()
-    values, coordinates = [torch.empty(0)] * len(parts), []
+    waiting: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+    values: list[Tensor] = [torch.empty(0)] * len(parts)
     gradients: list[tuple[Tensor, ...]] = [()] * len(parts)
     weights = [[weight for weight in part.parameters() if weight.requires_grad] for part in parts]
+    coordinates: list[Tensor] = []
 
-    def differentiate() -> None:
-        while (item := waiting.get()) is not None:
-            number, estimate = item
-            values[number], gradient = backward(estimate, number)
-            gradients[number] = torch.autograd.grad(estimate.raw, weights[number], gradient)
+    def differentiate(number: int, estimate: Estimate) -> None:
+        values[number], gradient = backward(estimate, number, batch)
+        gradients[number] = torch.autograd.grad(estimate.raw, weights[number], gradient)
+
+    def differentiate_last(last: Estimate) -> None:
+        number, halves = len(parts) - 1, split_batch(batch, sizes := half_sizes(batch))
+        found: list[tuple[Tensor, Tensor, Tensor] | None] = [None, None]
+        lock, done = Lock(), []
+
+        def differentiate_half(half: int, estimate: Estimate) -> None:
+            value, gradient = backward(estimate, number, halves[half])
+            fraction = sizes[half] / sum(sizes)
+            found[half] = fraction * value, fraction * gradient, estimate.detached_coordinates
+            with lock:
+                done.append(half)
+                if len(done) < len(halves):
+                    return
+            of_halves, by_raw, meshes = zip(*filter(None, found))
+            values[number] = sum(of_halves[1:], of_halves[0])
+            gradients[number] = torch.autograd.grad(last.raw, weights[number], torch.cat(by_raw))
+            coordinates.append(torch.cat(meshes))
+
+        for half, estimate in enumerate(last.split(sizes)):
+            waiting.put(partial(differentiate_half, half, estimate))
+
+    def work() -> None:
+        while (task := waiting.get()) is not None:
+            task()
         waiting.put(None)  # for the other thread
 
     def estimate_all() -> None:
         try:
             for number, estimate in enumerate(estimates):
-                if number + 1 < len(parts):
-                    _ = estimate.gradient  # the next stage needs it, too: computed by this thread alone
-                else:
-                    coordinates.append(estimate.detached_coordinates)
-                waiting.put((number, estimate))
+                if number + 1 == len(parts):
+                    differentiate_last(estimate)
+                    break
+                _ = estimate.gradient  # the next stage needs it, too: computed by this thread alone
+                waiting.put(partial(differentiate, number, estimate))
         finally:
             waiting.put(None)
-        differentiate()
+        work()
 
     def follow() -> None:
         meanwhile()
-        differentiate()
+        work()
 
     workers.run([estimate_all, follow])
     return with_gradients(sum(values[1:], values[0]), list(chain(*gradients)), list(chain(*weights))), coordinates[0]
@@ -97,8 +131,7 @@ def in_halves(
         weights: the parameters to differentiate by.
         workers: threads; the result does not depend on their number.
     """
-    count = len(batch["coordinates"])
-    sizes = [count - count // HALVES, count // HALVES]
+    count, sizes = len(batch["coordinates"]), half_sizes(batch)
     halves = split_batch(batch, sizes)
 
     def half(part: PoseBatch, fraction: float) -> tuple[Tensor, Tensor, tuple[Tensor | None, ...]]:

@@ -5,7 +5,8 @@ from copy import deepcopy
 import pytest
 import torch
 
-from riginv.networks.distance_weights import LEAST, DistanceWeights
+from riginv.geometry.kernels.library import pure_torch
+from riginv.networks.distance_weights import LEAST, DistanceWeights, axis_by_axis
 from riginv.rig.batches import generator_at
 
 
@@ -55,3 +56,19 @@ def test_no_error_stays_none(toy):
     weights.calibrate(toy.space)
     found = weights(torch.zeros(3, toy.space.size))
     assert not found.error.any() and not found.scale.any() and float(found.distance.max()) < 1e-18
+
+
+@pytest.mark.parametrize("clusters", [24, 162])
+def test_kernels_give_the_same(toy, clusters):
+    weights = DistanceWeights(toy.space, clusters)
+    weights.calibrate(toy.space)
+    error = errors(toy.space).float()
+    found, axes = weights(error), axis_by_axis(error @ weights.frame)
+    by_axis = weights.of_displacements(axes)
+    with pure_torch():
+        expected, expected_by_axis = deepcopy(weights).double()(error.double()), weights.of_displacements(axes)
+    for one, other in zip(found, expected):
+        torch.testing.assert_close(one.double(), other, rtol=1e-5, atol=1e-5)
+    for one, other in zip(by_axis, expected_by_axis):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-6)
+    assert weights(error.requires_grad_()).distance.requires_grad  # a graph is kept where one is asked for

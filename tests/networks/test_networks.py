@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from riginv.errors import InputError
+from riginv.geometry.kernels.library import kernels, pure_torch
 from riginv.networks.control_maps import NeutralStart, RangeTanh
 from riginv.networks.inverse import DirectInverse, StagedInverse
 from riginv.networks.mlp import mlp
@@ -108,3 +109,40 @@ def test_unknown_parts_of_an_inverse_are_refused(toy):
         DirectInverse(toy, control_map="clamp")
     with pytest.raises(InputError, match="stages is 0"):
         StagedInverse(toy, stages=0)
+
+
+def test_stages_see_the_leading_coordinates_and_distance_steps_all(toy):
+    torch.manual_seed(0)
+    size = toy.space.size
+    network = StagedInverse(toy, hidden=[16], coordinates=size - 2)
+    coordinates = toy(toy.source.lower + torch.rand(9, 7) * (toy.source.upper - toy.source.lower)).detach()
+    network.calibrate(coordinates)
+    assert network.stages[0].network[0].in_features == network.leading.space.size == size - 2
+    last = network.estimates(coordinates)[-1]
+    assert torch.equal(last.target, coordinates[:, : size - 2])
+    torch.testing.assert_close(last.coordinates, toy(last.controls)[:, : size - 2])
+    assert network.quasi_newton.distance.frame.shape[0] == size
+    changed = coordinates.clone()
+    changed[:, -2:] += 5
+    with torch.no_grad():
+        assert torch.equal(network.estimates(changed)[-1].controls, network.estimates(coordinates)[-1].controls)
+        assert (network(changed) - network(coordinates)).abs().max() > 1e-4
+    assert StagedInverse(toy, hidden=[16], coordinates=10 * size).leading is toy
+
+
+def test_small_coordinates_are_left_out(face_in_space):
+    sizes = torch.linalg.svdvals(face_in_space.linear_map)
+    assert face_in_space.sizable_coordinates(0.0) == face_in_space.sizable_coordinates(1e-7) == len(sizes)
+    count = face_in_space.sizable_coordinates(1e-3)
+    assert count % 16 == 0 and sizes[count - 17] > 1e-3 * sizes[0] > sizes[count]
+
+
+@pytest.mark.skipif(kernels() is None, reason="there are no compiled kernels here: no C compiler")
+def test_controls_and_their_derivatives_by_a_kernel(face):
+    control_map, raw = NeutralStart(face), 2 * torch.randn(6, len(face.controls), generator=torch.Generator().manual_seed(0))
+    controls, to_raw = control_map.with_vjp(raw)
+    gradient = torch.randn_like(raw)
+    with pure_torch():
+        expected, expected_to_raw = control_map.with_vjp(raw)
+    torch.testing.assert_close(controls, expected, rtol=0, atol=2e-5)
+    torch.testing.assert_close(to_raw(gradient), expected_to_raw(gradient), rtol=1e-4, atol=1e-4)

@@ -52,6 +52,26 @@ def test_steps_on_the_mean_distance_follow(toy, batch):
     assert ((found - expected).abs() / span).mean() < 1e-5
 
 
+def test_it_sees_the_coordinates_that_the_network_sees(toy):
+    network, coordinates = random_network(toy, coordinates=toy.space.size - 2, distance_steps=0)
+    span = toy.source.upper - toy.source.lower
+    assert ((PackedInverse.of(network)(coordinates) - network(coordinates)).abs() / span).max() < 2e-6
+
+
+def test_many_meshes_are_shared_by_threads(face_in_space, monkeypatch):
+    network, coordinates = random_network(face_in_space)
+    inverse, shares = Inverse(network).eval().requires_grad_(False), []
+    answer = inverse.answer
+    monkeypatch.setattr(inverse, "answer", lambda some: shares.append(len(some)) or answer(some))
+    meshes = face_in_space.space.decode(coordinates)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    found = inverse(meshes)
+    assert sorted(shares) == [16, 17]
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    torch.testing.assert_close(inverse(meshes), found, rtol=0, atol=1e-3)
+    assert shares[2:] == [33]
+
+
 def test_the_neutral_mesh_maps_to_the_neutral_controls(toy):
     packed = PackedInverse.of(random_network(toy)[0])
     for batch in (1, 5):

@@ -71,7 +71,8 @@ def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_
     loss, sampled_vertices, control_weight, distance_steps, face_in_space
 ):
     rig = copy.deepcopy(face_in_space).double()
-    network = StagedInverse(rig, hidden=[32], width=16, gate=8, distance_steps=distance_steps).double()
+    size = rig.space.size
+    network = StagedInverse(rig, hidden=[32], width=16, gate=8, distance_steps=distance_steps, coordinates=size).double()
     module = InverseModule(rig, network, loss, ADAM, CONSTANT, sampled_vertices, control_weight)
     poses = RigPoses(face_in_space, PlausibleControls(face_in_space))
     mixture = Mixture(None, {"poses": poses, "others": RandomCombinations(face_in_space)}, {"poses": 2, "others": 1})
@@ -83,7 +84,7 @@ def test_gradients_of_a_step_are_those_of_automatic_differentiation_through_the_
     module.training_step(batch, 0).backward()
     answers = network.estimates(target)
     losses = [*(loss for _ in answers[1:]), module.last_loss]
-    total = sum(loss(answer.coordinates, target) for loss, answer in zip(losses, answers))
+    total = sum(loss(answer.coordinates, answer.target) for loss, answer in zip(losses, answers))
     supervised = [answer.controls for answer in (answers if distance_steps else answers[:-MESH_STAGES])]
     away = [(controls - batch["known_controls"])[:4] / (rig.source.upper - rig.source.lower) for controls in supervised]
     total = total + control_weight * sum(each.abs().sum() for each in away) / 6

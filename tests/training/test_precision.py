@@ -11,8 +11,9 @@ from tests.training.test_devices import apart
 
 def test_bfloat16_stays_out_of_the_rig(face_in_space):
     torch.manual_seed(0)
-    network = StagedInverse(face_in_space, hidden=(32,), refinement_steps=1, width=16, gate=16)
-    coordinates = 10 * torch.randn(4, face_in_space.space.size)
+    size = face_in_space.space.size
+    network = StagedInverse(face_in_space, hidden=(32,), refinement_steps=1, width=16, gate=16, coordinates=size)
+    coordinates = 10 * torch.randn(4, size)
     network.calibrate(coordinates)
     with torch.no_grad():
         for part in network.learned_parts():

@@ -30,6 +30,7 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #define REAL double
 #define NAME(name) name##_f64
 #define EPSILON DBL_EPSILON
+#define SMALLEST DBL_MIN
 #define FABS fabs
 #define SQRT sqrt
 #define SIN sin
@@ -40,6 +41,7 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #undef REAL
 #undef NAME
 #undef EPSILON
+#undef SMALLEST
 #undef FABS
 #undef SQRT
 #undef SIN
@@ -50,6 +52,7 @@ API const char *riginv_source(void) { return RIGINV_SOURCE; }
 #define REAL float
 #define NAME(name) name##_f32
 #define EPSILON FLT_EPSILON
+#define SMALLEST FLT_MIN
 #define FABS fabsf
 #define SQRT sqrtf
 #define SIN sinf

@@ -1,4 +1,4 @@
-/* riginv.networks.packed: what a refinement step does between its matrix products; in float32 alone. */
+/* riginv.networks.packed, refinement: what a refinement step does between its matrix products; in float32 alone. */
 
 /* tanh and erf as quotients of polynomials (those of Eigen), which vectorise; a few units in the last place from the C library's. */
 static inline float quick_tanh(float x) {
@@ -57,16 +57,17 @@ API int neutral_start_f32(const float *raw, const float *map, Index controls, fl
 /* The inputs of a refinement step from raw (batch, control): the scaled gradient by the raw outputs goes to the end of each row of
  * linear (batch, size + control); gate (batch, 2 control + 1) becomes the squashed raw outputs, the gradient's direction and the
  * scaled logarithm of its size. gradients (batch, control) are by the controls, derivatives those of the controls by the raw
- * outputs; scales (3,): by which the gradient is divided, the least size, that of the logarithm.
+ * outputs; NULL: gradients are by these already. scales (3,): by which the gradient is divided, the least size, that of the
+ * logarithm.
  */
 API int refinement_inputs_f32(const float *raw, const float *gradients, const float *derivatives, const float *scales,
                               Index controls, float *linear, Index size, float *gate, Index batch) {
-    for (Index row = 0; row < batch; row++, raw += controls, gradients += controls, derivatives += controls) {
+    for (Index row = 0; row < batch; row++, raw += controls, gradients += controls) {
         float *gradient = linear + row * (size + controls) + size, *squashed = gate + row * (2 * controls + 1);
         float *direction = squashed + controls;
         double squares = 0;
         for (Index control = 0; control < controls; control++) {
-            gradient[control] = gradients[control] * derivatives[control] / scales[0];
+            gradient[control] = gradients[control] * (derivatives ? derivatives[row * controls + control] : 1) / scales[0];
             squashed[control] = quick_tanh(0.3f * raw[control]);
         }
         for (Index control = 0; control < controls; control++) squares += (double)gradient[control] * (double)gradient[control];
