@@ -162,17 +162,11 @@ class Inverse(nn.Module):
 
     def _by_network(self, vertices: Tensor) -> Tensor:
         """The network's controls for meshes; those of many meshes by two threads."""
-
-        def part(some: Tensor) -> Tensor:
-            with torch.no_grad():
-                return self.answer(self.encoder(some))
-
-        is_split = self.packed is not None and len(vertices) >= 2 * MESHES_OF_THREAD and torch.get_num_threads() > 1
-        parts = vertices.split(-(-len(vertices) // 2)) if is_split else [vertices]
-        if len(parts) == 1:
-            return part(vertices)
+        if self.packed is None or len(vertices) < 2 * MESHES_OF_THREAD or torch.get_num_threads() == 1:
+            return self.answer(self.encoder(vertices))
         _ = self.encoder.sparse  # before threads use it
-        return torch.cat(workers().run([functools.partial(part, some) for some in parts]))
+        halves = vertices.split(-(-len(vertices) // 2))
+        return torch.cat(workers().run([functools.partial(self._by_network, half) for half in halves]))
 
     @torch.no_grad()
     def answer(self, coordinates: Tensor) -> Tensor:

@@ -148,7 +148,7 @@ class StagedInverse(InverseNetwork):
         coordinates: PositiveInt | None = None,
     ) -> None:
         super().__init__(rig, control_map)
-        for name, number in {"stages": stages, "width": width, "gate": gate}.items():
+        for name, number in {"stages": stages, "width": width, "gate": gate, "coordinates": coordinates}.items():
             if number is not None and number < 1:
                 raise InputError(f"network: {name} is {number}, expected at least 1")
         self.features = RigFeatures(rig) if features and RigFeatures.offered_by(rig) else None

@@ -151,7 +151,8 @@ class RigModule(L.LightningModule, ABC):
             NonFiniteLossError: the loss is NaN or infinite, in any process: all of them raise it.
         """
         logged, factor = loss.detach(), 1.0
-        error = root_mean_square_mm(coordinates, target[:, : coordinates.shape[1]], self.rig.space.vertex_count)
+        target = target[:, : coordinates.shape[1]]  # an inverse may see the leading ones alone
+        error = root_mean_square_mm(coordinates, target, self.rig.space.vertex_count)
         if is_distributed():
             (logged, squared), factor = all_reduce_means(torch.stack([logged, error.square()]), len(target))
             error = squared.sqrt()

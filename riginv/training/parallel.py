@@ -75,15 +75,14 @@ def in_stages(
     def differentiate_last(last: Estimate) -> None:
         number, halves = len(parts) - 1, split_batch(batch, sizes := half_sizes(batch))
         found: list[tuple[Tensor, Tensor, Tensor] | None] = [None, None]
-        lock, done = Lock(), []
+        lock = Lock()
 
         def differentiate_half(half: int, estimate: Estimate) -> None:
             value, gradient = backward(estimate, number, halves[half])
             fraction = sizes[half] / sum(sizes)
-            found[half] = fraction * value, fraction * gradient, estimate.detached_coordinates
             with lock:
-                done.append(half)
-                if len(done) < len(halves):
+                found[half] = fraction * value, fraction * gradient, estimate.detached_coordinates
+                if None in found:
                     return
             of_halves, by_raw, meshes = zip(*filter(None, found))
             values[number] = sum(of_halves[1:], of_halves[0])
