@@ -136,7 +136,7 @@ def _pick(padded: Tensor, columns: Tensor) -> Tensor:
 def _products_of_others(factors: Tensor) -> Tensor:
     """For each factor `(batch, product, slot)` the product of the other factors of its product."""
     slots = range(factors.shape[2])
-    others = [factors[:, :, [other for other in slots if other != slot]].prod(dim=2) for slot in slots]
+    others = [torch.cat([factors[:, :, :slot], factors[:, :, slot + 1 :]], dim=2).prod(dim=2) for slot in slots]
     return torch.stack(others, dim=2)
 
 

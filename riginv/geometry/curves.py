@@ -6,16 +6,17 @@ shortened first, as Blender and Maya do, so that X is monotone.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from riginv.geometry.kernels.library import Kernels, kernels_for, plain_rows, pure_gradients, pure_torch
+from riginv.geometry.kernels.library import Kernels, gpu_kernels_for, kernels_for, plain_rows, pure_gradients, pure_torch
 
 ITERATIONS = 24  # of bracketed Newton, at most; typical curves need 4, vertical tangents more
 PLAIN = 3  # Newton steps without bracketing that come first
@@ -33,6 +34,7 @@ class Key(NamedTuple):
 
 
 Curve = list[Key]
+Solve = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # from a table and inputs to values and derivatives
 
 
 def pack_curves(curves: list[Curve]) -> Float[Tensor, "curve segment 9"]:
@@ -67,11 +69,11 @@ def evaluate_curves(
         `(batch, curve)`; differentiable in `inputs`. At a key the derivative is that of the segment to its right, at the ends
         that of the end segments, so that a control at its limit has a gradient.
     """
-    compiled = kernels_for(table, inputs)
-    if compiled is not None:
+    solve = _kernel_for(table, inputs)
+    if solve is not None:
         if inputs.requires_grad and torch.is_grad_enabled():
-            return _CompiledCurves.apply(inputs, table, compiled)
-        return _solved(compiled, table, inputs)[0]
+            return _CompiledCurves.apply(inputs, table, solve)
+        return solve(table, inputs)[0]
     x, (start, width, a, b, c, d, e, f, g) = _segments(table, inputs)
     t = _solve(a, b, c, (x - start) / width)
     return ((d * t + e) * t + f) * t + g
@@ -82,9 +84,9 @@ def curves_and_derivatives(
     table: Float[Tensor, "curve segment 9"], inputs: Float[Tensor, "batch curve"]
 ) -> tuple[Float[Tensor, "batch curve"], Float[Tensor, "batch curve"]]:
     """The value of each curve at its own input, and its derivative there, both `(batch, curve)`; as `evaluate_curves`."""
-    compiled = kernels_for(table, inputs)
-    if compiled is not None:
-        return _solved(compiled, table, inputs)
+    solve = _kernel_for(table, inputs)
+    if solve is not None:
+        return solve(table, inputs)
     x, (start, width, a, b, c, d, e, f, g) = _segments(table, inputs)
     t = _solve(a, b, c, (x - start) / width)
     along = ((3 * a * t + 2 * b) * t + c).clamp_min(torch.finfo(t.dtype).eps) * width
@@ -107,8 +109,8 @@ class _CompiledCurves(torch.autograd.Function):
     """`evaluate_curves` by a kernel, which returns the derivatives along with the values."""
 
     @staticmethod
-    def forward(ctx: Any, inputs: Tensor, table: Tensor, compiled: Kernels) -> Tensor:
-        values, derivatives = _solved(compiled, table, inputs)
+    def forward(ctx: Any, inputs: Tensor, table: Tensor, solve: Solve) -> Tensor:
+        values, derivatives = solve(table, inputs)
         ctx.save_for_backward(inputs, table, derivatives)
         return values
 
@@ -118,6 +120,17 @@ class _CompiledCurves(torch.autograd.Function):
         if torch.is_grad_enabled():
             return pure_gradients(lambda given: evaluate_curves(table, given), inputs, gradient), None, None
         return gradient * derivatives, None, None
+
+
+def _kernel_for(table: Tensor, inputs: Tensor) -> Solve | None:
+    """The kernel that solves curves on the device of these tensors; None: there is none."""
+    if (compiled := kernels_for(table, inputs)) is not None:
+        return partial(_solved, compiled)
+    if gpu_kernels_for(table, inputs):
+        from riginv.geometry.kernels.curves_on_gpu import curves_on_gpu  # Triton is not everywhere
+
+        return lambda table, inputs: curves_on_gpu(table.contiguous(), plain_rows(inputs))
+    return None
 
 
 def _solved(compiled: Kernels, table: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
@@ -150,7 +163,7 @@ def _solve(a: Tensor, b: Tensor, c: Tensor, target: Tensor) -> Tensor:
         low, high = torch.zeros_like(t), torch.ones_like(t)
         a3, b2 = 3 * a, 2 * b
         tolerance = 4 * torch.finfo(t.dtype).eps
-        fixed = _fixed.get()
+        fixed = _fixed.get() if target.device.type == "cpu" else FIXED  # elsewhere a look at a value waits for the device
         if fixed is None and bool(((((a * t + b) * t + c) * t - target).abs() > tolerance).any()):
             for _ in range(PLAIN):  # nearly always enough, at half the cost of a bracketed step
                 error = ((a * t + b) * t + c) * t - target

@@ -18,12 +18,12 @@ def axis_rotations(
     angles: Float[Tensor, "*batch joint 3"], orders: Int[Tensor, "joint 3"]
 ) -> tuple[Float[Tensor, "*batch joint 3 3"], ...]:
     """The rotations about the first, middle and last axis of each joint, for angles in radians."""
-    found = []
+    found, eye = [], torch.eye(3, dtype=angles.dtype, device=angles.device)
     for position in range(3):
         axis = orders[:, position]
         angle = angles.gather(-1, axis.expand(angles.shape[:-1])[..., None])[..., None]
-        cross = torch.linalg.cross(torch.eye(3).to(angles)[axis][:, None].expand(-1, 3, -1), torch.eye(3).to(angles)[None]).mT
-        found.append(torch.eye(3).to(angles) + torch.sin(angle) * cross + (1 - torch.cos(angle)) * (cross @ cross))
+        cross = torch.linalg.cross(eye[axis][:, None].expand(-1, 3, -1), eye[None]).mT
+        found.append(eye + torch.sin(angle) * cross + (1 - torch.cos(angle)) * (cross @ cross))
     return tuple(found)
 
 
@@ -32,7 +32,7 @@ def euler_angles(
 ) -> Float[Tensor, "*batch joint 3"]:
     """The angles, radians, of rotations; the middle one within a right angle. In gimbal lock the last one is 0."""
     first, middle, last = orders.unbind(1)
-    joints = torch.arange(len(orders))
+    joints = torch.arange(len(orders), device=orders.device)
     sign = torch.where((middle - first) % 3 == 1, 1.0, -1.0).to(rotations)
 
     def entry(row: Tensor, column: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 A transform is a 3x4 matrix, the last column its translation: it maps a point p to M[:, :3] p + M[:, 3].
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -98,28 +99,31 @@ def transform_from(
     return torch.cat([rotations, translations[..., None]], dim=-1)
 
 
-def forward_kinematics(
-    local: Float[Tensor, "batch joint 3 4"], parents: Sequence[int], levels: Sequence[Tensor]
-) -> Float[Tensor, "batch joint 3 4"]:
+def forward_kinematics(local: Float[Tensor, "batch joint 3 4"], parents: Sequence[int]) -> Float[Tensor, "batch joint 3 4"]:
     """World transforms from transforms relative to the parents, batched over the joints of one depth.
 
     Args:
         local: a root's is its world transform.
         parents: as for `tree_levels`.
-        levels: `tree_levels` of the parents.
     """
-    of_joint = torch.tensor(parents, device=local.device)
-    position = torch.empty_like(of_joint)  # within the joint's level
+    levels, order = _by_depth(tuple(parents), local.device)
     worlds: list[Tensor] = []
-    for level in levels:
-        level = level.to(local.device)
-        here = local[:, level]
-        if worlds:
-            here = compose(worlds[-1][:, position[of_joint[level]]], here)
-        position[level] = torch.arange(len(level), device=local.device)
-        worlds.append(here)
-    order = torch.cat([level.to(local.device) for level in levels])
-    return torch.cat(worlds, dim=1)[:, order.argsort()]
+    for joints, above in levels:
+        here = local[:, joints]
+        worlds.append(compose(worlds[-1][:, above], here) if worlds else here)
+    return torch.cat(worlds, dim=1)[:, order]
+
+
+@functools.lru_cache(maxsize=64)
+def _by_depth(parents: tuple[int, ...], device: torch.device) -> tuple[list[tuple[Tensor, Tensor]], Tensor]:
+    """The joints of each depth and the places of their parents in the depth above, and the place of each joint among all."""
+    with torch.inference_mode(False):
+        of_joint, place = torch.tensor(parents), torch.empty(len(parents), dtype=torch.long)
+        levels = []
+        for joints in tree_levels(parents):
+            levels.append((joints.to(device), place[of_joint[joints]].to(device)))  # of roots: not used
+            place[joints] = torch.arange(len(joints))
+        return levels, torch.cat([joints for joints, _ in levels]).argsort()
 
 
 def bone_tails(heads: Float[Tensor, "joint 3"], parents: Sequence[int]) -> Float[Tensor, "joint 3"]:

@@ -80,7 +80,7 @@ def matrix_basis(points: Float[Tensor, "item vertex column"]) -> Float[Tensor, "
 
 def by_axis(deltas: Float[Tensor, "target vertex 3"]) -> Float[Tensor, "row vertex 3"]:
     """Deltas as three rows each, one for every axis of space."""
-    return (deltas[:, None] * torch.eye(3).to(deltas)[:, None]).flatten(0, 1)
+    return (deltas[:, None] * torch.eye(3, dtype=deltas.dtype, device=deltas.device)[:, None]).flatten(0, 1)
 
 
 def skin(

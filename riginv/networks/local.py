@@ -1,5 +1,6 @@
 """A surrogate of many small MLPs, one for each shape, on the few inputs that it depends on."""
 
+import functools
 import math
 
 import torch
@@ -50,7 +51,8 @@ class LocalMlps(nn.Module):
     def product(self, inputs: Float[Tensor, "batch input"]) -> Float[Tensor, "batch output"]:
         """The product `(batch, output)` of each output's inputs; 0 where it has none."""
         filled = self.index >= 0
-        return torch.where(filled, inputs[:, self.index.clamp_min(0)], 1.0).prod(dim=2) * filled.any(dim=1)
+        factors = torch.where(filled, inputs[:, self.index.clamp_min(0)], 1.0).unbind(dim=2)
+        return functools.reduce(torch.mul, factors) * filled.any(dim=1)  # the gradient of torch.prod looks at values
 
 
 class LocalSurrogate(SurrogateNetwork):

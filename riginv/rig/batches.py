@@ -13,8 +13,13 @@ def generator_at(seed: int, *key: int | str, device: torch.device | str = "cpu")
 
     So an interrupted run continues with identical results, and evaluation sets are independent of training.
     """
+    return torch.Generator(device).manual_seed(seed_at(seed, *key))
+
+
+def seed_at(seed: int, *key: int | str) -> int:
+    """The seed of `generator_at`."""
     digest = hashlib.sha256(repr((seed, *key)).encode()).digest()
-    return torch.Generator(device).manual_seed(int.from_bytes(digest[:8], "little") >> 1)
+    return int.from_bytes(digest[:8], "little") >> 1
 
 
 class PoseBatch(TypedDict, total=False):

@@ -112,7 +112,7 @@ class JointFeatures(nn.Module):
         compiled = None if torch.is_grad_enabled() and matrices.requires_grad else kernels_for(matrices)
         found = self._relative(matrices) if compiled is None else self._relative_compiled(compiled, matrices)
         angles, moves, scales = found
-        linear = matrices[:, self.source[self.roots], :, :3] + torch.eye(3).to(matrices)
+        linear = matrices[:, self.source[self.roots], :, :3] + torch.eye(3, dtype=matrices.dtype, device=matrices.device)
         moves = self.to_moves.to(matrices) @ moves[:, self.moved, :, None]
         sizes = ((scales[:, self.scaled] - 1) * self.scaled_axes.to(matrices)).sum(dim=2)
         return torch.cat([linear.flatten(1), angles.flatten(1), moves.flatten(1), sizes], dim=1)
@@ -120,7 +120,7 @@ class JointFeatures(nn.Module):
     def _relative(self, matrices: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Angles, displacements and scales of each joint relative to the one above it, each `(batch, joint, 3)`."""
         change = matrices[:, self.source]
-        rest, eye = self.rest.to(change), torch.eye(3).to(change)
+        rest, eye = self.rest.to(change), torch.eye(3, dtype=change.dtype, device=change.device)
         linear = change[..., :3] + eye
         position = rest[..., 3] + change[..., 3] + (change[..., :3] @ self.shift.to(change)[..., None])[..., 0]
         is_root, above = (self.parents < 0)[:, None], self.parents.clamp_min(0)
@@ -209,7 +209,7 @@ class SkinFeatures(nn.Module):
             return found
         along = along.unflatten(1, (-1, 3))
         turned = torch.diag_embed(along)[:, self.pairs[:, 1]] + products.unflatten(1, (-1, 3, 3))
-        rotations = (matrices[..., :3] + torch.eye(3).to(along))[:, self.pairs[:, 0]]
+        rotations = (matrices[..., :3] + torch.eye(3, dtype=along.dtype, device=along.device))[:, self.pairs[:, 0]]
         of_pairs = (rotations * turned).sum(dim=(2, 3)) / rotations.square().sum(dim=(2, 3))
         weights = torch.where(self.alone, along.mean(dim=2), 0.0)
         weights = weights.index_add(1, self.pairs[:, 1], of_pairs * self.shares.to(along)[self.pairs[:, 1]])

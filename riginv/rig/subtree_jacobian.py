@@ -47,7 +47,7 @@ def rotation_generators(
         centres: of the rotations, in the world.
     """
     first, middle, _ = rotations
-    unit = torch.eye(3).to(above)[orders]  # (joint, position, 3)
+    unit = torch.eye(3, dtype=above.dtype, device=above.device)[orders]  # (joint, position, 3)
     by_position = torch.stack(
         [
             unit[:, 0].expand(len(above), -1, -1),
@@ -57,7 +57,10 @@ def rotation_generators(
         dim=2,
     )
     spins = torch.empty_like(by_position).scatter_(2, orders[None, :, :, None].expand(by_position.shape), by_position)
-    cross = torch.linalg.cross(spins[..., None, :].expand(*spins.shape, 3), torch.eye(3).to(above).expand(*spins.shape, 3)).mT
+    cross = torch.linalg.cross(
+        spins[..., None, :].expand(*spins.shape, 3),
+        torch.eye(3, dtype=above.dtype, device=above.device).expand(*spins.shape, 3),
+    ).mT
     return about(above[:, :, None] @ cross @ torch.linalg.inv(above)[:, :, None], centres[:, :, None])
 
 
@@ -110,7 +113,7 @@ def _blocks(metric: Tensor, joints: int) -> Tensor | None:
     if len(dense) != 12 * joints:
         return None
     rows = dense.view(joints, 3, 4, joints, 3, 4).permute(1, 4, 0, 2, 3, 5).reshape(3, 3, joints, 4, 4 * joints)
-    expected = rows[0, 0] * torch.eye(3).to(rows)[:, :, None, None, None]
+    expected = rows[0, 0] * torch.eye(3, dtype=rows.dtype, device=rows.device)[:, :, None, None, None]
     return rows[0, 0].contiguous() if (rows - expected).abs().max() <= NEGLIGIBLE * rows.abs().max() else None
 
 

@@ -129,8 +129,9 @@ class Objective:
         return other
 
     def run_tasks(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
-        """The results of tasks that evaluate this objective, in parallel if the rig allows it and cores are free."""
-        return workers().run(tasks) if self.rig.source.differentiable else [task() for task in tasks]
+        """The results of tasks that evaluate this objective, in parallel on a CPU if the rig allows it and cores are free."""
+        in_parallel = self.rig.source.differentiable and self.map.device.type == "cpu"
+        return workers().run(tasks) if in_parallel else [task() for task in tasks]
 
     def units(self, controls: Tensor) -> Tensor:
         """Controls as fractions of their ranges."""

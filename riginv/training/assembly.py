@@ -59,6 +59,7 @@ def build_module(settings: TrainConfig, rig: RigInMeshSpace, true_rig: RigBacken
     module.true_rig = true_rig if true_rig.held_out is None else rig.source
     module.stop_below_lr = settings.stop_below_lr
     module.workers = build_workers(settings.trainer)
+    module.uses_graphs = settings.trainer.cuda_graphs
     return module
 
 
@@ -100,7 +101,8 @@ def build_data(settings: TrainConfig, module: RigModule, true_rig: RigBackend, c
     else:
         sets = [*random_sets(true_rig, count, "validation"), *([clip] if clip else [])]
     data, validation = settings.data, watched(sets, module.rig.space, count)
-    return PoseDataModule(sampler, validation, data.batch_size, data.steps_per_epoch, settings.seed)
+    sizes = data.batch_size, data.steps_per_epoch
+    return PoseDataModule(sampler, validation, *sizes, settings.seed, settings.trainer.cuda_graphs)
 
 
 def calibrate(seed: int, module: RigModule, sampler: MeshSampler) -> None:

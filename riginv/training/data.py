@@ -8,8 +8,9 @@ import torch
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from riginv.errors import InputError
-from riginv.rig.batches import PoseBatch, generator_at, split_batch
+from riginv.rig.batches import PoseBatch, seed_at, split_batch
 from riginv.sampling.meshes import MeshSampler
+from riginv.training.cuda_graphs import GraphedDraw
 
 
 class StepIndices(IterableDataset):
@@ -40,13 +41,20 @@ class PoseDataModule(L.LightningDataModule):
         batch_size: meshes in a training batch, those of all processes together.
         steps_per_epoch: training steps between two validations.
         seed: of the training batches.
+        uses_graphs: whether drawing on a GPU is captured once as a CUDA graph and replayed.
 
     Raises:
         InputError: a size is below 1.
     """
 
     def __init__(
-        self, sampler: MeshSampler, validation: dict[str, PoseBatch], batch_size: int, steps_per_epoch: int, seed: int
+        self,
+        sampler: MeshSampler,
+        validation: dict[str, PoseBatch],
+        batch_size: int,
+        steps_per_epoch: int,
+        seed: int,
+        uses_graphs: bool = False,
     ) -> None:
         super().__init__()
         for name, value in (("batch_size", batch_size), ("steps_per_epoch", steps_per_epoch)):
@@ -54,6 +62,7 @@ class PoseDataModule(L.LightningDataModule):
                 raise InputError(f"data.{name} is {value}, expected at least 1")
         self.sampler, self.validation = sampler, validation
         self.batch_size, self.steps_per_epoch, self.seed = batch_size, steps_per_epoch, seed
+        self.uses_graphs, self._graphed = uses_graphs, cast(GraphedDraw | None, None)
         self._device: torch.device | None = None
         self._step, self._ahead = -1, cast(tuple[int, PoseBatch | None], (-1, None))  # the last step, and one that is drawn
 
@@ -92,7 +101,16 @@ class PoseDataModule(L.LightningDataModule):
         device = self.attached_trainer.strategy.root_device
         if device != self._device:  # asked of every tensor, this takes a tenth of a draw
             self.sampler, self._device = self.sampler.to(device), device
-        generator = generator_at(self.seed, "training", step, 0, device=device)
+        seed = seed_at(self.seed, "training", step, 0)
+        if self.uses_graphs and device.type == "cuda":
+            try:
+                self._graphed = self._graphed or GraphedDraw(self._sample, device)
+                return self._graphed(seed)
+            except RuntimeError:  # stored poses are read by the CPU
+                self.uses_graphs, self._graphed = False, None
+        return self._sample(torch.Generator(device).manual_seed(seed))
+
+    def _sample(self, generator: torch.Generator) -> PoseBatch:
         return self.sampler.sample_rows(self.batch_size, generator, self.rows)
 
     @property

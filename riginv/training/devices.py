@@ -38,6 +38,7 @@ class TrainerConfig:
         precision: bf16-mixed: the network computes in bfloat16; the rig and the losses do not.
         threads: number of threads that compute a step on a CPU; auto: one or two, by the number of free cores.
         compile: whether the network is compiled (torch.compile).
+        cuda_graphs: whether a training step and a draw on a GPU are captured once as CUDA graphs and replayed.
         deterministic: of Lightning.
         starts_processes: whether the command starts a process for each device; False: they were started from outside.
     """
@@ -49,6 +50,7 @@ class TrainerConfig:
     precision: Literal["32-true", "bf16-mixed"]
     threads: PositiveInt | Literal["auto"]
     compile: bool
+    cuda_graphs: bool
     deterministic: bool | Literal["warn"]
     log_every_n_steps: PositiveInt
     starts_processes: bool

@@ -21,6 +21,7 @@ from riginv.rig.batches import PoseBatch
 from riginv.rig.interface import LinearRig, RigBackend
 from riginv.rig.mesh_space import RigInMeshSpace
 from riginv.runs.threads import Workers, single_threaded
+from riginv.training.cuda_graphs import GraphedStep
 from riginv.training.data import PoseDataModule
 from riginv.training.devices import all_reduce_means, check_normalisation, is_distributed
 from riginv.training.losses import root_mean_square_mm
@@ -43,6 +44,7 @@ class RigModule(L.LightningModule, ABC):
         kind: of bundle that it makes: `inverse` (meshes to controls) or `forward` (a surrogate).
         true_rig: the rig that validation evaluates on; by default the rig itself.
         workers: threads that compute a step together; None: a step is computed by one.
+        uses_graphs: whether a training step on a GPU is captured once as a CUDA graph and replayed.
         stop_below_lr: training ends once the schedule has brought the learning rate below this (paper: 1e-6); None: never.
     """
 
@@ -53,6 +55,7 @@ class RigModule(L.LightningModule, ABC):
     true_rig: RigBackend
     stop_below_lr: float | None = None
     workers: Workers | None = None
+    uses_graphs: bool = False
 
     def __init__(
         self, rig: RigInMeshSpace, network: RigNetwork, make_optimizer: OptimizerFactory, make_schedule: ScheduleFactory
@@ -64,6 +67,7 @@ class RigModule(L.LightningModule, ABC):
         self.epoch_loss = MeanMetric(nan_strategy="ignore", sync_on_compute=False)  # gets means over all processes
         self.epoch_loss.persistent(True)  # so that a run stopped within an epoch still sees the whole of it
         self.errors: list[VertexError] = []
+        self.graphed: GraphedStep | None = None
 
     @classmethod
     def can_train_on(cls, rig: LinearRig) -> bool:
@@ -83,6 +87,8 @@ class RigModule(L.LightningModule, ABC):
         weights = [weight for weight in self.network.parameters() if weight.requires_grad]
         if self.workers is not None and self.can_use_threads and worth_splitting(len(batch["coordinates"]), weights):
             loss, coordinates = self.loss_on_threads(batch, weights, self.workers)
+        elif self.uses_graphs and self.device.type == "cuda" and self.can_use_threads:
+            loss, coordinates = self.loss_on_graph(batch, weights)
         else:
             loss, coordinates = self.loss_and_coordinates(batch)
         return self.log_step(loss, coordinates, batch["coordinates"])
@@ -90,6 +96,19 @@ class RigModule(L.LightningModule, ABC):
     def loss_on_threads(self, batch: PoseBatch, weights: list[nn.Parameter], workers: Workers) -> tuple[Tensor, Tensor]:
         """As `loss_and_coordinates`, computed by two threads, with the gradients of the weights."""
         return in_halves(self.loss_and_coordinates, batch, weights, workers)
+
+    def loss_on_graph(self, batch: PoseBatch, weights: list[nn.Parameter]) -> tuple[Tensor, Tensor]:
+        """As `loss_and_coordinates`, replayed from a CUDA graph, with the gradients of the weights."""
+        try:
+            if self.graphed is None:
+                self.graphed = GraphedStep(self.loss_and_coordinates, batch, weights)
+            if self.graphed.fits(batch):
+                return self.graphed(batch)
+        except RuntimeError as error:
+            self.uses_graphs, self.graphed = False, None
+            reason = str(error.__context__ or error).splitlines()[0]
+            print(f"note: a training step is not replayed from a CUDA graph, so it is slower: {reason}", flush=True)
+        return self.loss_and_coordinates(batch)
 
     def draw_ahead(self) -> None:
         """Draw the next batch, if a trainer has the data: by a thread that has nothing else to do."""

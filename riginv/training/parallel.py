@@ -175,6 +175,6 @@ class _WithGradients(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
         gradients, ctx.gradients = ctx.gradients, []  # handed on, not copied: they are as large as the network
-        if float(scale) != 1:
+        if scale.device.type != "cpu" or float(scale) != 1:  # elsewhere a look at it waits for the device
             gradients = [None if gradient is None else scale * gradient for gradient in gradients]
         return None, None, *gradients

@@ -90,9 +90,8 @@ class BodyRig(LinearRig):
         loose[:, LAST] = NOISE_TWIST
         loose[joint["root"]] = 0.0
         self.joint_noise = torch.deg2rad(loose).flatten().to(self.dtype)
-        self.levels = tree_levels(self.parents, self.joint_names)
         self.register_buffer("at_rest", self.neutral_coefficients(), persistent=False)
-        self.tree = SubtreeSums(self.parents, self.levels, skinned)
+        self.tree = SubtreeSums(self.parents, tree_levels(self.parents, self.joint_names), skinned)
         by_axis = self.angles.unflatten(1, (-1, 3))[:, :, AXES].flatten(1)
         driven = by_axis.any(dim=0).nonzero()[:, 0]
         self.register_buffer("driven", driven, persistent=False)
@@ -129,9 +128,14 @@ class BodyRig(LinearRig):
         rotations = axis_rotations(angles[..., AXES], orders)
         worlds = self._worlds(frames @ rotations[0] @ rotations[1] @ rotations[2] @ frames.mT, controls[:, self.moves])
         above = worlds[:, self.parent_rows.clamp_min(0), :, :3]
-        above = torch.where((self.parent_rows < 0)[:, None, None], torch.eye(3).to(worlds), above) @ frames
+        above = (
+            torch.where((self.parent_rows < 0)[:, None, None], torch.eye(3, dtype=worlds.dtype, device=worlds.device), above)
+            @ frames
+        )
         turns = rotation_generators(above, rotations, orders, worlds[..., 3]).flatten(1, 2)[:, self.driven]
-        moves = transform_from(worlds.new_zeros(3, 3, 3), torch.eye(3).to(worlds)).expand(len(worlds), 1, -1, -1, -1)
+        moves = transform_from(worlds.new_zeros(3, 3, 3), torch.eye(3, dtype=worlds.dtype, device=worlds.device)).expand(
+            len(worlds), 1, -1, -1, -1
+        )
         generators = Generators(self.driven // 3, turns[:, :, None]), Generators(torch.zeros_like(self.driven[:1]), moves)
         jacobian = SubtreeJacobian(tree=self.tree, matrices=with_last_row(worlds), generators=generators, mix=self.mix)
         return worlds[:, self.skinned].flatten(1), jacobian
@@ -177,4 +181,4 @@ class BodyRig(LinearRig):
         """World transforms of all joints, `(batch, joint, 3, 4)`."""
         offsets = self.offsets.to(rotations).expand(rotations.shape[0], -1, -1)
         offsets = torch.cat([offsets[:, :1] + move[:, None], offsets[:, 1:]], dim=1)  # the root is the first joint
-        return forward_kinematics(transform_from(rotations, offsets), self.parents, self.levels)
+        return forward_kinematics(transform_from(rotations, offsets), self.parents)

@@ -61,14 +61,13 @@ class JointMotion(nn.Module):
     def __init__(self, frames: Frames, drives: Drives, pairs: Tensor) -> None:
         super().__init__()
         self.parents, self.count = frames.parents, len(frames.names)
-        self.levels = tree_levels(frames.parents, frames.names)
         move_axes = torch.linalg.solve(frames.rest[..., :3], frames.parent_axes)[drives.moved]
         buffers = {"rest": frames.rest.float(), "inverse_rest": invert(frames.rest).float(), "pairs": pairs}
         buffers |= {"orders": drives.orders, "moved": drives.moved, "scaled": drives.scaled}
         buffers |= {"scaled_axes": drives.scaled_axes.float(), "move_axes": move_axes.float()}
         for name, tensor in buffers.items():
             self.register_buffer(name, tensor, persistent=False)
-        self.tree = SubtreeSums(frames.parents, self.levels)
+        self.tree = SubtreeSums(frames.parents, tree_levels(frames.parents, frames.names))
 
     def forward(self, weights: Tensor, joints: Tensor) -> Tensor:
         """Weights `(batch, target)` and controls of joints `(batch, joint control)` to coefficients.
@@ -92,7 +91,7 @@ class JointMotion(nn.Module):
         """World motions `(batch, frame, 3, 4)`, which are the identity at rest."""
         matrices = transform_from(local.rotation * local.scales[..., None, :], local.translations)
         rest, inverse_rest = self.rest.to(matrices), self.inverse_rest.to(matrices)
-        return forward_kinematics(compose(compose(rest, matrices), inverse_rest), self.parents, self.levels)
+        return forward_kinematics(compose(compose(rest, matrices), inverse_rest), self.parents)
 
     @property
     def freedom(self) -> JointFreedom:
@@ -112,7 +111,7 @@ class JointMotion(nn.Module):
 
     def _coefficients(self, weights: Tensor, world: Tensor) -> Tensor:
         centres = self.rest[..., 3:].to(world)
-        linear = world[..., :3] - torch.eye(3).to(world)
+        linear = world[..., :3] - torch.eye(3, dtype=world.dtype, device=world.device)
         matrices = torch.cat([linear, linear @ centres + world[..., 3:]], dim=-1).flatten(2)
         products = linear.flatten(2)[:, self.pairs[:, 0]] * weights[:, self.pairs[:, 1], None]
         return torch.cat([weights.repeat_interleave(AXES, dim=1), matrices.flatten(1), products.flatten(1)], dim=1)
@@ -120,7 +119,7 @@ class JointMotion(nn.Module):
     def _with_morphs(self, weights: Tensor, world: Tensor, by_joints: Tensor) -> Tensor:
         """The dense Jacobian `(batch, coefficient, control)` of a rig with morph targets."""
         batch, targets = weights.shape
-        linear = (world[..., :3] - torch.eye(3).to(world)).flatten(2)
+        linear = (world[..., :3] - torch.eye(3, dtype=world.dtype, device=world.device)).flatten(2)
         frames, of_pair = self.pairs[:, 0], self.pairs[:, 1]
         turned = by_joints.unflatten(1, (self.count, 3, 4))[:, :, :, :3].flatten(2, 3)  # (batch, frame, 9, joint control)
         products = (turned[:, frames] * weights[:, of_pair, None, None]).flatten(1, 2)

@@ -39,7 +39,7 @@ class Scene:
     @cached_property
     def world(self) -> Tensor:
         """World transforms at rest, `(node, 3, 4)`, metres."""
-        return forward_kinematics(compose(self.rigid, self.scaling)[None], self.parents, self.levels)[0]
+        return forward_kinematics(compose(self.rigid, self.scaling)[None], self.parents)[0]
 
 
 def read_scene(file: GltfFile) -> Scene:

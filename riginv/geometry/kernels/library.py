@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -69,15 +70,25 @@ def pure_torch() -> Iterator[None]:
 
 def kernels_for(*tensors: Tensor) -> Kernels | None:
     """The kernels, if they can take these tensors: on a CPU, all of float32 or all of float64, indices of int64; else None."""
+    return kernels() if _are_plain(tensors, "cpu") else None
+
+
+def gpu_kernels_for(*tensors: Tensor) -> bool:
+    """Whether there are kernels for GPUs and they can take these tensors, as for `kernels_for`."""
+    return _are_plain(tensors, "cuda") and os.environ.get(SWITCH) != "0" and find_spec("triton") is not None
+
+
+def _are_plain(tensors: Sequence[Tensor], device: str) -> bool:
+    """Whether tensors are on a type of device, all of float32 or all of float64, indices of int64, and nothing traces them."""
     if _pure.get() or is_transformed(tensors):
-        return None
+        return False
     dtype = tensors[0].dtype
     for tensor in tensors:
-        if tensor.device.type != "cpu" or type(tensor) not in (Tensor, torch.nn.Parameter):
-            return None
+        if tensor.device.type != device or type(tensor) not in (Tensor, torch.nn.Parameter):
+            return False
         if tensor.dtype != (dtype if tensor.is_floating_point() else torch.int64):
-            return None
-    return kernels() if dtype in SUFFIXES else None
+            return False
+    return dtype in SUFFIXES
 
 
 def is_transformed(tensors: Sequence[Tensor]) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from riginv.geometry.kinematics import forward_kinematics, transform_from, tree_levels
+from riginv.geometry.kinematics import forward_kinematics, transform_from
 from rigs.body.build import FPS
 from rigs.body.skeleton import Skeleton
 from rigs.geometry.anny.keys import KeyedBones, bone_axes
@@ -94,7 +94,6 @@ class _Poser:
         self.heads = torch.tensor(skeleton.heads)
         self.rotations = torch.eye(3, dtype=torch.float64).repeat(frames, len(skeleton.names), 1, 1)
         self.move = torch.zeros(frames, 3, dtype=torch.float64)
-        self.levels = tree_levels(skeleton.parents, skeleton.names)
 
     def number(self, joint: str) -> int:
         return self.skeleton.number[joint]
@@ -104,7 +103,7 @@ class _Poser:
         parents = torch.tensor(self.skeleton.parents)
         offsets = torch.where(parents[:, None] >= 0, self.heads - self.heads[parents], self.heads).repeat(len(self.move), 1, 1)
         offsets[:, 0] += self.move
-        return forward_kinematics(transform_from(self.rotations, offsets), self.skeleton.parents, self.levels)
+        return forward_kinematics(transform_from(self.rotations, offsets), self.skeleton.parents)
 
     def reach(self, limb: Limb, target: Target, pole: Tensor, holder: str | None) -> None:
         """Rotate the joints of a limb so that its end reaches the target and has its rotation, bent towards the pole.
