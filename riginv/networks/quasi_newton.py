@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from riginv.geometry.kernels.library import Kernels, kernels_for
 from riginv.networks.control_maps import ControlMap
 from riginv.networks.distance_weights import DistanceWeights
 from riginv.rig.batches import generator_at
@@ -133,6 +134,8 @@ class QuasiNewton(nn.Module):
         units = ((controls - self.lower) / self.span).clamp(0, 1)
         if not steps:
             return self.lower + self.span * units
+        if self.distance and (compiled := kernels_for(units, self.neutral)) is not None:
+            return self.lower + self.span * self._minimise_compiled(compiled, evaluate, units, steps)
         cost, gradient = evaluate(units)
         length = torch.ones_like(cost)
         pairs: list[_Pair] = []
@@ -150,6 +153,25 @@ class QuasiNewton(nn.Module):
             length = torch.where(better, 1.0, SHORTER * length)
             best = _State(*(torch.where(better.view(-1, *[1] * (b.dim() - 1)), b, a) for a, b in zip(best, new)))
         return self.lower + self.span * best.units
+
+    def _minimise_compiled(self, compiled: Kernels, evaluate: Evaluate, units: Tensor, steps: int) -> Tensor:
+        """The units of `minimise` on the mean distance, with a kernel between evaluations."""
+        (batch, controls), dtype, most = units.shape, units.dtype, max(steps - 1, 1)
+        cost, gradient = evaluate(units)
+        best = units.contiguous(), cost.clone(), gradient().contiguous()
+        length, inverses = torch.ones_like(cost), units.new_empty(batch, most)
+        pairs = units.new_empty(batch, most, controls), units.new_empty(batch, most, controls)
+        neutral, diagonals = self.neutral.contiguous(), self._diagonals * (1 + DISTANCE_DAMPING)
+        limits = units.new_tensor([LONGEST_STEP, SHORTER, LEAST, TINY])
+        for number in range(steps):
+            found = torch.empty_like(best[0])
+            state = best[0], best[2], length, *pairs, inverses, number, most
+            compiled.call("quasi_newton_step", dtype, *state, neutral, diagonals, limits, found, controls, batch)
+            cost, gradient = evaluate(found)
+            following = gradient().contiguous() if number + 1 < steps else None  # the last gradient is not needed
+            kept = *best, length, *pairs, inverses, number, most
+            compiled.call("quasi_newton_keep", dtype, found, cost.contiguous(), following, *kept, limits, controls, batch)
+        return best[0]
 
     def stage_step(
         self, control_map: ControlMap, raw: Float[Tensor, "mesh control"], gradient: Float[Tensor, "mesh control"]

@@ -51,8 +51,14 @@ class FaceSteps:
         self.weights = rows.new_empty(batch, sum(self.counts))
         self.logic = face.logic(controls)
         compiled.call("shapes", rows.dtype, *self.logic, rows, rows.stride(0), self.state, self.weights, batch)
-        parts = self.state.split([batch * size for size in face.step_sizes])
-        steps = [part.view(batch, size) for part, size in zip(parts, face.step_sizes)]
+
+    def _name_steps(self) -> None:
+        """The results of the steps, as views of what the kernel has left; kernels do without these."""
+        if self.state is None or hasattr(self, "driven"):
+            return
+        batch = len(self.weights)
+        parts = self.state.split([batch * size for size in self.face.step_sizes])
+        steps = [part.view(batch, size) for part, size in zip(parts, self.face.step_sizes)]
         self.driven, self.rise, self.limited, self.below, self.under_derivative = steps[:5]
         self.yielding, self.yield_derivative, self.factor, self.bump_derivative = steps[5:]
         self.primary = self.weights[:, : self.counts[0]]
@@ -86,6 +92,7 @@ class FaceSteps:
             given = (self.state, self.weights, gradient, gradient.stride(0), found, found.shape[1], len(found))
             self.compiled.call("shapes_pull", found.dtype, *self.logic, *given)
             return found
+        self._name_steps()
         of_primary, of_between, of_combined = gradient.split(self.counts, dim=1)
         pulled = combination_vjp(self.primary, face.combination_members, of_combined).add_(of_primary)
         add_to_columns(pulled, face.inbetween_shape, of_between, self.bump_derivative)
@@ -99,6 +106,7 @@ class FaceSteps:
 
     def jacobian(self, patterns: tuple[Pattern, ...]) -> Jacobian:
         """Jacobian of the weights by the controls, with entries at the positions of `patterns`."""
+        self._name_steps()
         face, slots = self.face, self.face.driver_of_shape.shape[1]
         rises = self.rise.index_select(1, face.driver_of_shape.flatten().clamp_min(0))
         of_drivers = screen_derivatives(self.driven, face.driver_of_shape).flatten(1) * rises

@@ -1,12 +1,15 @@
 """Steps by gradients alone after a network, from a Hessian for either side of each control's neutral."""
 
+import copy
 from pathlib import Path
 
 import pytest
 import torch
 
+from riginv.geometry.kernels.library import pure_torch
 from riginv.inference.bundle import write_bundle
 from riginv.inference.inverse import Inverse, load_inverse
+from riginv.networks.distance_weights import DistanceWeights
 from riginv.networks.inverse import StagedInverse
 from riginv.networks.packed import PackedInverse
 from riginv.networks.quasi_newton import DAMPING, QuasiNewton
@@ -83,6 +86,22 @@ def test_steps_on_the_mean_distance_lower_it_for_every_mesh(toy):
     on_squares = QuasiNewton(toy, 30)
     on_squares.calibrate(toy)
     assert float(after.mean()) < float(mean_distances(on_squares(toy, start, coordinates)).mean())
+
+
+@pytest.mark.parametrize("steps", [1, 2, 8])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-3), (torch.float64, 1e-8)])
+def test_steps_by_a_kernel_equal_those_of_pure_torch(toy, dtype, tolerance, steps):
+    rig = copy.deepcopy(toy).to(dtype)
+    method = QuasiNewton(rig, steps, DistanceWeights(rig.space, 40)).to(dtype)
+    method.calibrate(rig)
+    start, controls = (random_controls(rig.source, 24, seed).to(dtype) for seed in (1, 2))
+    coordinates = 1.3 * rig(controls)  # the rig cannot make most of these
+    coordinates[0] = torch.nan
+    found = method(rig, start, coordinates)
+    with pure_torch():
+        expected = method(rig, start, coordinates)
+    assert float((expected - start)[1:].abs().max()) > 0.1
+    torch.testing.assert_close(found, expected, rtol=tolerance, atol=tolerance)
 
 
 def test_steps_on_squares_follow_networks_of_fitted_rigs_alone(toy, head):

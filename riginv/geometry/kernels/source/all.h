@@ -11,6 +11,7 @@
 #include "distances.h"
 #include "skeleton.h"
 #include "joint_features.h"
+#include "quasi_newton.h"
 
 #undef PADDING
 #undef ROWS
