@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -70,21 +70,21 @@ def pure_torch() -> Iterator[None]:
 
 def kernels_for(*tensors: Tensor) -> Kernels | None:
     """The kernels, if they can take these tensors: on a CPU, all of float32 or all of float64, indices of int64; else None."""
-    return kernels() if _are_plain(tensors, "cpu") else None
+    return kernels() if _are_plain(tensors, "is_cpu") else None
 
 
 def gpu_kernels_for(*tensors: Tensor) -> bool:
     """Whether there are kernels for GPUs and they can take these tensors, as for `kernels_for`."""
-    return _are_plain(tensors, "cuda") and os.environ.get(SWITCH) != "0" and find_spec("triton") is not None
+    return _are_plain(tensors, "is_cuda") and os.environ.get(SWITCH) != "0" and find_spec("triton") is not None
 
 
-def _are_plain(tensors: Sequence[Tensor], device: str) -> bool:
-    """Whether tensors are on a type of device, all of float32 or all of float64, indices of int64, and nothing traces them."""
+def _are_plain(tensors: Sequence[Tensor], where: Literal["is_cpu", "is_cuda"]) -> bool:
+    """Whether tensors are on such a device, all of float32 or all of float64, indices of int64, and nothing traces them."""
     if _pure.get() or is_transformed(tensors):
         return False
     dtype = tensors[0].dtype
     for tensor in tensors:
-        if tensor.device.type != device or type(tensor) not in (Tensor, torch.nn.Parameter):
+        if not getattr(tensor, where) or type(tensor) not in (Tensor, torch.nn.Parameter):
             return False
         if tensor.dtype != (dtype if tensor.is_floating_point() else torch.int64):
             return False
