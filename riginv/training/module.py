@@ -106,8 +106,9 @@ class RigModule(L.LightningModule, ABC):
                 return self.graphed(batch)
         except RuntimeError as error:
             self.uses_graphs, self.graphed = False, None
-            reason = str(error.__context__ or error).splitlines()[0]
-            print(f"note: a training step is not replayed from a CUDA graph, so it is slower: {reason}", flush=True)
+            if self._trainer is None or self.trainer.is_global_zero:
+                reason = str(error.__context__ or error).splitlines()[0]
+                print(f"note: a training step is not replayed from a CUDA graph, so it is slower: {reason}", flush=True)
         return self.loss_and_coordinates(batch)
 
     def draw_ahead(self) -> None:
