@@ -41,6 +41,7 @@ def test_training_as_on_a_gpu_in_bfloat16_ends_in_a_bundle_of_float32(run):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*torch.jit.script_method.*:DeprecationWarning")  # of PyTorch 2.13's compiler itself
 def test_compiled_training_leaves_the_same_bundle(run):
     plain = run("train", "model.network.refinement_steps=1", folder="plain")
     compiled = run("train", "model.network.refinement_steps=1", "trainer.compile=true", folder="compiled")
