@@ -157,20 +157,25 @@ class QuasiNewton(nn.Module):
     def _minimise_compiled(self, compiled: Kernels, evaluate: Evaluate, units: Tensor, steps: int) -> Tensor:
         """The units of `minimise` on the mean distance, with a kernel between evaluations."""
         (batch, controls), dtype, most = units.shape, units.dtype, max(steps - 1, 1)
-        cost, gradient = evaluate(units)
-        best = units.contiguous(), cost.clone(), gradient().contiguous()
+
+        def evaluated(units: Tensor) -> tuple[Tensor, Callable[[], Tensor]]:
+            cost, gradient = evaluate(units)
+            return cost.to(dtype).contiguous(), lambda: gradient().to(dtype).contiguous()
+
+        cost, gradient = evaluated(units)
+        best = units.contiguous(), cost.clone(), gradient()
         length, inverses = torch.ones_like(cost), units.new_empty(batch, most)
         pairs = units.new_empty(batch, most, controls), units.new_empty(batch, most, controls)
-        neutral, diagonals = self.neutral.contiguous(), self._diagonals * (1 + DISTANCE_DAMPING)
+        neutral, diagonals = self.neutral.contiguous(), (self._diagonals * (1 + DISTANCE_DAMPING)).to(dtype)
         limits = units.new_tensor([LONGEST_STEP, SHORTER, LEAST, TINY])
         for number in range(steps):
             found = torch.empty_like(best[0])
             state = best[0], best[2], length, *pairs, inverses, number, most
             compiled.call("quasi_newton_step", dtype, *state, neutral, diagonals, limits, found, controls, batch)
-            cost, gradient = evaluate(found)
-            following = gradient().contiguous() if number + 1 < steps else None  # the last gradient is not needed
+            cost, gradient = evaluated(found)
+            following = gradient() if number + 1 < steps else None  # the last gradient is not needed
             kept = *best, length, *pairs, inverses, number, most
-            compiled.call("quasi_newton_keep", dtype, found, cost.contiguous(), following, *kept, limits, controls, batch)
+            compiled.call("quasi_newton_keep", dtype, found, cost, following, *kept, limits, controls, batch)
         return best[0]
 
     def stage_step(
