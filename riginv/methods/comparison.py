@@ -67,9 +67,10 @@ def read_kept(path: Path) -> dict[str, Any]:
     """
     kept = read_json(path)
     found = kept.get("rows") or []
-    whole = fits(kept.get("source"), str) and fits(found, list[Mapping[str, Any]])
-    rows = [{**dict.fromkeys(LATER), **row} for row in found] if whole else []
-    if not rows or not all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items()):
+    are_rows = fits(kept.get("source"), str) and fits(found, list[Mapping[str, Any]])
+    rows = [{**dict.fromkeys(LATER), **row} for row in found] if are_rows else []
+    whole = rows and all(key in row and fits(row[key], hint) for row in rows for key, hint in ROW.items())
+    if not whole or any(row["optimum_mm"] is None and row["optimum_ratio"] is not None for row in rows):
         raise InputError(f"{path}: altered since a method wrote it; remove it, and the method is run again")
     return {**kept, "rows": rows}
 
