@@ -117,7 +117,7 @@ def forward_kinematics(local: Float[Tensor, "batch joint 3 4"], parents: Sequenc
 @functools.lru_cache(maxsize=64)
 def _by_depth(parents: tuple[int, ...], device: torch.device) -> tuple[list[tuple[Tensor, Tensor]], Tensor]:
     """The joints of each depth and the places of their parents in the depth above, and the place of each joint among all."""
-    with torch.inference_mode(False):
+    with torch.inference_mode(False):  # kept for later calls, which may need gradients
         of_joint, place = torch.tensor(parents), torch.empty(len(parents), dtype=torch.long)
         levels = []
         for joints in tree_levels(parents):

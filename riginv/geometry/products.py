@@ -62,9 +62,9 @@ def _product(inputs: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
 def _by_onednn(inputs: Tensor, weight: Tensor, bias: Tensor | None) -> bool:
     """Whether oneDNN multiplies these tensors, and faster; PyTorch broadcasts biases, and says which sizes do not fit."""
     given = (inputs, weight) if bias is None else (inputs, weight, bias)
-    if (
-        torch.compiler.is_compiling() or not prefers_onednn() or kernels_for(*given) is None
-    ):  # before sizes, which a trace would keep
+    if torch.compiler.is_compiling() or not prefers_onednn():
+        return False
+    if kernels_for(*given) is None:  # before sizes are compared, which a traced program would keep
         return False
     if inputs.dtype != torch.float32 or inputs.dim() != 2 or weight.dim() != 2 or not weight.numel() or len(inputs) < MIN_ROWS:
         return False
